@@ -1,0 +1,1 @@
+"""3D Gaussian splats in Mitsuba: scenes, files, rendering, capture."""

@@ -1,0 +1,263 @@
+"""Pinhole cameras, views, and the one call signature by which training, auditing and attacks see a renderer.
+
+Frames: the world is right-handed with z up; a camera looks along its own +z with x right and y down (OpenCV).
+Pixel centres lie at half integers, so the image spans [0, width] x [0, height].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Camera:
+    """A pinhole camera with exact pose and intrinsics.
+
+    Attributes:
+        to_world: (4, 4) float64 rigid transform from camera space (x right, y down, z forward) to world space.
+        focal: Focal length in pixels, one number or (fx, fy).
+        width: Image width in pixels.
+        height: Image height in pixels.
+        principal: Principal point (cx, cy) in pixels; the image centre if None.
+
+    Raises:
+        InvalidValueError: to_world is not a finite rigid transform, or an intrinsic is not positive and finite.
+    """
+
+    to_world: Tensor
+    focal: float | tuple[float, float]
+    width: int
+    height: int
+    principal: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        pose = torch.as_tensor(self.to_world).detach().to("cpu", torch.float64)
+        if pose.shape != (4, 4):
+            raise InvalidValueError(
+                message("to_world", "shape (4, 4)", tuple(pose.shape), "pass a camera-to-world matrix")
+            )
+        rotation, last = pose[:3, :3], torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)
+        rigid = torch.isfinite(pose).all() and torch.allclose(pose[3], last)
+        if not (rigid and torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-4)):
+            raise InvalidValueError(
+                message("to_world", "a finite rotation and translation", pose.tolist(), "remove scale and shear from it")
+            )
+        if torch.linalg.det(rotation) < 0:
+            raise InvalidValueError(
+                message("to_world", "a right-handed rotation", "a reflection", "flip two axes, not one or three")
+            )
+        object.__setattr__(self, "to_world", pose)
+        for name, value in (("focal x", self.fx), ("focal y", self.fy)):
+            if not (math.isfinite(value) and value > 0):
+                raise InvalidValueError(message(name, "a positive number of pixels", value, "check the intrinsics"))
+        for name, size in (("width", self.width), ("height", self.height)):
+            if not (isinstance(size, int) and 0 < size <= 1 << 15):
+                raise InvalidValueError(message(name, "an integer in 1..32768", size, "check the image size"))
+        if not all(math.isfinite(value) for value in (self.cx, self.cy)):
+            raise InvalidValueError(message("principal", "two finite numbers", self.principal, "check the intrinsics"))
+
+    @property
+    def fx(self) -> float:
+        """Horizontal focal length in pixels."""
+        return float(self.focal[0]) if isinstance(self.focal, tuple) else float(self.focal)
+
+    @property
+    def fy(self) -> float:
+        """Vertical focal length in pixels."""
+        return float(self.focal[1]) if isinstance(self.focal, tuple) else float(self.focal)
+
+    @property
+    def cx(self) -> float:
+        """Horizontal principal point in pixels."""
+        return self.width / 2 if self.principal is None else float(self.principal[0])
+
+    @property
+    def cy(self) -> float:
+        """Vertical principal point in pixels."""
+        return self.height / 2 if self.principal is None else float(self.principal[1])
+
+    @property
+    def position(self) -> Tensor:
+        """(3,) float64 centre of projection in world space."""
+        return self.to_world[:3, 3]
+
+    @property
+    def to_camera(self) -> Tensor:
+        """(4, 4) float64 transform from world to camera space."""
+        return torch.linalg.inv(self.to_world)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A picture and the camera that took it.
+
+    Attributes:
+        camera: The camera.
+        image: (height, width, 3) float32, sRGB in [0, 1].
+    """
+
+    camera: Camera
+    image: Tensor
+
+    def __post_init__(self) -> None:
+        expected = (self.camera.height, self.camera.width, 3)
+        if tuple(self.image.shape) != expected:
+            raise InvalidValueError(
+                message("image", f"shape {expected}", tuple(self.image.shape), "resize it or fix the camera's size")
+            )
+
+
+class RenderFn(Protocol):
+    """How training, auditing and attacks see a renderer: differentiable in the five tensors of the scene."""
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """Render `scene` to an (H, W, 3) sRGB picture."""
+        ...
+
+
+def look_at(
+    origin: Sequence[float],
+    target: Sequence[float],
+    *,
+    up: Sequence[float] = (0.0, 0.0, 1.0),
+) -> Tensor:
+    """(4, 4) float64 camera-to-world pose (OpenCV axes) at `origin` facing `target`.
+
+    When the view direction is parallel to `up`, the image's top points along world +y instead.
+
+    Raises:
+        InvalidValueError: origin and target coincide.
+    """
+    eye = torch.tensor(list(origin), dtype=torch.float64)
+    forward = torch.tensor(list(target), dtype=torch.float64) - eye
+    if not torch.linalg.norm(forward) > 0:
+        raise InvalidValueError(message("target", "a point other than origin", tuple(target), "move one of the two"))
+    forward = forward / torch.linalg.norm(forward)
+    right = torch.linalg.cross(forward, torch.tensor(list(up), dtype=torch.float64))
+    if torch.linalg.norm(right) < 1e-9:
+        right = torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
+    right = right / torch.linalg.norm(right)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, torch.linalg.cross(forward, right), forward, eye
+    return pose
+
+
+def orbit_pose(
+    target: Sequence[float],
+    *,
+    azimuth: float,
+    elevation: float,
+    distance: float,
+) -> Tensor:
+    """Camera-to-world pose on a sphere around `target`, looking at it.
+
+    Args:
+        target: (3,) point looked at, world units.
+        azimuth: Degrees from world +x towards +y.
+        elevation: Degrees above the horizontal plane, 90 is straight down.
+        distance: World units between camera and target.
+    """
+    a, e = math.radians(azimuth), math.radians(elevation)
+    offset = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
+    origin = [t + distance * o for t, o in zip(target, offset, strict=True)]
+    # Near the zenith world z is no usable "up"; the horizontal direction back to the orbit's axis is, and it is continuous.
+    up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
+    return look_at(origin, target, up=up)
+
+
+def orbit(
+    target: Sequence[float],
+    *,
+    count: int,
+    elevation: float,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+) -> list[Camera]:
+    """`count` cameras at equal azimuths around `target`; `size` is (width, height) in pixels, angles in degrees."""
+    return [
+        Camera(
+            to_world=orbit_pose(target, azimuth=360.0 * i / count, elevation=elevation, distance=distance),
+            focal=focal,
+            width=size[0],
+            height=size[1],
+        )
+        for i in range(count)
+    ]
+
+
+def hemisphere(
+    target: Sequence[float],
+    *,
+    count: int,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+    elevation: tuple[float, float] = (0.0, 90.0),
+) -> list[Camera]:
+    """`count` cameras spread evenly in area over a band of the upper hemisphere (Fibonacci lattice).
+
+    Args:
+        target: (3,) point that all cameras look at.
+        count: Number of cameras.
+        distance: World units from the target.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels.
+        elevation: Lowest and highest elevation in degrees.
+    """
+    low, high = (math.sin(math.radians(e)) for e in elevation)
+    golden = 180.0 * (3.0 - math.sqrt(5.0))
+    cameras = []
+    for i in range(count):
+        height = low + (high - low) * (i + 0.5) / count
+        pose = orbit_pose(
+            target, azimuth=(i * golden) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
+        )
+        cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
+    return cameras
+
+
+def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Project world points with a camera.
+
+    Args:
+        points: (N, 3) world units.
+        camera: The camera.
+
+    Returns:
+        (N, 2) pixel coordinates and (N,) depths along the optical axis in world units; coordinates of points with
+        depth <= 0 carry no meaning.
+    """
+    pose = camera.to_camera.to(points)
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    focal = local.new_tensor([camera.fx, camera.fy])
+    centre = local.new_tensor([camera.cx, camera.cy])
+    return local[:, :2] / local[:, 2:3] * focal + centre, local[:, 2]
+
+
+def project_box(points: Tensor, camera: Camera) -> Tensor | None:
+    """The pixel box around the projection of `points`, clipped to the image.
+
+    Args:
+        points: (N, 3) world units, for instance the vertices of one object.
+        camera: The camera.
+
+    Returns:
+        (4,) x0, y0, x1, y1 in pixels, or None when nothing lies in front of the camera and inside the image.
+    """
+    pixels, depth = project_points(points, camera)
+    pixels = pixels[depth > 1e-6]
+    if len(pixels) == 0:
+        return None
+    limit = pixels.new_tensor([camera.width, camera.height])
+    low, high = pixels.amin(0).clamp(min=0).minimum(limit), pixels.amax(0).clamp(min=0).minimum(limit)
+    return torch.cat([low, high]) if bool((high > low).all()) else None

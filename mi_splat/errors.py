@@ -1,0 +1,23 @@
+"""The two error types that mi-splat raises for bad input, and the form of their messages."""
+
+from __future__ import annotations
+
+
+class MiSplatError(Exception):
+    """Base of every error that mi-splat raises on purpose; the command line prints it and exits with status 1."""
+
+
+class InvalidValueError(MiSplatError, ValueError):
+    """A value that a function of this library cannot work with."""
+
+
+def message(what: str, expected: object, got: object, do: str) -> str:
+    """The one form of an error message: what was looked at, what was expected, what came, what to do.
+
+    Args:
+        what: Name of the argument, file or option at fault.
+        expected: What would have been right.
+        got: What was found instead.
+        do: What the reader should do about it.
+    """
+    return f"{what}: expected {expected}, got {got}; {do}"
