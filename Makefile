@@ -1,0 +1,57 @@
+# Two commands: `make demo` and `make test`. Each sets itself up first (once; see .ci/setup.sh).
+#
+#   make PYTHON=python3.12 ...       build .venv from this interpreter
+#   make SYSTEM_SITE=1 ...           let .venv see the packages of that interpreter, and so keep the torch it has
+#   make VENV=/path/to/env ...       use an environment of your own (virtualenv or conda prefix) instead of .venv
+#   make JOBS=4 test                 processes that pytest uses
+
+PYTHON ?=
+SYSTEM_SITE ?=
+VENV ?= .venv
+JOBS ?= 2
+OUT ?= out/demo
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-stamp
+
+export PYTHON SYSTEM_SITE VENV
+
+.PHONY: help setup demo test lint types pytest format wheel clean
+
+help:
+	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
+	@echo "make test     format and lint checks, types, tests"
+	@echo "make wheel    build the wheel into dist"
+	@echo "make format   let ruff rewrite what it can"
+	@echo "make clean    remove .venv, out, dist and caches"
+
+demo: $(STAMP)
+	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --seed 0 --out $(OUT)
+
+test: lint types pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+pytest: $(STAMP)
+	$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+
+wheel: $(STAMP)
+	$(BIN)/python -m hatchling build -t wheel -d dist
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml .ci/setup.sh
+	@bash .ci/setup.sh
+	@touch $@
+
+clean:
+	rm -rf .venv out dist build .mypy_cache .pytest_cache .ruff_cache .hypothesis
