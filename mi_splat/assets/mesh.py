@@ -226,7 +226,7 @@ def loft(
             continue
         vertices = np.concatenate([ring.mean(0, keepdims=True), ring])
         uvs = np.stack([np.r_[0.5, np.arange(count) / count], np.full(count + 1, v)], 1)
-        parts.append(Mesh(vertices, faces, uvs, skin(colour), roughness, smooth))  # type: ignore[arg-type]
+        parts.append(_mesh(vertices, faces, uvs, colour, roughness, smooth))
     return join(*parts)
 
 
