@@ -1,7 +1,7 @@
 """Path-traced pictures of mesh scenes, with exact cameras and with boxes around what can be seen of each object.
 
-Everything here runs in Mitsuba's `scalar_rgb` variant and puts the caller's variant back afterwards. Pixels are box-filtered
-averages, converted to sRGB and clipped to [0, 1]; the same arguments give the same picture.
+Everything here runs in Mitsuba's `scalar_rgb` variant and puts the caller's variant back afterwards. Pixels are
+box-filtered averages, converted to sRGB and clipped to [0, 1]; the same arguments give the same picture.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Light:
     Attributes:
         sun_azimuth: Degrees from world +x towards +y, where the sun stands.
         sun_elevation: Degrees above the horizon.
-        sun_strength: Irradiance of the sun on a surface that faces it; a white wall facing it then shines sun_strength / pi.
+        sun_strength: Irradiance of the sun on a surface that faces it.
         sun_colour: Linear RGB factor.
         sky_strength: Radiance of the sky's zenith.
         zenith: Linear RGB of the sky overhead.
@@ -123,7 +123,7 @@ def to_linear(colour: Floats) -> Floats:
 
 
 def to_srgb(intensity: Floats) -> Floats:
-    """sRGB values, clipped to [0, 1], from linear intensities (IEC 61966-2-1)."""
+    """The sRGB values, clipped to [0, 1], from linear intensities (IEC 61966-2-1)."""
     value = np.clip(np.asarray(intensity, np.float64), 0, 1)
     return np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055).astype(np.float32)
 
@@ -263,8 +263,8 @@ def _sensor(camera: Camera, *, samples: int, seed: int) -> mi.Sensor:
             "type": "perspective",
             "fov_axis": "x",
             "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),
-            "principal_point_offset_x": camera.cx / camera.width - 0.5,
-            "principal_point_offset_y": camera.cy / camera.height - 0.5,
+            "principal_point_offset_x": 0.5 - camera.cx / camera.width,
+            "principal_point_offset_y": 0.5 - camera.cy / camera.height,
             "near_clip": 0.01,
             "far_clip": 2000.0,
             "to_world": mi.ScalarTransform4f(camera.to_world.numpy() @ flip),
@@ -312,7 +312,8 @@ def capture(
     """Path-traced views of a mesh scene.
 
     Args:
-        scene: A Mitsuba scene dictionary (see `mesh_scene`) or the path of a Mitsuba XML file; sensors in it are not used.
+        scene: A Mitsuba scene dictionary (see `mesh_scene`) or the path of a Mitsuba XML file
+            (sensors in it are not used).
         cameras: Where to take pictures from; fx must equal fy.
         samples: Paths a pixel.
         seed: Seed of the sampler; picture i uses seed + i.

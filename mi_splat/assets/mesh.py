@@ -1,7 +1,7 @@
 """Textured triangle meshes, assets made of them, and the few primitives from which every asset is built.
 
-World frame: right-handed, z up, metres. Faces run counter-clockwise seen from outside. Texture coordinates have v up, so a
-texture's first row lies at v = 1.
+World frame: right-handed, z up, metres. Faces run counter-clockwise seen from outside. Texture coordinates have v up,
+so a texture's first row lies at v = 1.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def sheet(
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
-    """A surface through an (n, m, 3) grid of points; u runs along m and v along n, m to the right and n up from outside."""
+    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up)."""
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
     index = np.arange(n * m).reshape(n, m)
