@@ -1,0 +1,101 @@
+"""`fasterrcnn_small`: torchvision's Faster R-CNN around a residual backbone of our own, small enough for a laptop CPU.
+
+Most of the arithmetic of the usual Faster R-CNN is its stride-4 pyramid level, its 1000 proposals and its 1024-wide
+head. The objects here are large in 256-pixel pictures, so the pyramid starts at stride 8, 150 proposals are kept, and
+the head is 256 wide.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import torch
+from torch import Tensor, nn
+from torchvision.models.detection import FasterRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
+from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
+from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
+
+CLASSES = ("car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase")
+"""Foreground classes by COCO name; label i + 1 is CLASSES[i]."""
+
+SIZE = 256
+"""Shorter image side, in pixels, that the network works at."""
+
+_STEM = (24, 48)
+_STAGES = ((96, 2), (160, 2), (256, 2))
+_PYRAMID = 96
+_HEAD = 256
+_POOL = 5
+
+
+class Block(nn.Module):
+    """A residual block of two 3x3 convolutions; the first one carries the stride."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
+        self.norm1 = nn.BatchNorm2d(outputs)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
+        self.norm2 = nn.BatchNorm2d(outputs)
+        self.skip: nn.Module = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            pool = nn.AvgPool2d(stride) if stride > 1 else nn.Identity()
+            self.skip = nn.Sequential(pool, nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs))
+        nn.init.zeros_(self.norm2.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
+        y = torch.relu(self.norm1(self.conv1(x)))
+        return torch.relu(self.norm2(self.conv2(y)) + self.skip(x))
+
+
+class Backbone(nn.Module):
+    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature pyramid over them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        inputs = 3
+        for width in _STEM:
+            layers += [nn.Conv2d(inputs, width, 3, 2, 1, bias=False), nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+            inputs = width
+        self.stem = nn.Sequential(*layers)
+        self.stages = nn.ModuleList()
+        for width, count in _STAGES:
+            blocks = [Block(inputs if i == 0 else width, width, 2 if i == 0 else 1) for i in range(count)]
+            self.stages.append(nn.Sequential(*blocks))
+            inputs = width
+        self.pyramid = FeaturePyramidNetwork([w for w, _ in _STAGES], _PYRAMID, LastLevelMaxPool())
+        self.out_channels = _PYRAMID
+
+    def forward(self, x: Tensor) -> OrderedDict[str, Tensor]:
+        """(B, 3, H, W) to feature maps "0", "1", "2", "pool" at strides 8, 16, 32 and 64."""
+        x = self.stem(x)
+        maps = OrderedDict()
+        for i, stage in enumerate(self.stages):
+            x = stage(x)
+            maps[str(i)] = x
+        result: OrderedDict[str, Tensor] = self.pyramid(maps)
+        return result
+
+
+def build() -> FasterRCNN:
+    """The network with random weights, in training mode."""
+    anchors = AnchorGenerator(sizes=((28,), (56,), (112,), (200,)), aspect_ratios=((0.4, 1.0, 2.2),) * 4)
+    return FasterRCNN(
+        Backbone(),
+        min_size=SIZE,
+        max_size=2 * SIZE,
+        rpn_anchor_generator=anchors,
+        rpn_pre_nms_top_n_train=400,
+        rpn_pre_nms_top_n_test=400,
+        rpn_post_nms_top_n_train=150,
+        rpn_post_nms_top_n_test=150,
+        rpn_batch_size_per_image=128,
+        box_roi_pool=MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
+        box_head=TwoMLPHead(_PYRAMID * _POOL**2, _HEAD),
+        box_predictor=FastRCNNPredictor(_HEAD, len(CLASSES) + 1),
+        box_batch_size_per_image=64,
+    )

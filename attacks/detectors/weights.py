@@ -1,0 +1,88 @@
+"""Weights from files, read without running code from them, and errors that say what is wrong with a file."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from mi_splat.errors import MiSplatError, message
+
+SUFFIXES = (".safetensors", ".pth", ".pt")
+_SHOWN = 4
+
+
+class DetectorError(MiSplatError):
+    """A detector that cannot be loaded: unknown name, missing or unsuitable weights."""
+
+
+def read_weights(path: Path) -> dict[str, Tensor]:
+    """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`.
+
+    Raises:
+        DetectorError: the file is missing, unreadable, of another format, or holds something else than tensors.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise DetectorError(
+            message(f"weights {path}", " or ".join(SUFFIXES), f"suffix {path.suffix!r}", "pass a file of tensors")
+        )
+    if not path.is_file():
+        raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
+    try:
+        if path.suffix == ".safetensors":
+            return load_file(path)
+        state: object = torch.load(path, map_location="cpu", weights_only=True)
+    except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DetectorError(
+            message(f"weights {path}", f"a readable {path.suffix} file of tensors", reason, "download or save it again")
+        ) from error
+    if isinstance(state, Mapping) and isinstance(state.get("model"), Mapping):
+        state = state["model"]  # a training checkpoint of torchvision's reference scripts
+    if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()) or not state:
+        raise DetectorError(
+            message(
+                f"weights {path}",
+                "a dict of tensors by name",
+                type(state).__name__ if not isinstance(state, Mapping) else "a dict of something else",
+                "save model.state_dict()",
+            )
+        )
+    return dict(state)
+
+
+def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object) -> None:
+    """Load `state` into `model` strictly, but for BatchNorm's step counters, which have no effect in evaluation.
+
+    Raises:
+        DetectorError: keys are missing, unexpected or of another shape; the message names the first few.
+    """
+    own = model.state_dict()
+    missing = [k for k in own if k not in state and not k.endswith("num_batches_tracked")]
+    unexpected = [k for k in state if k not in own and not k.endswith("num_batches_tracked")]
+    shapes = [
+        f"{k} {tuple(state[k].shape)} instead of {tuple(own[k].shape)}"
+        for k in own
+        if k in state and state[k].shape != own[k].shape
+    ]
+    problems = [
+        f"{len(keys)} {what} ({', '.join(keys[:_SHOWN])}{', ...' if len(keys) > _SHOWN else ''})"
+        for what, keys in (("missing", missing), ("unexpected", unexpected), ("of another shape", shapes))
+        if keys
+    ]
+    if problems:
+        raise DetectorError(
+            message(
+                f"weights {source}",
+                f"the {len(own)} tensors of {type(model).__name__}",
+                "; ".join(problems),
+                "pass weights that were saved from the same detector",
+            )
+        )
+    model.load_state_dict({k: v.to(own[k].dtype) for k, v in state.items() if k in own}, strict=False)
