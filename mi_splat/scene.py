@@ -3,20 +3,59 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from mi_splat import rotation as quaternion
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
 ATTRIBUTES = ("means", "scales", "rotations", "opacities", "sh")
 """The five tensors of a scene, in the order in which renderers take them."""
 
+UNIT_TOLERANCE = 1e-3
+"""How far from one the norm of a scene's quaternions may be."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Similarity:
+    """World transform x -> scale * rotation @ x + translation.
+
+    Attributes:
+        rotation: (3, 3) rotation matrix.
+        translation: (3,) world units.
+        scale: Factor > 0.
+
+    Raises:
+        InvalidValueError: rotation is no rotation, or translation or scale is not finite and of the right shape or sign.
+    """
+
+    rotation: Tensor
+    translation: Tensor
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not quaternion.is_rotation(self.rotation):
+            raise InvalidValueError(
+                message("rotation", "a (3, 3) rotation matrix", self.rotation.tolist(), "put any scale into `scale`")
+            )
+        if self.translation.shape != (3,) or not bool(torch.isfinite(self.translation).all()):
+            raise InvalidValueError(
+                message("translation", "three finite numbers", self.translation.tolist(), "pass a tensor of shape (3,)")
+            )
+        if not 0 < self.scale < float("inf"):
+            raise InvalidValueError(message("scale", "a positive finite number", self.scale, "pass a size factor"))
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class GaussianScene:
     """N Gaussians in physical values: never logits, never logarithms.
+
+    The tensors are all float32, or all float64 for gradient checks, and share one device. They may require gradients:
+    the checks look at detached values and the tensors are kept as they are.
 
     Attributes:
         means: (N, 3) float32, world units.
@@ -25,6 +64,9 @@ class GaussianScene:
         opacities: (N,) float32 in [0, 1].
         sh: (N, K, 3) float32, K = (degree + 1)^2 with degree 0 to 3; real spherical harmonics of the sRGB colour in the
             order and sign convention of 3D Gaussian Splatting (Kerbl et al. 2023); colour = 0.5 + sum.
+
+    Raises:
+        InvalidValueError: A tensor has the wrong shape, dtype or device, or values that are not finite or out of range.
     """
 
     means: Tensor
@@ -32,3 +74,163 @@ class GaussianScene:
     rotations: Tensor
     opacities: Tensor
     sh: Tensor
+
+    def __post_init__(self) -> None:
+        _check_form(self)
+        _check_values(self)
+
+    @classmethod
+    def _trusted(cls, means: Tensor, scales: Tensor, rotations: Tensor, opacities: Tensor, sh: Tensor) -> GaussianScene:
+        """A scene without any check, for inner loops whose tensors are valid by construction."""
+        scene = cls.__new__(cls)
+        for name, value in zip(ATTRIBUTES, (means, scales, rotations, opacities, sh), strict=True):
+            object.__setattr__(scene, name, value)
+        return scene
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def __repr__(self) -> str:
+        kind = str(self.means.dtype).removeprefix("torch.")
+        return f"GaussianScene({len(self):,} Gaussians, SH degree {self.degree}, {kind}, {self.means.device})"
+
+    @property
+    def degree(self) -> int:
+        """SH degree, 0 to 3."""
+        return degree_of(self.sh.shape[1])
+
+    def tensors(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The five tensors in the order of `ATTRIBUTES`."""
+        return self.means, self.scales, self.rotations, self.opacities, self.sh
+
+    def replace(self, **tensors: Tensor) -> GaussianScene:
+        """A scene with some of the tensors exchanged, checked like a new one."""
+        return dataclasses.replace(self, **tensors)
+
+    def detach(self) -> GaussianScene:
+        """The same values, cut from the autograd graph."""
+        return self._trusted(*(value.detach() for value in self.tensors()))
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> GaussianScene:
+        """The scene on another device, or in another of the two dtypes."""
+        moved = [value.to(device=device, dtype=dtype) for value in self.tensors()]
+        return self._trusted(*moved) if dtype in (None, self.means.dtype) else GaussianScene(*moved)
+
+    def select(self, rows: Tensor | slice) -> GaussianScene:
+        """The Gaussians in `rows`, in that order.
+
+        Args:
+            rows: (N,) bool mask, (M,) integer indices, or a slice.
+
+        Raises:
+            InvalidValueError: rows is neither, or points outside the scene.
+        """
+        if isinstance(rows, slice):
+            return self._trusted(*(value[rows] for value in self.tensors()))
+        _check_rows(rows, len(self))
+        rows = rows.to(self.means.device)
+        return self._trusted(*(value[rows] for value in self.tensors()))
+
+    def transform(self, similarity: Similarity) -> GaussianScene:
+        """The scene moved, turned and resized in the world; colours turn with it."""
+        turn = similarity.rotation.to(self.means)
+        spin = quaternion.from_matrix(similarity.rotation.double()).to(self.rotations)
+        return GaussianScene(
+            means=similarity.scale * (self.means @ turn.T) + similarity.translation.to(self.means),
+            scales=similarity.scale * self.scales,
+            rotations=quaternion.normalise(quaternion.multiply(spin, self.rotations)),
+            opacities=self.opacities,
+            sh=rotate_sh(self.sh, similarity.rotation),
+        )
+
+    def with_degree(self, degree: int) -> GaussianScene:
+        """The scene with SH of another degree: zeros are added, or the higher bands are cut off."""
+        count = coefficient_count(degree)
+        kept = self.sh[:, :count]
+        padding = kept.new_zeros(len(self), count - kept.shape[1], 3)
+        return self._trusted(*self.tensors()[:4], torch.cat([kept, padding], dim=1))
+
+
+def merge(*scenes: GaussianScene) -> GaussianScene:
+    """All Gaussians of several scenes, in order; SH of lower degree are padded with zeros.
+
+    Raises:
+        InvalidValueError: No scene is given, or dtypes or devices differ.
+    """
+    if not scenes:
+        raise InvalidValueError(message("scenes", "at least one scene", "none", "pass the scenes to merge"))
+    degree = max(scene.degree for scene in scenes)
+    columns = zip(*(scene.with_degree(degree).tensors() for scene in scenes), strict=True)
+    kinds = {(scene.means.dtype, scene.means.device) for scene in scenes}
+    if len(kinds) > 1:
+        found = ", ".join(sorted(f"{dtype} on {device}" for dtype, device in kinds))
+        raise InvalidValueError(message("scenes", "one dtype and device", found, "bring them together with .to()"))
+    return GaussianScene._trusted(*(torch.cat(column) for column in columns))
+
+
+def scene_hash(scene: GaussianScene) -> str:
+    """SHA-256 (hexadecimal) over names, dtypes, shapes and values of the five tensors; the device does not matter."""
+    digest = hashlib.sha256()
+    for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True):
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)};".encode())
+        digest.update(value.detach().cpu().contiguous().numpy().data)
+    return digest.hexdigest()
+
+
+def _check_form(scene: GaussianScene) -> None:
+    """Raise unless the five values are tensors of matching shape, dtype and device."""
+    for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True):
+        if not isinstance(value, Tensor):
+            raise InvalidValueError(message(name, "a torch tensor", type(value).__name__, "use torch.as_tensor"))
+    count = scene.means.shape[0] if scene.means.ndim else 0
+    bands = scene.sh.shape[1] if scene.sh.ndim == 3 else 1
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, bands, 3))
+    for name, value, shape in zip(ATTRIBUTES, scene.tensors(), shapes, strict=True):
+        if tuple(value.shape) != shape:
+            wanted = str(shape) if name != "sh" else f"({count}, K, 3)"
+            raise InvalidValueError(
+                message(name, f"shape {wanted}", tuple(value.shape), "give every tensor one row per Gaussian")
+            )
+        if value.dtype not in (torch.float32, torch.float64) or value.dtype != scene.means.dtype:
+            kind = "float32 or float64" if name == "means" else f"{scene.means.dtype} like the means"
+            raise InvalidValueError(message(name, kind, value.dtype, "convert it with .to(dtype)"))
+        if value.device != scene.means.device:
+            raise InvalidValueError(
+                message(name, f"device {scene.means.device} like the means", value.device, "move it with .to(device)")
+            )
+    degree_of(bands)
+
+
+def _check_values(scene: GaussianScene) -> None:
+    """Raise unless all values are finite and in range."""
+    means, scales, rotations, opacities, sh = (value.detach() for value in scene.tensors())
+    norms = torch.linalg.vector_norm(rotations, dim=1)
+    checks = [
+        ("means", means, torch.isfinite(means), "finite values", "remove those Gaussians"),
+        ("scales", scales, (scales > 0) & torch.isfinite(scales), "finite values > 0", "pass standard deviations"),
+        ("rotations", rotations, (norms - 1).abs() <= UNIT_TOLERANCE, "unit quaternions", "use rotation.normalise"),
+        ("opacities", opacities, (opacities >= 0) & (opacities <= 1), "values in [0, 1]", "apply a sigmoid to logits"),
+        ("sh", sh, torch.isfinite(sh), "finite values", "remove those Gaussians"),
+    ]
+    if bool(torch.stack([good.all() for _, _, good, _, _ in checks]).all()):
+        return
+    for name, value, good, expected, do in checks:
+        bad = (~good).flatten(1).any(1) if good.ndim > 1 else ~good
+        rows = bad.nonzero().flatten()
+        if len(rows):
+            first = int(rows[0])
+            got = f"{value[first].flatten().tolist()[:4]} in row {first} ({len(rows)} of {len(value)} rows are wrong)"
+            raise InvalidValueError(message(name, expected, got, do))
+
+
+def _check_rows(rows: Tensor, count: int) -> None:
+    """Raise unless `rows` is a mask or indices for a scene of `count` Gaussians."""
+    integral = not rows.dtype.is_floating_point and not rows.dtype.is_complex
+    if rows.ndim != 1 or not integral or rows.dtype == torch.uint8:
+        got = f"{rows.dtype} of shape {tuple(rows.shape)}"
+        raise InvalidValueError(message("rows", "a (N,) bool mask or (M,) integer indices", got, "convert it"))
+    if rows.dtype == torch.bool and len(rows) != count:
+        raise InvalidValueError(message("rows", f"a mask of {count} rows", len(rows), "make it from this scene"))
+    if rows.dtype != torch.bool and len(rows) and not bool(((rows >= -count) & (rows < count)).all()):
+        got = f"{int(rows.min())} to {int(rows.max())}"
+        raise InvalidValueError(message("rows", f"indices below {count}", got, "make them from this scene"))

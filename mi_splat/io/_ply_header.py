@@ -1,0 +1,157 @@
+"""The header of a PLY file, read within fixed bounds and believed in nothing."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from mi_splat.errors import message
+from mi_splat.io.errors import SplatFileError
+
+HEADER_LIMIT = 64 * 1024
+"""Longest header in bytes; the ones that 3DGS writes have 1.5 KB."""
+
+ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
+"""Byte order in NumPy's letters of each encoding, empty for text."""
+
+_KINDS = {
+    **dict.fromkeys((b"char", b"int8"), "i1"),
+    **dict.fromkeys((b"uchar", b"uint8"), "u1"),
+    **dict.fromkeys((b"short", b"int16"), "i2"),
+    **dict.fromkeys((b"ushort", b"uint16"), "u2"),
+    **dict.fromkeys((b"int", b"int32"), "i4"),
+    **dict.fromkeys((b"uint", b"uint32"), "u4"),
+    **dict.fromkeys((b"float", b"float32"), "f4"),
+    **dict.fromkeys((b"double", b"float64"), "f8"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Property:
+    """One column of an element: NumPy kind of its values, and of its length if each value is a list."""
+
+    name: str
+    kind: str
+    length_kind: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """One table of a PLY file."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether rows may differ in size."""
+        return any(column.length_kind for column in self.properties)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a PLY file says about itself: byte order ("" for text), tables in file order, size in bytes."""
+
+    order: str
+    elements: tuple[Element, ...]
+    size: int
+
+
+def read_header(file: BinaryIO, path: str) -> Header:
+    """Read the header at the start of `file`.
+
+    Raises:
+        SplatFileError: The file is empty, no PLY, or its header is malformed or longer than `HEADER_LIMIT`.
+    """
+    start = file.read(HEADER_LIMIT)
+    if not start:
+        raise SplatFileError(message(path, "a PLY file", "an empty file", "write or download it again"))
+    newline = _newline(start, path)
+    end = re.search(re.escape(newline) + rb"end_header[ \t\r]*" + re.escape(newline), start)
+    if end is None and len(start) == HEADER_LIMIT:
+        found = f"no end_header in the first {HEADER_LIMIT} bytes"
+        raise SplatFileError(message(path, "a PLY header", found, "check that this is a 3DGS splat file"))
+    if end is None:
+        raise SplatFileError(
+            message(path, "a PLY header that ends with end_header", f"the end of the file after {len(start)} bytes",
+                    "the file is truncated: write or download it again")
+        )  # fmt: skip
+    lines = [line.split() for line in start[: end.start()].split(newline)[1:]]
+    lines = [words for words in lines if words and words[0] not in (b"comment", b"obj_info")]
+    return Header(_order(lines, path), _elements(lines[1:], path), end.end())
+
+
+def _newline(start: bytes, path: str) -> bytes:
+    """The file's own line ending, from its first line."""
+    magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", start)
+    if magic is None:
+        found = f"a file that starts with {start[:8]!r}"
+        raise SplatFileError(message(path, "a PLY file (first line 'ply')", found, "pass a 3DGS splat as .ply"))
+    return magic[1]
+
+
+def _order(lines: list[list[bytes]], path: str) -> str:
+    """Byte order from the format line, the first line that is no comment."""
+    words = lines[0] if lines else []
+    if len(words) != 3 or words[0] != b"format" or words[1] not in ORDERS or words[2] != b"1.0":
+        expected = "'format' with ascii, binary_little_endian or binary_big_endian and version 1.0"
+        raise SplatFileError(message(path, expected, _show(words), "export the splat again as PLY 1.0"))
+    return ORDERS[words[1]]
+
+
+def _elements(lines: list[list[bytes]], path: str) -> tuple[Element, ...]:
+    """The tables that the header declares."""
+    elements: list[Element] = []
+    for words in lines:
+        if words[0] == b"element":
+            elements.append(_element(words, path))
+        elif words[0] == b"property" and elements:
+            last = elements[-1]
+            elements[-1] = Element(last.name, last.count, (*last.properties, _property(words, path)))
+        else:
+            expected = "'element' and then 'property' lines"
+            raise SplatFileError(message(path, expected, _show(words), "repair the header or export the splat again"))
+    for names, what in (
+        ([element.name for element in elements], "elements"),
+        *(([column.name for column in element.properties], f"properties of {element.name}") for element in elements),
+    ):
+        if not names:
+            raise SplatFileError(message(path, f"{what} in the header", "none", "export the splat again"))
+        doubled = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+        if doubled:
+            raise SplatFileError(message(path, f"{what} with different names", f"{doubled[0]} twice", "remove one"))
+    return tuple(elements)
+
+
+def _element(words: list[bytes], path: str) -> Element:
+    """A table from its line: element NAME COUNT."""
+    if len(words) != 3 or not re.fullmatch(rb"\d{1,18}", words[2]):
+        expected = "'element NAME COUNT' with a count of rows that is not negative"
+        raise SplatFileError(message(path, expected, _show(words), "repair the header or export the splat again"))
+    return Element(_name(words[1], path), int(words[2]), ())
+
+
+def _property(words: list[bytes], path: str) -> Property:
+    """A column from its line: property KIND NAME or property list KIND KIND NAME."""
+    if len(words) == 3 and words[1] in _KINDS:
+        return Property(_name(words[2], path), _KINDS[words[1]])
+    if len(words) == 5 and words[1] == b"list" and words[2] in _KINDS and words[3] in _KINDS:
+        if _KINDS[words[2]][0] == "f":
+            raise SplatFileError(message(path, "an integer list length", _show(words), "export the splat again"))
+        return Property(_name(words[4], path), _KINDS[words[3]], _KINDS[words[2]])
+    expected = "'property KIND NAME' or 'property list KIND KIND NAME' with PLY's number kinds"
+    raise SplatFileError(message(path, expected, _show(words), "repair the header or export the splat again"))
+
+
+def _name(word: bytes, path: str) -> str:
+    """A name as text."""
+    if not word.isascii():
+        raise SplatFileError(message(path, "names in ASCII", repr(word[:40]), "rename it or export the splat again"))
+    return word.decode("ascii")
+
+
+def _show(words: list[bytes]) -> str:
+    """A header line for a message, shortened."""
+    return repr(b" ".join(words)[:80].decode("ascii", "backslashreplace")) if words else "no such line"

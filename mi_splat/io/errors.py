@@ -1,0 +1,34 @@
+"""What loading and saving splat files may raise or warn of, and the one place that words operating-system failures."""
+
+from __future__ import annotations
+
+import errno
+
+from mi_splat.errors import MiSplatError, message
+
+
+class SplatFileError(MiSplatError):
+    """A splat file cannot be read or written; the message says what was expected, what was found and what to do."""
+
+
+class SplatFileWarning(UserWarning):
+    """A splat file was read, but not all of it."""
+
+
+_ADVICE = {
+    errno.ENOENT: "check the path",
+    errno.ENOTDIR: "check the path",
+    errno.EISDIR: "name a file inside the folder",
+    errno.EACCES: "change its permissions or use another path",
+    errno.EPERM: "change its permissions or use another path",
+    errno.EROFS: "use a path on a disk that can be written",
+    errno.ENOSPC: "free some space or use another disk; a file that was there before is unchanged",
+    errno.EDQUOT: "free some space or use another disk; a file that was there before is unchanged",
+    errno.ENAMETOOLONG: "use a shorter name",
+}
+
+
+def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
+    """The SplatFileError for a failure that the operating system reported."""
+    found = error.strerror or str(error)
+    return SplatFileError(message(path, expected, found, _ADVICE.get(error.errno or 0, "check the disk and try again")))

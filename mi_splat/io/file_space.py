@@ -1,0 +1,77 @@
+"""The parametrisation in which splat files keep a Gaussian, as differentiable torch functions.
+
+Files hold log-scales, logit opacities and quaternions of any length; scenes hold physical values. The functions compute in
+float64 and round once. Rounding there and back is stable: a value that came from a file goes back to a number that gives
+the same physical value again, so repeated round trips do not drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.rotation import normalise
+from mi_splat.scene import ATTRIBUTES, GaussianScene
+
+# Finite logits of the opacities 0 and 1: the sigmoid of them rounds to exactly 0 and 1 in that dtype.
+_LOGIT_LIMITS = {torch.float32: (-104.0, 17.5), torch.float64: (-746.0, 38.0)}
+
+
+def to_file_space(scene: GaussianScene) -> dict[str, Tensor]:
+    """The scene's tensors as a splat file holds them.
+
+    Args:
+        scene: The scene; tensors that require gradients keep the graph.
+
+    Returns:
+        The five names of `ATTRIBUTES` with means (N, 3), natural logarithms of scales (N, 3), unit quaternions (N, 4),
+        logits of opacities (N,) and sh (N, K, 3), in the scene's dtype. Logits are finite, also for opacity 0 and 1.
+    """
+    return {
+        "means": scene.means,
+        "scales": scene.scales.double().log().to(scene.scales.dtype),
+        "rotations": scene.rotations,
+        "opacities": _logit(scene.opacities),
+        "sh": scene.sh,
+    }
+
+
+def from_file_space(values: Mapping[str, Tensor]) -> GaussianScene:
+    """The scene whose file-space tensors are `values`, the inverse of `to_file_space`.
+
+    Args:
+        values: The five names of `ATTRIBUTES`; quaternions may have any length but zero.
+
+    Raises:
+        InvalidValueError: A name is missing or unknown, or the values make no valid scene (for instance log-scales whose
+            exponential overflows).
+    """
+    if set(values) != set(ATTRIBUTES):
+        raise InvalidValueError(message("values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these"))
+    return GaussianScene(*activate(values))
+
+
+def activate(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Like `from_file_space`, without any check: the five tensors, whatever they hold."""
+    scales, opacities = values["scales"], values["opacities"]
+    return (
+        values["means"],
+        scales.double().exp().to(scales.dtype),
+        normalise(values["rotations"]),
+        opacities.double().sigmoid().to(opacities.dtype),
+        values["sh"],
+    )
+
+
+def _logit(opacities: Tensor) -> Tensor:
+    """Logits that stay finite at 0 and 1, where their gradient is zero."""
+    low, high = _LOGIT_LIMITS[opacities.dtype]
+    wide = opacities.double()
+    inside = (wide > 0) & (wide < 1)
+    safe = torch.where(inside, wide, 0.5)
+    logits = safe.log() - torch.log1p(-safe)
+    ends = torch.where(wide > 0.5, high, low).to(wide.dtype)
+    return torch.where(inside, logits, ends).to(opacities.dtype)
