@@ -56,7 +56,7 @@ install_project() {
     "$python" -m pip install --quiet --disable-pip-version-check --no-input -e '.[dev]'
 }
 
-llvm_there() { "$python" -c 'from mi_splat.variant import find_llvm; find_llvm()' >/dev/null 2>&1; }
+llvm_there() { "$python" -c 'from mi_splat.variant import prepare_llvm; prepare_llvm()' >/dev/null 2>&1; }
 
 newest_in_apt() {
     apt-cache pkgnames libllvm 2>/dev/null | sed -nE 's/^(libllvm([0-9]+)(t64)?)$/\2 \1/p' | sort -n |
@@ -75,11 +75,7 @@ install_llvm() {
         fi
         llvm_there && return
     fi
-    say "setup: libLLVM: expected a shared library of LLVM >= $oldest_llvm, found none. Install one, then run make again:"
-    say "  Debian/Ubuntu: sudo apt install libllvm19   Fedora: sudo dnf install llvm-libs   Arch: sudo pacman -S llvm-libs"
-    say "  macOS: brew install llvm                    conda: conda install -c conda-forge libllvm19"
-    say "  or point to one you have: export DRJIT_LIBLLVM_PATH=/path/to/libLLVM.so"
-    exit 1
+    die "libLLVM: $("$python" -c 'from mi_splat.variant import llvm_hint; print(llvm_hint())'), then run make again"
 }
 
 make_environment

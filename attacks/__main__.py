@@ -1,0 +1,10 @@
+"""`python -m attacks`: the same as the console script `mi-splat`."""
+
+from __future__ import annotations
+
+import sys
+
+from attacks.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,124 @@
+"""The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
+
+Only the standard library is imported here, so that `--help` answers at once. A command's options are parsed (by tyro,
+from a dataclass of `attacks.cli.options`) before its module, and with it torch and Mitsuba, is imported.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mi_splat.errors import MiSplatError
+
+PROGRAM = "mi-splat"
+DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
+
+
+class Command(NamedTuple):
+    """A subcommand: the dataclass of its options, the module whose `run(options)` does it, and one line of help."""
+
+    options: str
+    module: str
+    summary: str
+
+
+COMMANDS = {
+    "dagger": Command(
+        "DaggerOptions", "attacks.cli.dagger", "attack one object of a splat scene, so that a detector misreads it"
+    ),
+    "render": Command("RenderOptions", "attacks.cli.render", "render a scene XML or a splat file to a PNG"),
+    "info": Command("InfoOptions", "attacks.cli.info", "what a splat file or a scene XML holds"),
+    "detectors": Command(
+        "DetectorsOptions", "attacks.cli.detectors", "the detectors, their classes, and whether the weights are there"
+    ),
+    "doctor": Command(
+        "DoctorOptions", "attacks.cli.doctor", "check that everything works here, and say what to do where it does not"
+    ),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return the process's exit status.
+
+    Args:
+        arguments: What follows the program's name; taken from `sys.argv` if None.
+
+    Returns:
+        0 done, 1 an error (its one line is on stderr), 2 wrong usage, 130 interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _dispatch(words)
+    except SystemExit as stop:  # tyro ends --help and wrong usage this way
+        return stop.code if isinstance(stop.code, int) else DONE if stop.code is None else FAILED
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output, `head` for instance, has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except (MiSplatError, OSError) as error:
+        _say(" ".join(str(error).split()))
+        return FAILED
+
+
+def _dispatch(words: list[str]) -> int:
+    """Answer --help and --version, or find the command and hand its options to it."""
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(_help())
+        return DONE if words else MISUSED
+    if words[0] == "--version":
+        from importlib.metadata import version
+
+        sys.stdout.write(f"{PROGRAM} {version('mi-splat')}\n")
+        return DONE
+    name, *rest = words
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.4)
+        hint = f"did you mean {near[0]}?" if near else f"try {PROGRAM} --help"
+        _say(f"command: expected one of {', '.join(COMMANDS)}, got {name}; {hint}")
+        return MISUSED
+    options = _parse(name, rest)
+    return int(importlib.import_module(COMMANDS[name].module).run(options))
+
+
+def _parse(name: str, rest: list[str]) -> object:
+    """The options of command `name` as its frozen dataclass; ends the process for --help and wrong usage."""
+    import tyro
+
+    from attacks.cli import options
+
+    kind = getattr(options, COMMANDS[name].options)
+    return tyro.cli(kind, args=rest, prog=f"{PROGRAM} {name}", config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def _help() -> str:
+    """The text of `mi-splat --help`."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:{width}}  {command.summary}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} COMMAND [OPTIONS]",
+            "",
+            "Attacks on 3D Gaussian splats, rendered by Mitsuba.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            f"  {PROGRAM} COMMAND --help  the options of one command",
+            f"  {PROGRAM} --version       the version",
+            "",
+            "exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage",
+            "",
+        ]
+    )
+
+
+def _say(text: str) -> None:
+    """One line on stderr."""
+    sys.stderr.write(f"{PROGRAM}: {text}\n")

@@ -1,0 +1,59 @@
+"""What the commands show: results on stdout, as text or as one JSON document, and progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Protocol
+
+
+class Advance(Protocol):
+    """Reports progress: `advance()` when another unit of work is done, with a text to change what is shown."""
+
+    def __call__(self, text: str | None = None) -> None:
+        """Count one unit, and show `text` from now on."""
+        ...
+
+
+def show(text: str = "") -> None:
+    """A line for a human on stdout."""
+    sys.stdout.write(f"{text}\n")
+
+
+def show_json(document: Mapping[str, object]) -> None:
+    """The one JSON document of a command with --json, on stdout."""
+    sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+def show_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Names and values in two aligned columns on stdout."""
+    pairs = list(rows)
+    width = max(len(name) for name, _ in pairs)
+    for name, value in pairs:
+        show(f"{name:{width}}  {value}")
+
+
+@contextmanager
+def progress(text: str, total: int | None = None) -> Iterator[Advance]:
+    """A progress bar on stderr while the block runs; nothing at all where stderr is no terminal.
+
+    Args:
+        text: What is going on.
+        total: Units of work, or None where that is not known.
+
+    Yields:
+        A function to call after each unit of work.
+    """
+    if not sys.stderr.isatty():
+        yield lambda text=None: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    counter = [] if total is None else [BarColumn(), MofNCompleteColumn()]
+    columns = [SpinnerColumn(), TextColumn("{task.description}"), *counter, TimeElapsedColumn()]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda text=None: bar.update(task, advance=1, description=text)

@@ -1,0 +1,26 @@
+"""`mi-splat doctor`: print the findings of `attacks.doctor`."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from attacks.cli.console import progress, show, show_json
+from attacks.cli.options import DoctorOptions
+from attacks.doctor import GROUPS, examine
+
+
+def run(options: DoctorOptions) -> int:
+    """Examine this machine; 1 if something that `mi-splat dagger` needs does not work."""
+    with progress("checking", total=len(GROUPS)) as advance:
+        findings = examine(lambda group: advance(f"checked {group}"))
+    healthy = all(finding.state == "works" for finding in findings if finding.required)
+    if options.json:
+        show_json({"healthy": healthy, "findings": [dataclasses.asdict(finding) for finding in findings]})
+        return 0 if healthy else 1
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings:
+        show(f"{finding.state:7}  {finding.name:{width}}  {finding.detail}")
+        if finding.advice:
+            show(f"{'':7}  {'':{width}}  -> {finding.advice}")
+    show("all that mi-splat needs works" if healthy else "something that mi-splat needs does not work; see the arrows")
+    return 0 if healthy else 1

@@ -1,0 +1,114 @@
+"""The options of each command, as frozen dataclasses that tyro turns into flags; light, so that --help is fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+Attribute = Literal["sh", "means", "scales", "rotations", "opacities"]
+Norm = Literal["linf", "l2", "l2_per_gaussian"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerOptions:
+    """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
+
+    Writes before.png, after.png, difference.png, detections.png, attacked.ply and result.json into --out. The exit
+    status is 0 also when the attack fails: that is a result.
+    """
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats."""
+    object: str = "car"
+    """Id of the shape in the scene whose Gaussians are attacked; all others stay as they are."""
+    target: str = "person"
+    """Class that the detector shall see there; "none" to make the object vanish, "any" for any wrong class."""
+    detector: str = "fasterrcnn_small"
+    """Name of the detector (see `mi-splat detectors`)."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    attributes: tuple[Attribute, ...] = ("sh",)
+    """What of the Gaussians may change."""
+    norm: Norm = "l2"
+    """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
+    eps: float = 5.0
+    """Radius of the ball, in the space of the splat file."""
+    steps: int = 11
+    """Iterations; each goes 2 * eps / steps."""
+    restarts: int = 1
+    """Starts; the first from the clean object, the others from random points of the ball."""
+    early_stop: bool = False
+    """Stop at the first success instead of spending all steps."""
+    views: tuple[str, ...] = ()
+    """Ids of the cameras attacked at once; the first of the scene if none is named."""
+    seed: int = 0
+    """Seed of everything random."""
+    out: Path = Path("out/dagger")
+    """Folder for the results; made if it is not there."""
+    json: bool = False
+    """Print the result as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderOptions:
+    """Render a scene XML or a splat file to a PNG.
+
+    A scene XML is seen from one of its cameras. A bare splat file, or a scene with any of --azimuth, --elevation and
+    --distance given, is seen from an orbit around the middle of its Gaussians (z is up), by default at a distance that
+    shows all of them.
+    """
+
+    scene: Positional[Path]
+    """Scene XML made of splats, or a 3DGS PLY."""
+    out: Path = Path("picture.png")
+    """The PNG to write."""
+    camera: str | None = None
+    """Id of the scene's camera; None is the first."""
+    azimuth: float | None = None
+    """Degrees from +x towards +y; 30 if an orbit is used without it."""
+    elevation: float | None = None
+    """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
+    distance: float | None = None
+    """World units from the middle of the Gaussians."""
+    fov: float = 45.0
+    """Field of view of an orbit camera in degrees, over the shorter side of the picture."""
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; None is the camera's own, 640 x 480 for an orbit."""
+    method: Literal["tile"] = "tile"
+    """How it is rendered: tile is the picture of the reference 3DGS rasteriser."""
+    background: tuple[float, float, float] | None = None
+    """sRGB colour behind the Gaussians; None is the scene's own, black for a bare splat file."""
+    json: bool = False
+    """Print what was rendered as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InfoOptions:
+    """Say what a splat file or a scene XML holds."""
+
+    file: Positional[Path]
+    """3DGS PLY, or scene XML made of splats."""
+    json: bool = False
+    """Print it as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorsOptions:
+    """List the detectors, their classes, and whether their weights are on this machine."""
+
+    json: bool = False
+    """Print the list as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoctorOptions:
+    """Render one Gaussian, take one gradient, load one detector; say what works and what to do about what does not.
+
+    The exit status is 1 if something that `mi-splat dagger` needs does not work.
+    """
+
+    json: bool = False
+    """Print the findings as one JSON document on stdout."""

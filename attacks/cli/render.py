@@ -1,0 +1,70 @@
+"""`mi-splat render`: a scene XML or a splat file to a PNG."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import torch
+from PIL import Image
+from torch import Tensor
+
+from attacks.cli.console import progress, show, show_json
+from attacks.cli.options import RenderOptions
+from attacks.cli.scenes import choose_camera, open_stage, orbit_camera, resized
+from mi_splat.cameras import Camera
+from mi_splat.rendering import Renderer, Stage
+
+
+def run(options: RenderOptions) -> int:
+    """Render and save the picture."""
+    with progress("rendering"):
+        stage = open_stage(options.scene)
+        camera = _camera(stage, options)
+        settings = dataclasses.replace(stage.settings, method=options.method)
+        if options.background is not None:
+            settings = dataclasses.replace(settings, background=options.background)
+        begun = time.perf_counter()
+        with torch.no_grad():
+            picture = Renderer(settings)(stage.scene, camera)
+        _save(picture, options)
+    seconds = time.perf_counter() - begun
+    if options.json:
+        show_json(
+            {
+                "out": str(options.out),
+                "gaussians": len(stage.scene),
+                "width": camera.width,
+                "height": camera.height,
+                "camera_to_world": camera.to_world.tolist(),
+                "focal": [camera.fx, camera.fy],
+                "seconds": seconds,
+            }
+        )
+    else:
+        size = f"{camera.width} x {camera.height}"
+        show(f"{options.out}: {len(stage.scene):,} Gaussians at {size} in {seconds:.2f} s (the first picture compiles)")
+    return 0
+
+
+def _camera(stage: Stage, options: RenderOptions) -> Camera:
+    """The camera that the options describe."""
+    orbit = any(value is not None for value in (options.azimuth, options.elevation, options.distance))
+    if options.camera is not None or (stage.cameras and not orbit):
+        camera = choose_camera(stage, options.camera, options.scene)
+        return camera if options.size is None else resized(camera, options.size)
+    return orbit_camera(
+        stage.scene,
+        azimuth=30.0 if options.azimuth is None else options.azimuth,
+        elevation=20.0 if options.elevation is None else options.elevation,
+        distance=options.distance,
+        fov=options.fov,
+        size=options.size or (640, 480),
+    )
+
+
+def _save(picture: Tensor, options: RenderOptions) -> None:
+    """Write an (H, W, 3) sRGB picture as an 8-bit PNG, rounded to the nearest level."""
+    levels = (picture.clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(levels).save(options.out, format="PNG")

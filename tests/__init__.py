@@ -1,0 +1,1 @@
+"""Tests of mi_splat and attacks."""

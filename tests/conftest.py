@@ -1,0 +1,36 @@
+"""Settings that every test runs under."""
+
+from __future__ import annotations
+
+import os
+
+import hypothesis
+import pytest
+import torch
+
+# Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
+torch.set_num_threads(1)
+
+hypothesis.settings.register_profile(
+    "mi-splat",
+    derandomize=True,
+    deadline=None,
+    print_blob=False,
+    database=None,
+    max_examples=int(os.environ.get("MI_SPLAT_EXAMPLES", "50")),
+)
+hypothesis.settings.load_profile("mi-splat")
+
+
+@pytest.fixture(scope="session")
+def variant() -> str:
+    """The Mitsuba variant that can render splats, current for the rest of the session."""
+    from mi_splat.variant import use
+
+    return use()
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    """A test that forgets to seed torch is reproducible nevertheless."""
+    torch.manual_seed(0)
