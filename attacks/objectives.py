@@ -1,0 +1,271 @@
+"""What an attacker wants of a detector: a differentiable loss on candidates, and success judged on detections.
+
+The two are separate on purpose. The loss sees everything the detector considered, before thresholds and non-maximum
+suppression, where gradients are; success sees only what a user of the detector would get. Both are about one object,
+whose box in the picture is known: candidates and detections belong to it when they overlap that box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from attacks.detectors.base import Candidates, Detections
+from mi_splat.errors import InvalidValueError, message
+
+_TINY = 1e-30
+"""Probabilities are clamped here before a logarithm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Target:
+    """The attacked object in one view.
+
+    Attributes:
+        box: (4,) x0, y0, x1, y1 in pixels: where the object is visible.
+        label: Class that the attacker wants to be seen there; None when any change will do.
+        classes: The detector's classes, in the order of the columns of `Candidates.scores`.
+        original: Class that the detector sees there before the attack; None when it sees nothing.
+    """
+
+    box: Tensor
+    label: str | None
+    classes: tuple[str, ...]
+    original: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Judgement of one view: success, and how near it is in [0, 1]."""
+
+    success: bool
+    score: float
+
+
+class Objective(Protocol):
+    """An attacker's aim. `__call__` is the loss, lower is better for the attacker."""
+
+    @property
+    def name(self) -> str:
+        """Short name for reports."""
+        ...
+
+    @property
+    def label(self) -> str | None:
+        """Class that the object should become; None if no particular one."""
+        ...
+
+    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
+        """Scalar loss, differentiable in the candidates."""
+        ...
+
+    def verdict(self, detections: Detections, target: Target) -> Verdict:
+        """Success and score of one view, from what the detector reports."""
+        ...
+
+
+def overlap(boxes: Tensor, box: Tensor) -> Tensor:
+    """Intersection over union of (..., 4) boxes with one (4,) box, both x0, y0, x1, y1 in pixels."""
+    box = box.to(boxes)
+    corner = torch.minimum(boxes[..., 2:], box[2:]) - torch.maximum(boxes[..., :2], box[:2])
+    shared = corner.clamp(min=0).prod(-1)
+    areas = (boxes[..., 2:] - boxes[..., :2]).clamp(min=0).prod(-1) + (box[2:] - box[:2]).clamp(min=0).prod(-1)
+    return shared / (areas - shared).clamp(min=1e-9)
+
+
+def confidence(detections: Detections, box: Tensor, *, labels: Sequence[str] | None = None, iou: float = 0.5) -> float:
+    """Highest score among the detections that overlap `box`; 0 when there are none.
+
+    Args:
+        detections: What the detector reports.
+        box: (4,) pixels.
+        labels: Classes to look at, all if None.
+        iou: Overlap from which a detection belongs to the box.
+    """
+    if not len(detections):
+        return 0.0
+    near = overlap(detections.boxes, box) >= iou
+    scores = [
+        float(detections.scores[i])
+        for i, label in enumerate(detections.labels)
+        if near[i] and (labels is None or label in labels)
+    ]
+    return max(scores, default=0.0)
+
+
+def _column(target: Target, label: str) -> int:
+    if label not in target.classes:
+        raise InvalidValueError(
+            message("label", f"one of {', '.join(target.classes)}", label, "choose a class that the detector knows")
+        )
+    return target.classes.index(label)
+
+
+def _suppress(scores: Tensor, overlaps: Tensor, iou: float, top: int) -> Tensor:
+    """Mean of -log(1 - p) over the `top` most confident entries that overlap the object.
+
+    In a logit z its derivative is p: full strength while the detector is sure, none once it has let go.
+    """
+    relevant = torch.where(overlaps >= iou, scores, 0.0).flatten()
+    if not relevant.numel():
+        return scores.sum() * 0.0
+    # The clamp keeps the logarithm finite; the derivative passes through it, or a sure detector would have none.
+    strongest = relevant.topk(min(top, relevant.numel())).values
+    limited = strongest + (strongest.clamp(max=1 - 1e-6) - strongest).detach()
+    return -torch.log1p(-limited).mean()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Relabel:
+    """The detector shall report `label` on the object.
+
+    Cross entropy towards the label, on the candidates that are nearest to being such a detection, plus suppression of
+    the original class on the object.
+
+    Attributes:
+        label: The class wanted.
+        confidence: Score that the detection needs.
+        iou: Overlap with the object's box that the detection needs.
+        dominant: Whether it must also score at least as high as every detection of another class on the object.
+        near: Overlap from which a candidate is worth pushing.
+        top: Number of candidates pushed.
+        suppression: Weight of the suppression of the original class.
+        tightness: Weight of 1 - IoU of the pushed candidates' boxes.
+    """
+
+    label: str
+    confidence: float = 0.7
+    iou: float = 0.5
+    dominant: bool = True
+    near: float = 0.4
+    top: int = 8
+    suppression: float = 0.5
+    tightness: float = 0.5
+
+    @property
+    def name(self) -> str:
+        """Short name for reports."""
+        return "relabel"
+
+    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
+        """Scalar loss, lower is better for the attacker."""
+        column = _column(target, self.label)
+        scores = candidates.scores[:, column]
+        if not len(candidates):
+            return candidates.scores.sum() * 0.0
+        overlaps = overlap(candidates.boxes[:, column], target.box)
+        # With nothing near the object, the boxes nearest to it still show the way.
+        with torch.no_grad():
+            order = torch.where(overlaps >= self.near, scores.clamp(min=_TINY).log(), overlaps - 1e3)
+            chosen = order.topk(min(self.top, len(order))).indices
+            # Weighted towards the front runners, of which one is enough.
+            weights = torch.softmax(order[chosen].clamp(min=-20.0) / 2, dim=0)
+        entropy = -scores[chosen].clamp(min=_TINY).log()
+        loss = (weights * (entropy + self.tightness * (1 - overlaps[chosen]))).sum()
+        if self.suppression and target.original in target.classes and target.original != self.label:
+            rival = _column(target, target.original)
+            rivals = overlap(candidates.boxes[:, rival].detach(), target.box)
+            loss = loss + self.suppression * _suppress(candidates.scores[:, rival], rivals, self.near, self.top)
+        return loss
+
+    def verdict(self, detections: Detections, target: Target) -> Verdict:
+        """The label is reported on the object with enough confidence, and nothing else there with more."""
+        score = confidence(detections, target.box, labels=[self.label], iou=self.iou)
+        others = [label for label in detections.labels if label != self.label]
+        beaten = self.dominant and confidence(detections, target.box, labels=others, iou=self.iou) > score
+        return Verdict(success=score >= self.confidence and not beaten, score=score)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hide:
+    """The detector shall report nothing on the object, whatever the class.
+
+    Attributes:
+        confidence: A detection below this score counts as none.
+        iou: Overlap from which a detection belongs to the object; lower than for `Relabel`, so that a box that merely
+            slid aside does not count as hidden.
+        top: Number of candidates pushed.
+    """
+
+    confidence: float = 0.3
+    iou: float = 0.3
+    top: int = 16
+
+    @property
+    def name(self) -> str:
+        """Short name for reports."""
+        return "hide"
+
+    @property
+    def label(self) -> str | None:
+        """No particular class."""
+        return None
+
+    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
+        """Scalar loss, lower is better for the attacker."""
+        overlaps = overlap(candidates.boxes.detach(), target.box)
+        return _suppress(candidates.scores, overlaps, self.iou, self.top)
+
+    def verdict(self, detections: Detections, target: Target) -> Verdict:
+        """Nothing is reported on the object."""
+        left = confidence(detections, target.box, iou=self.iou)
+        return Verdict(success=left < self.confidence, score=1.0 - left)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Untargeted:
+    """The detector shall no longer report the original class on the object; anything else will do.
+
+    Attributes:
+        confidence: A detection of the original class below this score counts as none.
+        iou: Overlap from which a detection belongs to the object.
+        top: Number of candidates pushed.
+    """
+
+    confidence: float = 0.3
+    iou: float = 0.3
+    top: int = 16
+
+    @property
+    def name(self) -> str:
+        """Short name for reports."""
+        return "untargeted"
+
+    @property
+    def label(self) -> str | None:
+        """No particular class."""
+        return None
+
+    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
+        """Scalar loss, lower is better for the attacker."""
+        if target.original is None:
+            return candidates.scores.sum() * 0.0
+        column = _column(target, target.original)
+        overlaps = overlap(candidates.boxes[:, column].detach(), target.box)
+        return _suppress(candidates.scores[:, column], overlaps, self.iou, self.top)
+
+    def verdict(self, detections: Detections, target: Target) -> Verdict:
+        """The original class is not reported on the object."""
+        if target.original is None:
+            return Verdict(success=False, score=0.0)
+        left = confidence(detections, target.box, labels=[target.original], iou=self.iou)
+        return Verdict(success=left < self.confidence, score=1.0 - left)
+
+
+def relabel(to: str, *, confidence: float = 0.7, iou: float = 0.5) -> Relabel:
+    """The object shall be detected as `to` with at least `confidence`, in a box of at least `iou` overlap with it."""
+    return Relabel(label=to, confidence=confidence, iou=iou)
+
+
+def hide(*, confidence: float = 0.3) -> Hide:
+    """The object shall not be detected as anything with `confidence` or more."""
+    return Hide(confidence=confidence)
+
+
+def untargeted(*, confidence: float = 0.3) -> Untargeted:
+    """The object shall not be detected as what it is with `confidence` or more."""
+    return Untargeted(confidence=confidence)

@@ -1,0 +1,48 @@
+"""Where a result comes from: package versions, Mitsuba's variant, and the commit when the code runs from a checkout."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+_PACKAGES = ("mi-splat", "mitsuba", "drjit", "torch", "torchvision", "numpy", "pillow")
+
+
+def versions() -> dict[str, str]:
+    """Version of Python and of every package that a result depends on; packages that are not installed are left out."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def variant() -> str | None:
+    """Mitsuba's variant; None when this process never loaded Mitsuba (the renderer was another one)."""
+    mitsuba = sys.modules.get("mitsuba")
+    return None if mitsuba is None else mitsuba.variant()
+
+
+def commit() -> str | None:
+    """The commit of the checkout that holds this file, and `+changes` when tracked files differ; None elsewhere."""
+    here = Path(__file__).resolve()
+    # A virtual environment may lie inside some other checkout: only one that tracks this very file counts.
+    if _git(here.parent, "ls-files", "--error-unmatch", here.name) is None:
+        return None
+    head = _git(here.parent, "rev-parse", "HEAD")
+    if head is None:
+        return None
+    return head + ("+changes" if _git(here.parent, "status", "--porcelain", "--untracked-files=no") else "")
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    try:
+        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
