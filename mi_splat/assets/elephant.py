@@ -60,7 +60,7 @@ def build(seed: int) -> Asset:
     noise = Noise(rng)
     pose = translation(*HEAD) @ rotation("z", look.turn) @ rotation("y", look.nod)
     head = [*_ears(look, noise), *_tusks(look), *_eyes()]
-    meshes = [_body(look, noise, pose), *(transform(mesh, pose) for mesh in head), *_tail(look)]
+    meshes = [_body(look, noise, pose.astype(np.float32)), *(transform(mesh, pose) for mesh in head), *_tail(look)]
     size = float(rng.uniform(2.55, 3.25)) / 3.05
     return Asset("elephant", grounded([transform(mesh, scaling(size, size, size)) for mesh in meshes]))
 
@@ -100,10 +100,10 @@ def _legs(look: _Look) -> tuple[list[Blob], Doubles]:
         top = np.array([x, side * 0.36, 1.95])
         knee = top + 0.98 * forward + (0.05, side * 0.03, 0)
         ankle = knee + 0.62 * forward + (-0.04 - bend, 0, 0)
-        foot = ankle + (0.05, 0, -0.21)
+        foot = ankle + np.array((0.05, 0, -0.21))
         thick = (0.36, 0.245, 0.185) if x > 0 else (0.42, 0.255, 0.175)
         blobs += chain([top, knee, ankle, foot], [*thick, 0.205])
-        blobs.append(ellipsoid(foot + (0.035, 0, -0.03), (0.245, 0.235, 0.16)))
+        blobs.append(ellipsoid(np.add(foot, (0.035, 0, -0.03)), (0.245, 0.235, 0.16)))
         feet.append(foot)
     return blobs, np.stack(feet)
 
@@ -172,7 +172,7 @@ def _body(look: _Look, noise: Noise, pose: Floats) -> Mesh:
         colours = mix(colours, look.skin * 0.45, 0.7 * spot(side, (0.42, 0.12, -0.50), (0.2, 0.1, 0.025), 0.7))
         for foot in feet:
             for angle in np.radians((-58, -20, 20, 58)):
-                nail = foot + (0.26 * np.cos(angle) + 0.02, 0.25 * np.sin(angle), -0.08)
+                nail = np.add(foot, (0.26 * np.cos(angle) + 0.02, 0.25 * np.sin(angle), -0.08))
                 colours = mix(colours, (0.76, 0.71, 0.62), spot(points, nail, (0.07, 0.07, 0.075), 0.3))
         return colours
 
@@ -222,7 +222,7 @@ def _ear_texture(look: _Look, noise: Noise) -> Floats:
     """Veins, freckles and a ragged pale rim; u runs outward."""
     v, u = np.mgrid[1:0:112j, 0:1:112j].astype(np.float32)
     points = np.stack([u.ravel(), v.ravel(), 0 * u.ravel() + 7], 1)
-    colours = _hide(look, points * 0.9, noise)
+    colours = _hide(look, (points * 0.9).astype(np.float32), noise)
     pink = np.array((0.70, 0.52, 0.46), np.float32)
     colours = mix(colours, pink, 0.55 * np.clip(points[:, 0] * 1.5 - 0.75 + 0.35 * noise(points, 0.08), 0, 1))
     angle = np.arctan2(points[:, 1] - 0.55, points[:, 0] + 0.12) + 0.22 * noise(points, 0.13)

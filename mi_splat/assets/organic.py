@@ -132,7 +132,7 @@ def _point_distance(layer: Layer, points: Floats, margin: float) -> Floats:
 
 
 def surface(layers: Sequence[Layer], cell: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Vertices (V, 3) and outward quads (Q, 4) of the union of `layers`, by surface nets with cells of `cell` metres."""
+    """Vertices (V, 3) and outward quads (Q, 4) of the union of `layers`, by surface nets of `cell` metres."""
     margin = 2.5 * cell + max(layer.blend for layer in layers)
     bounds = np.stack([blob.bounds for layer in layers for blob in layer.blobs])
     low, high = bounds[:, 0].min(0) - 2 * cell - margin / 2, bounds[:, 1].max(0) + 2 * cell + margin / 2
@@ -223,8 +223,7 @@ def body(
     pixel = np.stack([tile % side, tile // side], 1)[:, None] * texels + corner
     uvs = (pixel / (side * texels)).reshape(-1, 2)
     uvs[:, 1] = 1 - uvs[:, 1]
-    base = 4 * tile[:, None]
-    faces = np.concatenate([base + [0, 1, 2], base + [0, 2, 3]]).astype(np.uint32)
+    faces = (4 * tile[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.uint32)
     return Mesh(vertices[quads].reshape(-1, 3), faces, uvs.astype(np.float32), texture, roughness)
 
 
