@@ -151,39 +151,55 @@ def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
     return total.reshape(-1, 3, 3).astype(np.float32)
 
 
-def _material(texture: Floats, roughness: float | None) -> dict[str, Any]:
-    linear = to_linear(texture)
-    if texture.shape[:2] == (1, 1):
-        reflectance: dict[str, Any] = {"type": "rgb", "value": [float(c) for c in linear[0, 0]]}
-    else:
-        reflectance = {"type": "bitmap", "bitmap": mi.Bitmap(linear), "raw": True, "wrap_mode": "repeat"}
+def _material(texture: Floats, roughness: float | None, *, palette: bool) -> dict[str, Any]:
+    """A Mitsuba BSDF; the colours of a palette are not blended into each other."""
+    reflectance = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(to_linear(texture)),
+        "raw": True,
+        "wrap_mode": "repeat",
+        "filter_type": "nearest" if palette else "bilinear",
+    }
     if roughness is None:
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
     plastic = {"type": "roughplastic", "alpha": roughness, "diffuse_reflectance": reflectance, "nonlinear": True}
     return {"type": "twosided", "bsdf": plastic}
 
 
+def _is_plain(mesh: Mesh) -> bool:
+    return mesh.texture.shape[:2] == (1, 1)
+
+
+def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
+    """One Mitsuba mesh of parts that share roughness and texture, or that are all of plain colours (one palette)."""
+    texture, uvs = meshes[0].texture, [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes]
+    plain = _is_plain(meshes[0])
+    if plain:
+        texture = np.concatenate([mesh.texture for mesh in meshes], axis=1)
+        uvs = [np.broadcast_to(((i + 0.5) / len(meshes), 0.5), uv.shape) for i, uv in enumerate(uvs)]
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(_material(texture, meshes[0].roughness, palette=plain))
+    corners = sum(mesh.faces.size for mesh in meshes)
+    shape = mi.Mesh(name, corners, corners // 3, properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    shape.set_id(name)
+    values = mi.traverse(shape)
+    values["vertex_positions"] = np.concatenate([mesh.vertices[mesh.faces].ravel() for mesh in meshes])
+    values["vertex_normals"] = np.concatenate([corner_normals(mesh).ravel() for mesh in meshes])
+    values["vertex_texcoords"] = (
+        (np.concatenate(uvs) * (1, -1) + (0, 1)).astype(np.float32).ravel()
+    )  # v runs down there
+    values["faces"] = np.arange(corners, dtype=np.uint32)
+    values.update()
+    return shape
+
+
 def _shapes(asset: Asset, prefix: str) -> dict[str, Any]:
     """Mitsuba meshes of an asset, its parts gathered by material; ids are prefix_0, prefix_1, ..."""
-    groups: dict[tuple[bytes, tuple[int, ...], float | None], list[Mesh]] = {}
+    groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
     for mesh in asset.meshes:
-        groups.setdefault((mesh.texture.tobytes(), mesh.texture.shape, mesh.roughness), []).append(mesh)
-    shapes: dict[str, Any] = {}
-    for number, ((_, _, roughness), meshes) in enumerate(groups.items()):
-        properties = mi.Properties()
-        properties["mesh_bsdf"] = mi.load_dict(_material(meshes[0].texture, roughness))
-        corners = sum(mesh.faces.size for mesh in meshes)
-        name = f"{prefix}_{number}"
-        shape = mi.Mesh(name, corners, corners // 3, properties, has_vertex_normals=True, has_vertex_texcoords=True)
-        shape.set_id(name)
-        values = mi.traverse(shape)
-        values["vertex_positions"] = np.concatenate([mesh.vertices[mesh.faces].ravel() for mesh in meshes])
-        values["vertex_normals"] = np.concatenate([corner_normals(mesh).ravel() for mesh in meshes])
-        values["vertex_texcoords"] = np.concatenate([mesh.uvs[mesh.faces].ravel() for mesh in meshes])
-        values["faces"] = np.arange(corners, dtype=np.uint32)
-        values.update()
-        shapes[name] = shape
-    return shapes
+        texture = None if _is_plain(mesh) else mesh.texture.tobytes()
+        groups.setdefault((texture, mesh.texture.shape, mesh.roughness), []).append(mesh)
+    return {f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes) for i, meshes in enumerate(groups.values())}
 
 
 def _sky(light: Light) -> Floats:

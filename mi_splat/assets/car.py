@@ -92,7 +92,9 @@ def _top(s: _Shape, x: Points) -> Points:
 
 def _side(s: _Shape, x: float, share: float) -> float:
     """Half width of the body at height share (0 sill, 1 top edge)."""
-    return s.half_width(x) * float(smooth_interpolate(share, [0, 0.12, 0.35, 0.6, 0.85, 0.97, 1], [0.93, 0.97, 0.99, 1, 0.965, 0.91, 0.8]))
+    return s.half_width(x) * float(
+        smooth_interpolate(share, [0, 0.12, 0.35, 0.6, 0.85, 0.97, 1], [0.93, 0.97, 0.99, 1, 0.965, 0.91, 0.8])
+    )
 
 
 def _bottom(s: _Shape, x: float) -> float:
@@ -109,7 +111,10 @@ def _body(s: _Shape, paint: Sequence[float]) -> list[Mesh]:
     arch = s.wheel * 1.17
     stations = [np.linspace(-s.length / 2, s.length / 2, 61)]
     for axle in s.axles:
-        stations += [axle + arch * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 17)), [axle - arch - 1e-3, axle + arch + 1e-3]]
+        stations += [
+            axle + arch * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 17)),
+            [axle - arch - 1e-3, axle + arch + 1e-3],
+        ]
     x = np.unique(np.round(np.concatenate(stations), 4))
     tops = _top(s, x)
     shares = np.array([0.0, 0.12, 0.25, 0.42, 0.6, 0.75, 0.88, 0.95, 1.0])
@@ -147,7 +152,7 @@ def _cabin(s: _Shape, paint: Sequence[float], roof_paint: Sequence[float], glass
         loop[:, 0] += np.where(loop[:, 0] > 0, bow, -bow * 0.6)
         return np.concatenate([loop, np.full((len(loop), 1), height[level])], 1)
 
-    glass = loft(np.array([ring(i, 0.0) for i in range(7)]), GLASS, roughness=0.05)
+    glass = loft(np.array([ring(i, 0.0) for i in range(7)]), GLASS, roughness=0.08)
     roof_rings = [ring(4, 0.006), ring(5, 0.008), ring(6, 0.004)]
     centre = np.array([(s.top[0] + s.top[1]) / 2, 0, 0])
     for shrink, rise in ((0.965, 0.028), (0.85, 0.05), (0.6, 0.062), (0.3, 0.068)):
@@ -159,8 +164,11 @@ def _cabin(s: _Shape, paint: Sequence[float], roof_paint: Sequence[float], glass
     if glass_roof:
         middle = [(0.3, 0.06), (0.3, 0.075)]
         pane = [rounded_rectangle(0.5 * (s.top[1] - s.top[0]), 0.85 * s.half, 0.06) for _ in middle]
-        rings = [np.concatenate([p + centre[:2], np.full((len(p), 1), height[6] + z)], 1) for p, (_, z) in zip(pane, middle, strict=True)]
-        parts.append(loft(np.array(rings), GLASS, roughness=0.05))
+        rings = [
+            np.concatenate([p + centre[:2], np.full((len(p), 1), height[6] + z)], 1)
+            for p, (_, z) in zip(pane, middle, strict=True)
+        ]
+        parts.append(loft(np.array(rings), GLASS, roughness=0.08))
     outside = [ring(i, 0.002) for i in range(7)]
     corner = len(outside[0]) // 4
     for start in range(4):
@@ -170,7 +178,11 @@ def _cabin(s: _Shape, paint: Sequence[float], roof_paint: Sequence[float], glass
         for side in (1, -1):
             path = []
             for i, loop in enumerate(outside[1:]):
-                x = s.top[0] * 0.6 + s.base[0] * 0.4 + fraction * (s.base[1] * 0.5 + s.top[1] * 0.5 - s.top[0] * 0.6 - s.base[0] * 0.4)
+                x = (
+                    s.top[0] * 0.6
+                    + s.base[0] * 0.4
+                    + fraction * (s.base[1] * 0.5 + s.top[1] * 0.5 - s.top[0] * 0.6 - s.base[0] * 0.4)
+                )
                 path.append([x, side * (np.abs(loop[:, 1]).max() - 0.012), height[i + 1]])
             parts.append(sweep(path, np.tile([0.035, 0.022], (6, 1)), BLACK, segments=6))
     return parts
@@ -180,18 +192,37 @@ def _wheel(s: _Shape, rng: np.random.Generator) -> Mesh | list[Mesh]:
     """One wheel around the origin, its outside towards +y."""
     r, w = s.wheel, 0.105
     tyre = lathe(
-        [[r * 0.66, -w], [r * 0.93, -w], [r, -w * 0.7], [r, w * 0.7], [r * 0.93, w], [r * 0.68, w], [r * 0.64, w * 0.55]],
+        [
+            [r * 0.66, -w],
+            [r * 0.93, -w],
+            [r, -w * 0.7],
+            [r, w * 0.7],
+            [r * 0.93, w],
+            [r * 0.68, w],
+            [r * 0.64, w * 0.55],
+        ],
         (0.06, 0.06, 0.065),
         segments=32,
     )
     metal = CHROME if rng.random() < 0.75 else (0.2, 0.2, 0.22)
-    dish = lathe([[r * 0.66, w * 0.2], [r * 0.67, w * 0.75], [r * 0.6, w * 0.8], [r * 0.56, w * 0.45], [0, w * 0.42]], np.array(metal) * 0.45, segments=32)
-    rim = lathe([[r * 0.6, w * 0.5], [r * 0.68, w * 0.6], [r * 0.68, w * 0.98], [r * 0.6, w * 0.9], [r * 0.585, w * 0.5]], metal, segments=32, roughness=0.2)
+    dish = lathe(
+        [[r * 0.66, w * 0.2], [r * 0.67, w * 0.75], [r * 0.6, w * 0.8], [r * 0.56, w * 0.45], [0, w * 0.42]],
+        np.array(metal) * 0.45,
+        segments=32,
+    )
+    rim = lathe(
+        [[r * 0.6, w * 0.5], [r * 0.68, w * 0.6], [r * 0.68, w * 0.98], [r * 0.6, w * 0.9], [r * 0.585, w * 0.5]],
+        metal,
+        segments=32,
+        roughness=0.2,
+    )
     hub = lathe([[0.07, w * 0.4], [0.07, w * 0.92], [0.045, w], [0, w]], metal, segments=16, roughness=0.2)
     parts = [tyre, dish, rim, hub]
     spokes = int(rng.choice([5, 6, 8, 10]))
     for i in range(spokes):
-        spoke = box((r * 0.56, 0.3 * r * (5 / spokes) ** 0.8, 0.03), metal, centre=(r * 0.32, 0, w * 0.82), roughness=0.2)
+        spoke = box(
+            (r * 0.56, 0.3 * r * (5 / spokes) ** 0.8, 0.03), metal, centre=(r * 0.32, 0, w * 0.82), roughness=0.2
+        )
         parts.append(transform(spoke, rotation("z", 360 * i / spokes)))
     return [transform(part, rotation("x", -90)) for part in parts]
 
@@ -213,9 +244,20 @@ def _front(s: _Shape, rng: np.random.Generator) -> list[Mesh]:
     for side in (1, -1):
         centre = (x - 0.09, side * lamp_y, lamp_z)
         turn = translation(*centre) @ rotation("z", side * 17) @ rotation("y", 12)
-        parts.append(transform(ellipsoid(lamp, (0.9, 0.92, 0.95), roughness=0.05), turn))
-        parts.append(transform(ellipsoid((lamp[0] * 0.98, lamp[1] * 1.1, lamp[2] * 1.22), BLACK), translation(-0.016, 0, 0) @ turn))
-        parts.append(ellipsoid((0.1, 0.16, 0.09), (0.9, 0.9, 0.85), centre=(x - 0.05, side * w * 0.62, s.clearance + 0.2), roughness=0.1))
+        parts.append(transform(ellipsoid(lamp, (0.9, 0.92, 0.95), roughness=0.08), turn))
+        parts.append(
+            transform(
+                ellipsoid((lamp[0] * 0.98, lamp[1] * 1.1, lamp[2] * 1.22), BLACK), translation(-0.016, 0, 0) @ turn
+            )
+        )
+        parts.append(
+            ellipsoid(
+                (0.1, 0.16, 0.09),
+                (0.9, 0.9, 0.85),
+                centre=(x - 0.05, side * w * 0.62, s.clearance + 0.2),
+                roughness=0.08,
+            )
+        )
     grille_h = rng.uniform(0.1, 0.2)
     grille_z = s.nose * rng.uniform(0.66, 0.76)
     parts.append(_bulge((x - 0.045, grille_z), (0.1, w * rng.uniform(0.8, 1.05), grille_h), BLACK))
@@ -229,7 +271,10 @@ def _front(s: _Shape, rng: np.random.Generator) -> list[Mesh]:
 def _bulge(place: tuple[float, float], size: tuple[float, float, float], colour: Sequence[float]) -> Mesh:
     """A rounded bar across the car at (x, z)."""
     outline = rounded_rectangle(size[0], size[1], size[0] * 0.45, corner=4) + (place[0], 0)
-    rings = [np.concatenate([outline, np.full((len(outline), 1), z)], 1) for z in (place[1] - size[2] / 2, place[1] + size[2] / 2)]
+    rings = [
+        np.concatenate([outline, np.full((len(outline), 1), z)], 1)
+        for z in (place[1] - size[2] / 2, place[1] + size[2] / 2)
+    ]
     return loft(np.array(rings), colour)
 
 
@@ -240,9 +285,18 @@ def _rear(s: _Shape, rng: np.random.Generator, kind: str) -> list[Mesh]:
     for side in (1, -1):
         size = (0.16, 0.2, 0.42) if tall else (0.2, 0.42, 0.17)
         z = s.tail * (0.8 if tall else 0.84)
-        lamp = ellipsoid(size, (0.7, 0.02, 0.03), centre=(x + 0.07, side * w * (0.83 if tall else 0.68), z), roughness=0.08)
+        lamp = ellipsoid(
+            size, (0.7, 0.02, 0.03), centre=(x + 0.07, side * w * (0.83 if tall else 0.68), z), roughness=0.08
+        )
         parts.append(lamp)
-        parts.append(ellipsoid((0.1, 0.12, 0.06), (0.95, 0.6, 0.15), centre=(x + 0.01, side * w * 0.7, z - size[2] * 0.45), roughness=0.1))
+        parts.append(
+            ellipsoid(
+                (0.1, 0.12, 0.06),
+                (0.95, 0.6, 0.15),
+                centre=(x + 0.01, side * w * 0.7, z - size[2] * 0.45),
+                roughness=0.08,
+            )
+        )
     parts.append(_bulge((x + 0.035, s.clearance + 0.15), (0.12, w * 1.6, 0.16), BLACK))
     parts.append(box((0.02, 0.52, 0.115), plate(rng), centre=(x - 0.012, 0, s.tail * 0.66)))
     parts.append(lathe([[0.035, 0], [0.035, 0.08], [0.025, 0.08], [0.025, 0]], CHROME, segments=12))
@@ -263,18 +317,33 @@ def _trim(s: _Shape, paint: Sequence[float]) -> list[Mesh]:
             path = [[x, side * _side(s, x, t), low + t * (top - low)] for t in shares]
             parts.append(sweep(path, np.full(9, 0.009), line, segments=4, up=(1, 0, 0)))
         for x in (doors[0] + 0.18, doors[1] + 0.18):
-            parts.append(box((0.2, 0.035, 0.03), CHROME, centre=(x, side * (_side(s, x, 0.78) + 0.012), s.clearance + 0.78 * (s.belt - s.clearance)), roughness=0.2))
+            parts.append(
+                box(
+                    (0.2, 0.035, 0.03),
+                    CHROME,
+                    centre=(x, side * (_side(s, x, 0.78) + 0.012), s.clearance + 0.78 * (s.belt - s.clearance)),
+                    roughness=0.2,
+                )
+            )
         span = np.linspace(s.axles[0] + s.wheel * 1.25, s.axles[1] - s.wheel * 1.25, 8)
         path = [[x, side * (_side(s, x, 0.05) - 0.005), s.clearance + 0.04] for x in span]
         parts.append(sweep(path, np.full(8, 0.055), BLACK, segments=8))
         x = s.base[1] - 0.12
-        parts.append(ellipsoid((0.17, 0.2, 0.15), paint, centre=(x, side * (s.half + 0.07), s.belt + 0.06), roughness=0.08))
-        parts.append(sweep([[x, side * s.half * 0.86, s.belt], [x, side * (s.half + 0.03), s.belt + 0.04]], [0.03, 0.03], BLACK))
+        parts.append(
+            ellipsoid((0.17, 0.2, 0.15), paint, centre=(x, side * (s.half + 0.07), s.belt + 0.06), roughness=0.08)
+        )
+        parts.append(
+            sweep([[x, side * s.half * 0.86, s.belt], [x, side * (s.half + 0.03), s.belt + 0.04]], [0.03, 0.03], BLACK)
+        )
         front = np.linspace(s.base[1] + 0.1, s.length * 0.455, 8)
         path = [[x, side * s.half_width(x) * 0.72, float(_top(s, np.array([x]))[0]) + 0.013] for x in front]
         parts.append(sweep(path, np.full(8, 0.009), line, segments=4))
     wiper = s.base[1] + 0.03
-    parts.append(sweep([[wiper + 0.09, -0.3, s.belt + 0.03], [wiper + 0.08, 0.3, s.belt + 0.03]], [0.012, 0.012], BLACK, segments=5))
+    parts.append(
+        sweep(
+            [[wiper + 0.09, -0.3, s.belt + 0.03], [wiper + 0.08, 0.3, s.belt + 0.03]], [0.012, 0.012], BLACK, segments=5
+        )
+    )
     return parts
 
 
@@ -283,7 +352,9 @@ def build(seed: int = 0) -> Asset:
     rng = np.random.default_rng([seed, 0xCA2])
     kind = str(rng.choice(["saloon", "hatchback", "estate", "offroad"], p=[0.35, 0.3, 0.15, 0.2]))
     s = _shape(kind, rng)
-    paint = np.clip(np.array(PAINTS[rng.integers(len(PAINTS))]) * rng.uniform(0.85, 1.1) + rng.uniform(-0.03, 0.03, 3), 0.02, 0.95)
+    paint = np.clip(
+        np.array(PAINTS[rng.integers(len(PAINTS))]) * rng.uniform(0.85, 1.1) + rng.uniform(-0.03, 0.03, 3), 0.02, 0.95
+    )
     roof = paint if rng.random() < 0.85 else np.array(BLACK if paint.mean() > 0.3 else (0.85, 0.85, 0.85))
     parts = [*_body(s, paint), *_cabin(s, paint, roof, bool(rng.random() < 0.2)), *_front(s, rng), *_rear(s, rng, kind)]
     parts += _trim(s, paint)
@@ -295,6 +366,9 @@ def build(seed: int = 0) -> Asset:
             parts += [transform(part, pose) for part in wheel]
     if kind in ("estate", "offroad"):
         for side in (1, -1):
-            rail = [[x, side * s.half * 0.56, s.roof - 0.01 + (0.04 if 0 < i < 5 else -0.03)] for i, x in enumerate(np.linspace(s.top[0] + 0.1, s.top[1] - 0.1, 6))]
+            rail = [
+                [x, side * s.half * 0.56, s.roof - 0.01 + (0.04 if 0 < i < 5 else -0.03)]
+                for i, x in enumerate(np.linspace(s.top[0] + 0.1, s.top[1] - 0.1, 6))
+            ]
             parts.append(sweep(rail, np.full(6, 0.018), CHROME, segments=6))
     return Asset("car", tuple(parts))
