@@ -157,7 +157,7 @@ class L2PerGaussian:
 
 def _rows(delta: Tensor) -> Tensor:
     """Norm of each row, shaped to broadcast against `delta`."""
-    flat: Tensor = delta.reshape(len(delta), -1).norm(dim=1)
+    flat: Tensor = (delta.flatten(1) if delta.ndim > 1 else delta[:, None]).norm(dim=1)
     return flat.reshape(-1, *([1] * (delta.ndim - 1)))
 
 

@@ -106,13 +106,20 @@ def _column(target: Target, label: str) -> int:
 
 
 def _suppress(scores: Tensor, overlaps: Tensor, iou: float, top: int) -> Tensor:
-    """Mean of -log(1 - p) over the `top` most confident entries that overlap the object.
+    """Mean of -log(1 - p) over the `top` most confident candidates, p their scores summed over the classes given.
 
-    In a logit z its derivative is p: full strength while the detector is sure, none once it has let go.
+    In a logit z its derivative is p: full strength while the detector is sure, none once it has let go. The sum makes
+    all classes fall together; one at a time, a softmax would only hand its confidence from one to the next.
+
+    Args:
+        scores: (A, C) of the classes to suppress.
+        overlaps: (A, C) with the object; entries below `iou` are left alone.
+        iou: Overlap from which an entry belongs to the object.
+        top: Number of candidates.
     """
-    relevant = torch.where(overlaps >= iou, scores, 0.0).flatten()
-    if not relevant.numel():
+    if not len(scores):
         return scores.sum() * 0.0
+    relevant = torch.where(overlaps >= iou, scores, 0.0).sum(-1)
     # The clamp keeps the logarithm finite; the derivative passes through it, or a sure detector would have none.
     strongest = relevant.topk(min(top, relevant.numel())).values
     limited = strongest + (strongest.clamp(max=1 - 1e-6) - strongest).detach()
@@ -168,8 +175,8 @@ class Relabel:
         loss = (weights * (entropy + self.tightness * (1 - overlaps[chosen]))).sum()
         if self.suppression and target.original in target.classes and target.original != self.label:
             rival = _column(target, target.original)
-            rivals = overlap(candidates.boxes[:, rival].detach(), target.box)
-            loss = loss + self.suppression * _suppress(candidates.scores[:, rival], rivals, self.near, self.top)
+            rivals = overlap(candidates.boxes[:, [rival]].detach(), target.box)
+            loss = loss + self.suppression * _suppress(candidates.scores[:, [rival]], rivals, self.near, self.top)
         return loss
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
@@ -245,8 +252,8 @@ class Untargeted:
         if target.original is None:
             return candidates.scores.sum() * 0.0
         column = _column(target, target.original)
-        overlaps = overlap(candidates.boxes[:, column].detach(), target.box)
-        return _suppress(candidates.scores[:, column], overlaps, self.iou, self.top)
+        overlaps = overlap(candidates.boxes[:, [column]].detach(), target.box)
+        return _suppress(candidates.scores[:, [column]], overlaps, self.iou, self.top)
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """The original class is not reported on the object."""

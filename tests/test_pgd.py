@@ -1,0 +1,140 @@
+"""The descent loop on functions whose minimum is known: no splats, no pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.budgets import Budget, BudgetError, NormName, Parameters
+from attacks.pgd import Evaluation, Step, pgd
+from mi_splat.errors import InvalidValueError
+
+Oracle = Callable[[Parameters], Evaluation]
+REFERENCE = {"sh": torch.zeros(4, 3)}
+GOAL = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
+
+
+def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -> Oracle:
+    """Squared distance to GOAL; success when it is at most `aim`."""
+
+    def evaluate(point: Parameters) -> Evaluation:
+        leaf = point["sh"].detach().requires_grad_(True)
+        loss = (leaf - GOAL).square().sum()
+        (gradient,) = torch.autograd.grad(loss, [leaf])
+        value = float(loss.detach())
+        mark = 1 / (1 + value) if score is None else score(leaf.detach())
+        return Evaluation(loss=value, gradients={"sh": gradient}, success=value <= aim, score=mark)
+
+    return evaluate
+
+
+@pytest.mark.parametrize("norm", ["linf", "l2", "l2_per_gaussian"])
+def test_it_finds_the_nearest_point_of_the_ball(norm: NormName) -> None:
+    budget = Budget(radius={"sh": 1.0}, norm=norm)
+    found = pgd(bowl(), REFERENCE, budget, step={"sh": 0.02}, steps=400)
+    best = budget.project({"sh": GOAL}, REFERENCE)["sh"]
+    torch.testing.assert_close(found.parameters["sh"], best, atol=0.05, rtol=0)
+    assert budget.measure(found.parameters, REFERENCE)["sh"] <= 1.0
+
+
+def test_every_point_that_is_evaluated_is_inside() -> None:
+    budget, sizes = Budget(radius={"sh": 1.0}), []
+    plain = bowl()
+
+    def watched(point: Parameters) -> Evaluation:
+        sizes.append(budget.measure(point, REFERENCE)["sh"])
+        return plain(point)
+
+    start = {"sh": torch.full((4, 3), 9.0)}
+    pgd(watched, REFERENCE, budget, step={"sh": 0.5}, steps=20, start=start)
+    assert len(sizes) == 21
+    assert max(sizes) <= 1.0
+
+
+def test_the_trace_and_the_callback_tell_the_same_story() -> None:
+    heard: list[Step] = []
+    found = pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 0.1}, steps=5, on_step=heard.append)
+    assert tuple(heard) == found.trace
+    assert [line.index for line in heard] == [0, 1, 2, 3, 4, 5]
+    assert heard[0].loss == pytest.approx(13.25)
+    assert heard[0].zero_share == pytest.approx(9 / 12)
+
+
+def test_early_stop_ends_at_the_first_success_and_the_full_budget_goes_on() -> None:
+    budget = Budget(radius={"sh": 10.0})
+    early = pgd(bowl(aim=9.0), REFERENCE, budget, step={"sh": 0.5}, steps=12)
+    full = pgd(bowl(aim=9.0), REFERENCE, budget, step={"sh": 0.5}, steps=12, early_stop=False)
+    assert early.best.success
+    assert early.best.index == len(early.trace) - 1 == 2
+    assert len(full.trace) == 13
+    assert full.best.score > early.best.score
+
+
+def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
+    lines = {
+        0: (5.0, False, 0.0),
+        1: (1.0, False, 0.9),  # the best score of a failure
+        2: (4.0, True, 0.7),  # the first success
+        3: (0.0, False, 0.6),  # the best loss
+        4: (4.5, True, 0.8),  # the best success
+    }
+    calls = iter(lines.values())
+
+    def scripted(point: Parameters) -> Evaluation:
+        loss, success, score = next(calls)
+        return Evaluation(loss=loss, gradients={"sh": torch.ones_like(point["sh"])}, success=success, score=score)
+
+    budget = Budget(radius={"sh": 10.0})
+    found = pgd(scripted, REFERENCE, budget, step={"sh": 1.0}, steps=4, early_stop=False)
+    assert found.best.index == 4
+    assert budget.measure(found.parameters, REFERENCE)["sh"] == pytest.approx(4.0)
+
+
+def test_nothing_moves_without_steps_and_the_arguments_stay_as_they_are() -> None:
+    reference = {"sh": torch.zeros(4, 3)}
+    found = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=0)
+    assert len(found.trace) == 1
+    assert torch.equal(found.parameters["sh"], reference["sh"])
+    moved = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=3)
+    assert not torch.equal(moved.parameters["sh"], reference["sh"])
+    assert torch.equal(reference["sh"], torch.zeros(4, 3))
+
+
+def test_it_is_deterministic() -> None:
+    runs = [pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 0.3}, steps=9) for _ in range(2)]
+    assert torch.equal(runs[0].parameters["sh"], runs[1].parameters["sh"])
+    assert runs[0].trace == runs[1].trace
+
+
+def test_a_ball_that_does_not_hold_is_noticed_at_the_end() -> None:
+    class Leaky(Budget):
+        def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
+            return parameters
+
+    with pytest.raises(BudgetError, match=r"l2 of sh: expected <= 1\.0"):
+        pgd(bowl(), REFERENCE, Leaky(radius={"sh": 1.0}), step={"sh": 1.0}, steps=3)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_what_is_not_finite_is_an_error(bad: float) -> None:
+    def sick(where: str) -> Oracle:
+        def evaluate(point: Parameters) -> Evaluation:
+            gradient = torch.full_like(point["sh"], bad if where == "gradient" else 1.0)
+            loss = bad if where == "loss" else 1.0
+            return Evaluation(loss=loss, gradients={"sh": gradient}, success=False, score=0.0)
+
+        return evaluate
+
+    budget = Budget(radius={"sh": 1.0})
+    with pytest.raises(InvalidValueError, match="gradient of sh: expected finite numbers"):
+        pgd(sick("gradient"), REFERENCE, budget, step={"sh": 1.0}, steps=3)
+    with pytest.raises(InvalidValueError, match="loss: expected a finite number"):
+        pgd(sick("loss"), REFERENCE, budget, step={"sh": 1.0}, steps=3)
+
+
+def test_a_negative_number_of_steps_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="steps: expected a number >= 0"):
+        pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=-1)
