@@ -10,10 +10,10 @@ from typing import Protocol
 
 
 class Advance(Protocol):
-    """Reports progress: `advance()` when another unit of work is done, with a text to change what is shown."""
+    """Reports progress."""
 
-    def __call__(self, text: str | None = None) -> None:
-        """Count one unit, and show `text` from now on."""
+    def __call__(self, text: str | None = None, units: int = 1) -> None:
+        """Count so many units of work as done, and show `text` from now on."""
         ...
 
 
@@ -47,7 +47,7 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
         A function to call after each unit of work.
     """
     if not sys.stderr.isatty():
-        yield lambda text=None: None
+        yield lambda text=None, units=1: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -56,4 +56,4 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
     columns = [SpinnerColumn(), TextColumn("{task.description}"), *counter, TimeElapsedColumn()]
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=total)
-        yield lambda text=None: bar.update(task, advance=1, description=text)
+        yield lambda text=None, units=1: bar.update(task, advance=units, description=text)

@@ -24,8 +24,12 @@ class DaggerOptions:
     """Scene XML made of splats."""
     object: str = "car"
     """Id of the shape in the scene whose Gaussians are attacked; all others stay as they are."""
+    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
+    """The aim: another class (--target), no detection at all, or any but the right class."""
     target: str = "person"
-    """Class that the detector shall see there; "none" to make the object vanish, "any" for any wrong class."""
+    """Class that the detector shall see there (relabel)."""
+    confidence: float | None = None
+    """Confidence that counts as success: at least so much of the class wanted (0.7 if None), or less than it (0.3)."""
     detector: str = "fasterrcnn_small"
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
@@ -34,14 +38,20 @@ class DaggerOptions:
     """What of the Gaussians may change."""
     norm: Norm = "l2"
     """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
-    eps: float = 5.0
-    """Radius of the ball, in the space of the splat file."""
+    eps: tuple[float, ...] = (5.0,)
+    """Radius of the ball in the units of the splat file: one for all attributes, or one for each."""
     steps: int = 11
-    """Iterations; each goes 2 * eps / steps."""
+    """Iterations."""
+    step_factor: float = 2.0
+    """A step is eps * step_factor / steps long."""
     restarts: int = 1
-    """Starts; the first from the clean object, the others from random points of the ball."""
-    early_stop: bool = False
-    """Stop at the first success instead of spending all steps."""
+    """Runs; the first from the clean object, the others from random points of the ball."""
+    all_steps: bool = False
+    """Take all steps instead of stopping at the first success."""
+    share: float = 1.0
+    """Share of the views in which the attack has to succeed."""
+    noise_draws: int = 5
+    """Draws of random noise of the same size, as a control."""
     views: tuple[str, ...] = ()
     """Ids of the cameras attacked at once; the first of the scene if none is named."""
     seed: int = 0

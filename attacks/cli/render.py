@@ -6,12 +6,12 @@ import dataclasses
 import time
 
 import torch
-from PIL import Image
-from torch import Tensor
 
 from attacks.cli.console import progress, show, show_json
 from attacks.cli.options import RenderOptions
 from attacks.cli.scenes import choose_camera, open_stage, orbit_camera, resized
+from attacks.reports import save_png
+from attacks.scoring import to_bytes
 from mi_splat.cameras import Camera
 from mi_splat.rendering import Renderer, Stage
 
@@ -27,7 +27,8 @@ def run(options: RenderOptions) -> int:
         begun = time.perf_counter()
         with torch.no_grad():
             picture = Renderer(settings)(stage.scene, camera)
-        _save(picture, options)
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        save_png(to_bytes(picture), options.out)
     seconds = time.perf_counter() - begun
     if options.json:
         show_json(
@@ -61,10 +62,3 @@ def _camera(stage: Stage, options: RenderOptions) -> Camera:
         fov=options.fov,
         size=options.size or (640, 480),
     )
-
-
-def _save(picture: Tensor, options: RenderOptions) -> None:
-    """Write an (H, W, 3) sRGB picture as an 8-bit PNG, rounded to the nearest level."""
-    levels = (picture.clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(levels).save(options.out, format="PNG")

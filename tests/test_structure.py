@@ -1,0 +1,288 @@
+"""The shape of the project: layers, light packages, what the wheel holds, sizes, names."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("mi_splat", "attacks")
+TOP_LEVEL = {
+    *PACKAGES,
+    *("scenes", "tests", "benchmarks", "docs", ".ci", "pyproject.toml", "Makefile", ".gitignore"),
+    *("README.md", "LICENSE", "NOTICE", "CITATION.cff", "CHANGELOG.md"),
+}
+LONGEST_MODULE = 400
+
+# What each part of mi_splat may import besides itself, from the bottom up (docs of the layers: the README's map).
+CORE = ("errors", "sh", "rotation", "metrics", "scene", "cameras", "io", "datasets")
+LAYERS: dict[str, tuple[str, ...]] = {
+    "errors": (),
+    "sh": ("errors", "rotation"),
+    "rotation": ("errors",),
+    "metrics": ("errors",),
+    "scene": ("errors", "sh", "rotation"),
+    "cameras": ("errors", "scene"),
+    "io": ("errors", "sh", "rotation", "scene", "cameras"),
+    "datasets": ("errors", "sh", "rotation", "scene", "cameras", "io"),
+    "rasterization": CORE,
+    "plugins": (*CORE, "rasterization"),
+    "variant": (*CORE, "rasterization", "plugins"),
+    "rendering": (*CORE, "rasterization", "plugins", "variant"),
+    "densify": CORE,
+    "training": (*CORE, "densify"),
+    "auditing": (*CORE, "densify"),
+    "assets": CORE,
+    "capture": (*CORE, "assets", "variant"),
+}
+RENDERERS = {"rasterization", "plugins", "variant", "rendering", "capture"}
+
+# The layers of attacks, from the bottom up; a module may import those below it and its own layer.
+ATTACK_LAYERS = (
+    ("detectors.base",),
+    ("detectors", "pgd", "budgets", "objectives", "filespace", "provenance", "scoring"),
+    ("staging",),
+    ("dagger",),
+    ("evaluation",),
+    ("reports",),
+    ("studies",),
+    ("doctor", "cli", "__main__"),
+)
+
+
+def modules(package: str) -> dict[str, Path]:
+    """Dotted name to file of every module of a package."""
+    found = {}
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(name: str, path: Path) -> Iterator[str]:
+    """Dotted names of what a module imports when it runs, type checking apart."""
+    tree = ast.parse(path.read_text())
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in typing_only:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name} has a relative import"
+            assert node.module is not None
+            known = modules(node.module.split(".")[0]) if node.module.split(".")[0] in PACKAGES else {}
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield full if full in known else node.module
+
+
+def edges(package: str) -> Iterator[tuple[str, str]]:
+    """Pairs (module, what it imports) of a package."""
+    for name, path in modules(package).items():
+        for other in imports(name, path):
+            yield name, other
+
+
+def part(name: str) -> str:
+    """The layer's name of a module of mi_splat: what follows the package."""
+    return name.split(".")[1] if "." in name else ""
+
+
+def attack_rank(name: str) -> int:
+    """Place of a module of attacks in `ATTACK_LAYERS`; the longest matching name counts."""
+    inner = name.removeprefix("attacks").removeprefix(".")
+    matches = [
+        (len(entry), rank)
+        for rank, layer in enumerate(ATTACK_LAYERS)
+        for entry in layer
+        if inner == entry or inner.startswith(entry + ".")
+    ]
+    assert matches, f"{name} has no place in ATTACK_LAYERS: give it one"
+    return max(matches)[1]
+
+
+def test_mi_splat_imports_run_one_way() -> None:
+    for name, other in edges("mi_splat"):
+        assert not other.startswith("attacks"), f"{name} imports {other}: mi_splat knows nothing of attacks"
+        here, there = part(name), part(other)
+        if not here or not other.startswith("mi_splat") or here == there or not there:
+            continue
+        assert here in LAYERS, f"{name} has no place in LAYERS: give it one"
+        if (here, there) == ("variant", "plugins") or (here, there) == ("plugins", "variant"):
+            continue  # the variant registers the plugins, and a plugin may ask for the variant
+        assert there in LAYERS[here], f"{name} imports {other}, which lies above it"
+
+
+def test_attacks_imports_run_one_way() -> None:
+    for name, other in edges("attacks"):
+        if name == "attacks" or not other.startswith("attacks.") or other == "attacks":
+            continue
+        assert attack_rank(other) <= attack_rank(name), f"{name} imports {other}, which lies above it"
+
+
+def test_pgd_knows_nothing_of_splats() -> None:
+    ours = {other for name, other in edges("attacks") if name == "attacks.pgd" and other.startswith(PACKAGES)}
+    assert ours <= {"mi_splat.errors"}
+
+
+def test_only_renderers_import_mitsuba() -> None:
+    for package in PACKAGES:
+        for name, other in edges(package):
+            if other.split(".")[0] in ("mitsuba", "drjit"):
+                assert package == "mi_splat", f"{name} imports {other}"
+                assert part(name) in RENDERERS, f"{name} imports {other}"
+
+
+def test_one_bridge_between_torch_and_drjit() -> None:
+    wrapping = [
+        name
+        for package in PACKAGES
+        for name, path in modules(package).items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node) in ("dr.wrap", "drjit.wrap")
+    ]
+    assert wrapping == ["mi_splat.rendering"] or set(wrapping) == {"mi_splat.rendering"}
+
+
+@pytest.mark.parametrize("folder", ["mi_splat", "attacks", "tests"])
+def test_modules_are_short(folder: str) -> None:
+    for path in (ROOT / folder).rglob("*.py"):
+        lines = len(path.read_text().splitlines())
+        assert lines <= LONGEST_MODULE, f"{path.relative_to(ROOT)} has {lines} lines; split it"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_grab_bags(package: str) -> None:
+    for name in modules(package):
+        assert name.rsplit(".", 1)[-1].strip("_") not in ("utils", "util", "helpers", "common", "misc", "tools"), name
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_public_names_exist(package: str) -> None:
+    code = (
+        f"import {package} as p; missing = [n for n in p.__all__ if not hasattr(p, n)]; raise SystemExit(missing or 0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_packages_and_help_import_nothing_heavy() -> None:
+    code = """
+import contextlib, io, sys
+import attacks, mi_splat
+from attacks.cli import COMMANDS, main
+for words in (["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)):
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        assert main(words) == 0, words
+    assert text.getvalue().strip(), words
+heavy = {"torch", "torchvision", "mitsuba", "drjit", "numpy", "PIL", "scipy", "matplotlib", "plyfile"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def tracked() -> list[Path]:
+    """Files under version control, relative to the root."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a checkout")
+    done = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
+    return [Path(name) for name in done.stdout.split("\0") if name]
+
+
+def test_top_level_names() -> None:
+    assert {path.parts[0] for path in tracked()} <= TOP_LEVEL
+
+
+def test_nothing_names_this_machine_or_a_registry() -> None:
+    # Put together here, so that this file does not name them either.
+    forbidden = [
+        "../" + "shared",
+        "pypi" + ".org",
+        "python" + "hosted",
+        "/" + "root/",
+        "/" + "work/",
+        "down" + "load.pytorch",
+    ]
+    for path in tracked():
+        if path.suffix in (".py", ".md", ".toml", ".xml", ".sh", ".cff", ".json", "") and (ROOT / path).is_file():
+            text = (ROOT / path).read_text(errors="replace")
+            assert not [word for word in forbidden if word in text], path
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def test_wheel_holds_the_two_packages_and_nothing_else(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+    assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
+    assert not [name for name in names if name.endswith((".pyc", ".pth", ".ply"))]
+    for package in PACKAGES:
+        ours = {str(path.relative_to(ROOT)) for path in modules(package).values()}
+        assert ours <= set(names)
+    licences = {name.rsplit("/", 1)[-1] for name in names if ".dist-info/" in name}
+    assert {"LICENSE", "NOTICE", "METADATA", "entry_points.txt"} <= licences
+
+
+def test_wheel_holds_the_weights_and_their_card(wheel: Path) -> None:
+    sizes = {info.filename: info.file_size for info in zipfile.ZipFile(wheel).infolist()}
+    assert 0 < sizes["attacks/detectors/fasterrcnn_small.safetensors"] <= 12_000_000
+    assert any(name.startswith("attacks/detectors/") and name.endswith(".md") for name in sizes)
+
+
+def test_wheel_works_outside_a_checkout(wheel: Path, tmp_path: Path) -> None:
+    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    zipfile.ZipFile(wheel).extractall(site)
+    elsewhere.mkdir()
+    code = f"""
+import sys
+sys.path.insert(0, {str(site)!r})
+import attacks.cli, attacks.detectors.rcnn, mi_splat
+assert attacks.__file__.startswith({str(site)!r}) and mi_splat.__file__.startswith({str(site)!r})
+assert attacks.detectors.rcnn.SHIPPED.is_file()
+sys.exit(attacks.cli.main(["detectors", "--json"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+SCENES = sorted((ROOT / "scenes").glob("*.xml"))
+
+
+def test_scenes_are_shipped_and_small() -> None:
+    assert {"car_street.xml", "stop_sign_roadside.xml"} <= {path.name for path in SCENES}
+    assert sum(path.stat().st_size for path in (ROOT / "scenes").rglob("*") if path.is_file()) <= 8_000_000
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: str(path.stem))
+def test_every_scene_renders(path: Path) -> None:
+    from mi_splat.rendering import Renderer, read_stage
+
+    stage = read_stage(path)
+    assert stage.cameras
+    assert len(stage.parts) >= 2
+    for camera in stage.cameras.values():
+        picture = Renderer(stage.settings)(stage.scene, camera).detach()
+        assert tuple(picture.shape) == (camera.height, camera.width, 3)
+        assert bool(picture.isfinite().all())
+        assert float(picture.std()) > 0.05
