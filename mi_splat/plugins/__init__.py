@@ -1,0 +1,2 @@
+"""Mitsuba plugins of this project."""
+def register() -> None: pass

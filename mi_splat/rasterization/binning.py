@@ -1,0 +1,132 @@
+"""Which Gaussians touch which tiles, nearest first.
+
+A pair is one (tile, Gaussian) touch. Pairs are emitted Gaussian by Gaussian in depth order and then sorted stably by
+tile, so the pairs of one tile lie together in depth order, and the pairs of one Gaussian lay together before the sort.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization.projection import CUTOFF, Splat
+
+TILE = 4
+"""Pixels along one side of a tile."""
+
+_SLACK = 4e-3  # px; keeps rounding from dropping a pixel whose alpha is just above 1/255
+
+
+def pixel_span(centre: Any, low: Any, high: Any, size: Any) -> tuple[Any, Any]:
+    """First and last pixel (Int32, inside the picture) whose centre lies in [centre + low, centre + high]."""
+    first = dr.ceil(centre + low - (0.5 + _SLACK))
+    last = dr.floor(centre + high - (0.5 - _SLACK))
+    # Clip before the conversion: a float outside of Int32's range has no defined integer.
+    limit = mi.Float(size)
+    return mi.Int32(dr.clip(first, 0.0, limit)), mi.Int32(dr.clip(last, -1.0, limit - 1.0))
+
+
+def tiles_of_row(splat: Splat, row: Any, height: Any, width: Any) -> tuple[Any, Any]:
+    """First and last tile column in which tile row `row` meets the ellipse alpha >= 1/255; first > last if none.
+
+    The ellipse is (u0 dx + u1 dy)^2 + (v1 dy)^2 <= tau. Its right edge over dy is concave with its top at
+    -(u1 / v1) sqrt(tau / (u1^2 + v1^2)), its left edge the mirror image, so clamping that dy to the row's band of
+    pixel centres gives the exact extent of the band.
+    """
+    tau = splat.level - CUTOFF
+    first_y = mi.Float(row * TILE)
+    last_y = dr.minimum(first_y + (TILE - 1), mi.Float(height - 1))
+    reach = dr.sqrt(tau) / splat.v1
+    low = dr.clip(first_y + (0.5 - _SLACK) - splat.centre.y, -reach, reach)
+    high = dr.clip(last_y + (0.5 + _SLACK) - splat.centre.y, -reach, reach)
+    top = -(splat.u1 / splat.v1) * dr.sqrt(tau / (splat.u1 * splat.u1 + splat.v1 * splat.v1))
+    inverse = 1.0 / splat.u0
+
+    def edge(dy: Any, sign: float) -> Any:
+        half = dr.sqrt(dr.maximum(tau - dr.square(splat.v1 * dy), 0.0))
+        return (sign * half - splat.u1 * dy) * inverse
+
+    left, right = edge(dr.clip(-top, low, high), -1.0), edge(dr.clip(top, low, high), 1.0)
+    first, last = pixel_span(splat.centre.x, left, right, width)
+    empty = (first > last) | (low >= high)
+    return dr.select(empty, 1, first // TILE), dr.select(empty, 0, last // TILE)
+
+
+def tile_rows(splat: Splat, extent: Any, height: Any) -> tuple[Any, Any]:
+    """First and last tile row (Int32) of the box around the ellipse; first > last if it lies outside the picture."""
+    first, last = pixel_span(splat.centre.y, -extent.y, extent.y, height)
+    empty = (first > last) | ~(extent.y >= 0.0)
+    return dr.select(empty, 1, first // TILE), dr.select(empty, 0, last // TILE)
+
+
+def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any) -> Any:
+    """UInt32 number of tiles that each Gaussian touches."""
+    first, last = tile_rows(splat, extent, height)
+
+    def body(row: Any, total: Any) -> tuple[Any, Any]:
+        left, right = tiles_of_row(splat, row, height, width)
+        return row + 1, total + mi.UInt32(dr.maximum(right - left + 1, 0))
+
+    _, total = dr.while_loop(
+        (mi.Int32(first), mi.UInt32(0)),
+        lambda row, _: visible & (row <= last),
+        body,
+        label="count tiles",
+    )
+    return total
+
+
+def emit_pairs(
+    splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[Any, Any], keys: Any, values: Any
+) -> None:
+    """Write the pairs of every Gaussian into its slots of `keys` (tile numbers) and `values` (Gaussian numbers).
+
+    Args:
+        splat: One Gaussian a lane.
+        gaussian: UInt32 number of the lane's Gaussian.
+        slots: First and one-past-last slot of the lane, as `count_tiles` counted them.
+        size: Width and height of the picture in pixels, Int32.
+        keys: Buffer of UInt32; slots that stay unused (rounding differed from the count's) keep what they hold.
+        values: Buffer of UInt32.
+    """
+    width, height = size
+    columns = (width + (TILE - 1)) // TILE
+    reach = dr.sqrt(splat.level - CUTOFF) / splat.v1
+    first, last = tile_rows(splat, mi.Vector2f(reach), height)
+
+    def body(slot: Any, row: Any, column: Any, end: Any) -> tuple[Any, Any, Any, Any]:
+        fresh = column > end
+        left, right = tiles_of_row(splat, row + 1, height, width)
+        row = dr.select(fresh, row + 1, row)
+        column, end = dr.select(fresh, left, column), dr.select(fresh, right, end)
+        write = column <= end
+        dr.scatter(keys, mi.UInt32(row * columns + column), slot, write)
+        dr.scatter(values, gaussian, slot, write)
+        return slot + mi.UInt32(dr.select(write, 1, 0)), row, column + 1, end
+
+    start, stop = slots
+    dr.while_loop(
+        (mi.UInt32(start), first - 1, mi.Int32(1), mi.Int32(0)),
+        lambda slot, row, column, end: (slot < stop) & ((row < last) | (column <= end)),
+        body,
+        label="emit pairs",
+    )
+
+
+def lower_bound(sorted_keys: Any, count: Any, key: Any) -> Any:
+    """UInt32 number of entries of `sorted_keys` (of which there are `count`) that are smaller than `key`."""
+
+    def body(low: Any, high: Any) -> tuple[Any, Any]:
+        middle = (low + high) >> 1
+        smaller = dr.gather(mi.UInt32, sorted_keys, middle) < key
+        return dr.select(smaller, middle + 1, low), dr.select(smaller, high, middle)
+
+    low, _ = dr.while_loop(
+        (mi.UInt32(0), mi.UInt32(count)),
+        lambda low, high: low < high,
+        body,
+        label="tile bounds",
+    )
+    return low

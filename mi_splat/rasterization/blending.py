@@ -1,0 +1,183 @@
+"""Front-to-back blending of a tile's Gaussians, and its derivative.
+
+One lane is one tile of TILE x TILE pixels whose transmittances and colours are loop variables: what a lane gathers
+serves all of its pixels. The sign of a transmittance marks a pixel that has stopped; its size stays what it was.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.projection import CUTOFF
+
+MAX_ALPHA = 0.99
+MIN_TRANSMITTANCE = 1e-4
+RECORD = 8  # floats of a record in the first of its two arrays; the ninth is in the second
+
+_PIXELS = range(TILE * TILE)
+
+
+class Record:
+    """The nine numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre."""
+
+    def __init__(self, records: tuple[Any, Any], index: Any, origin: tuple[Any, Any]) -> None:
+        v = dr.gather(mi.ArrayXf, records[0], index, shape=(RECORD, dr.width(index)))
+        self.x, self.y = origin[0] - v[0], origin[1] - v[1]
+        self.u0, self.u1, self.v1, self.level = v[2], v[3], v[4], v[5]
+        self.colour = (v[6], v[7], dr.gather(mi.Float, records[1], index))
+
+    def alphas(self) -> list[Any]:
+        """Unclamped alpha at every pixel of the tile, 0 where it is below 1/255."""
+        values = []
+        for row in range(TILE):
+            dy = self.y + float(row)
+            u = dr.fma(self.u0, self.x, self.u1 * dy)
+            v = self.v1 * dy
+            rest = dr.fma(-v, v, self.level)
+            for _ in range(TILE):
+                power = dr.fma(-u, u, rest)
+                values.append(dr.select(power >= CUTOFF, dr.exp2(power), 0.0))
+                u = u + self.u0
+        return values
+
+
+def origin(tile: Any, columns: Any) -> tuple[Any, Any]:
+    """Pixel coordinates of the centre of a tile's first pixel."""
+    row = tile // columns
+    return mi.Float((tile - row * columns) * TILE) + 0.5, mi.Float(row * TILE) + 0.5
+
+
+def blend(alpha: Any, transmittance: Any) -> tuple[Any, Any]:
+    """Weight of a Gaussian at a pixel and the transmittance behind it (negative once the pixel has stopped)."""
+    behind = dr.fma(-alpha, transmittance, transmittance)
+    stop = behind < MIN_TRANSMITTANCE
+    return dr.select(stop, 0.0, alpha * transmittance), dr.select(stop, -dr.abs(transmittance), behind)
+
+
+def alive(transmittances: list[Any]) -> Any:
+    """Whether any pixel of the tile still takes light."""
+    values = list(transmittances)
+    while len(values) > 1:
+        values = [dr.maximum(a, b) for a, b in zip(values[::2], values[1::2], strict=True)]
+    return values[0] > 0.0
+
+
+def forward(records: tuple[Any, Any], gaussians: Any, span: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Blend every tile.
+
+    Args:
+        records: The Gaussians' records.
+        gaussians: UInt32, Gaussian of each pair in tile order.
+        span: First and one-past-last pair of the lane's tile.
+        place: `origin` of the lane's tile.
+
+    Returns:
+        A list of 3 x 16 colours (channel-major) without background, and a list of 16 transmittances.
+    """
+    start = (
+        mi.UInt32(span[0]),
+        [mi.Float(1) for _ in _PIXELS],
+        [mi.Float(0) for _ in range(3 * TILE * TILE)],
+    )
+
+    def body(pair: Any, transmittances: list[Any], colours: list[Any]) -> tuple[Any, list[Any], list[Any]]:
+        record = Record(records, dr.gather(mi.UInt32, gaussians, pair), place)
+        behind, summed = [], list(colours)
+        for p, alpha in enumerate(record.alphas()):
+            weight, left = blend(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
+            behind.append(left)
+            for c in range(3):
+                k = c * TILE * TILE + p
+                summed[k] = dr.fma(weight, record.colour[c], summed[k])
+        return pair + 1, behind, summed
+
+    _, transmittances, colours = dr.while_loop(
+        start,
+        lambda pair, transmittances, _: (pair < span[1]) & alive(transmittances),
+        body,
+        label="blend",
+    )
+    return colours, [dr.abs(t) for t in transmittances]
+
+
+def backward(
+    records: tuple[Any, Any],
+    pairs: tuple[Any, Any],
+    span: tuple[Any, Any],
+    place: tuple[Any, Any],
+    pixels: tuple[list[Any], list[Any], list[Any]],
+    moments: tuple[Any, Any],
+) -> None:
+    """Walk every tile's list again and store each pair's share of the gradient in the pair's own row.
+
+    For h = alpha dL/dalpha at a pixel and (dx, dy) from the Gaussian's centre, a row holds the sums over the tile of
+    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour; no two lanes write to one place, so the
+    result does not depend on the order of execution.
+
+    Args:
+        records: The Gaussians' records.
+        pairs: For each pair in tile order: its Gaussian, and its row (its place before the sort by tile).
+        span: First and one-past-last pair of the lane's tile.
+        place: `origin` of the lane's tile.
+        pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), and the sum over everything that
+            reaches the pixel of weight times dL/dweight, background included (16).
+        moments: Two buffers, of 8 floats a row and of 1.
+    """
+    slopes, veil, remaining = pixels
+    start = (mi.UInt32(span[0]), [mi.Float(1) for _ in _PIXELS], list(remaining))
+    n = TILE * TILE
+
+    def body(pair: Any, transmittances: list[Any], remaining: list[Any]) -> tuple[Any, list[Any], list[Any]]:
+        record = Record(records, dr.gather(mi.UInt32, pairs[0], pair), place)
+        behind, left, colour = [], [], [mi.Float(0)] * 3
+        rows = []
+        alphas = record.alphas()
+        for row in range(TILE):
+            m0, m1, m2 = mi.Float(0), mi.Float(0), mi.Float(0)
+            for column in range(TILE):
+                p = row * TILE + column
+                alpha = dr.minimum(alphas[p], MAX_ALPHA)
+                weight, t = blend(alpha, transmittances[p])
+                gain = record.colour[0] * slopes[p]
+                gain = dr.fma(record.colour[1], slopes[n + p], gain)
+                gain = dr.fma(record.colour[2], slopes[2 * n + p], gain)
+                if veil:
+                    gain = gain + veil[p]
+                rest = dr.fma(-weight, gain, remaining[p])
+                # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha); zero where clamped, skipped or stopped
+                h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))
+                h = dr.select((weight > 0.0) & (alphas[p] < MAX_ALPHA), h, 0.0)
+                dx = record.x + float(column)
+                m0, m1, m2 = m0 + h, dr.fma(h, dx, m1), dr.fma(h * dx, dx, m2)
+                for c in range(3):
+                    colour[c] = dr.fma(weight, slopes[c * n + p], colour[c])
+                behind.append(t)
+                left.append(rest)
+            rows.append((m0, m1, m2))
+        s = [mi.Float(0)] * 6
+        for row, (m0, m1, m2) in enumerate(rows):
+            dy = record.y + float(row)
+            s = [s[0] + m0, s[1] + m1, dr.fma(m0, dy, s[2]), s[3] + m2, dr.fma(m1, dy, s[4]), dr.fma(m0 * dy, dy, s[5])]
+        index = dr.gather(mi.UInt32, pairs[1], pair)
+        dr.scatter(moments[0], mi.ArrayXf([*s, colour[0], colour[1]]), index)
+        dr.scatter(moments[1], colour[2], index)
+        return pair + 1, behind, left
+
+    reached, _, _ = dr.while_loop(
+        start,
+        lambda pair, transmittances, _: (pair < span[1]) & alive(transmittances),
+        body,
+        label="blend backward",
+    )
+
+    def clear(pair: Any) -> tuple[Any]:
+        index = dr.gather(mi.UInt32, pairs[1], pair)
+        dr.scatter(moments[0], mi.ArrayXf([mi.Float(0)] * RECORD), index)
+        dr.scatter(moments[1], mi.Float(0), index)
+        return (pair + 1,)
+
+    dr.while_loop((reached,), lambda pair: pair < span[1], clear, label="hidden pairs")

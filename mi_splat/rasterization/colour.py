@@ -1,0 +1,45 @@
+"""From the rasteriser's flat picture to the tensor a caller asked for, and back for gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization.pipeline import Picture
+
+
+def _linear(value: Any) -> Any:
+    """sRGB to linear (IEC 61966-2-1)."""
+    return dr.select(value <= 0.04045, value / 12.92, dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 2.4))
+
+
+def _linear_slope(value: Any) -> Any:
+    return dr.select(value <= 0.04045, 1 / 12.92, 2.4 / 1.055 * dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 1.4))
+
+
+def develop(picture: Picture, size: tuple[int, int], *, alpha: bool, linear: bool) -> Any:
+    """The picture as a TensorXf (H, W, 3), or (H, W, 4) with `alpha`."""
+    width, height = size
+    colour = _linear(picture.colour) if linear else picture.colour
+    if not alpha:
+        return mi.TensorXf(colour, (height, width, 3))
+    flat = dr.empty(mi.Float, 4 * width * height)
+    pixel = dr.arange(mi.UInt32, width * height)
+    rgb = dr.gather(mi.ArrayXf, colour, pixel, shape=(3, width * height))
+    dr.scatter(flat, mi.ArrayXf([*rgb, picture.opacity]), pixel)
+    return mi.TensorXf(flat, (height, width, 4))
+
+
+def develop_backward(picture: Picture, slope: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
+    """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(developed tensor)."""
+    flat = mi.Float(dr.detach(slope.array))
+    veil: tuple[Any, ...] = ()
+    if alpha:
+        pixel = dr.arange(mi.UInt32, len(picture.opacity))
+        rgba = dr.gather(mi.ArrayXf, flat, pixel, shape=(4, len(picture.opacity)))
+        flat = dr.empty(mi.Float, 3 * len(picture.opacity))
+        dr.scatter(flat, mi.ArrayXf([rgba[0], rgba[1], rgba[2]]), pixel)
+        veil = (mi.Float(rgba[3]),)
+    return (flat * _linear_slope(picture.colour) if linear else flat, *veil)

@@ -1,0 +1,94 @@
+"""The camera as the rasteriser's kernels see it: a row of numbers in one small array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from mi_splat.cameras import Camera
+
+GUARD = 1.3
+"""x/z and y/z in the projection's Jacobian are clamped to this many times tan(fov / 2)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pinhole:
+    """Everything of a camera that the kernels need.
+
+    Attributes:
+        to_camera: (4, 4) float64 world to camera (x right, y down, z forward).
+        focal: (fx, fy) in pixels.
+        principal: (cx, cy) in pixels of the picture that is made (a crop window shifts it).
+        size: (width, height) in pixels of the picture that is made.
+        field: (tan(fov_x / 2), tan(fov_y / 2)) of the uncropped picture.
+        near: Means with a smaller camera-space depth are culled, world units.
+    """
+
+    to_camera: NDArray[np.float64]
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    size: tuple[int, int]
+    field: tuple[float, float]
+    near: float
+
+    def numbers(self) -> Any:
+        """The 22 floats of `View` as one array of the current variant."""
+        pose = self.to_camera
+        position = -pose[:3, :3].T @ pose[:3, 3]
+        row = np.concatenate(
+            [
+                pose[:3, :3].ravel(),
+                pose[:3, 3],
+                position,
+                self.focal,
+                self.principal,
+                GUARD * np.asarray(self.field),
+                [self.near],
+            ]
+        )
+        return mi.Float(row.astype(np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """The same numbers inside a kernel, as Dr.Jit scalars."""
+
+    rotation: Any  # Matrix3f, world to camera
+    translation: Any  # Vector3f
+    position: Any  # Point3f, camera centre in world space
+    focal: Any  # Vector2f
+    principal: Any  # Point2f
+    guard: Any  # Vector2f, bound of |x/z| and |y/z| in the Jacobian
+    near: Any  # Float
+
+
+def unpack(numbers: Any) -> View:
+    """Read a `View` out of the array that `Pinhole.numbers` made."""
+    import drjit as dr
+
+    v = [dr.gather(mi.Float, numbers, mi.UInt32(i)) for i in range(22)]
+    return View(
+        rotation=mi.Matrix3f(*v[0:9]),
+        translation=mi.Vector3f(*v[9:12]),
+        position=mi.Point3f(*v[12:15]),
+        focal=mi.Vector2f(*v[15:17]),
+        principal=mi.Point2f(*v[17:19]),
+        guard=mi.Vector2f(*v[19:21]),
+        near=v[21],
+    )
+
+
+def from_camera(camera: Camera, *, near: float) -> Pinhole:
+    """The kernels' camera for one of ours."""
+    return Pinhole(
+        to_camera=camera.to_camera.numpy(),
+        focal=(camera.fx, camera.fy),
+        principal=(camera.cx, camera.cy),
+        size=(camera.width, camera.height),
+        field=(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy),
+        near=near,
+    )

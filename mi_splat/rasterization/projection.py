@@ -1,0 +1,126 @@
+"""From 3D Gaussians to 2D ones: EWA projection (Zwicker et al. 2001) as 3D Gaussian Splatting (Kerbl et al. 2023) uses it.
+
+Ordinary Dr.Jit code without side effects, so its derivatives come from automatic differentiation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization.pinhole import View
+
+BLUR = 0.3
+"""Variance added to both axes of every 2D Gaussian, px^2 (the low-pass filter of 3DGS)."""
+
+CUTOFF = math.log2(1.0 / 255.0)
+"""log2 of the smallest alpha that contributes to a pixel."""
+
+_HALF_LOG2_E = 0.5 * math.log2(math.e)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussians:
+    """One 3D Gaussian a lane, as the kernels take them."""
+
+    mean: Any  # Point3f, world units
+    scale: Any  # Vector3f, standard deviations
+    rotation: Any  # four Floats (w, x, y, z), any length but 0
+    opacity: Any  # Float
+    sh: list[Any]  # K Color3f
+
+
+@dataclass(slots=True, eq=False)
+class Splat:
+    """One 2D Gaussian a lane: log2 alpha(dx, dy) = level - (u0 dx + u1 dy)^2 - (v1 dy)^2, (dx, dy) from `centre`.
+
+    The square roots of the conic's Cholesky factors, not the conic itself: a needle's exponent is then a difference of
+    small numbers, and it is never positive.
+    """
+
+    centre: Any  # Point2f, px
+    u0: Any
+    u1: Any
+    v1: Any
+    level: Any  # log2 of the opacity
+    colour: Any  # Color3f, >= 0
+
+    def components(self) -> list[Any]:
+        """The nine numbers in the order of a record."""
+        return [*self.centre, self.u0, self.u1, self.v1, self.level, *self.colour]
+
+
+def rotation_columns(quaternion: Any) -> Any:
+    """Matrix3f of the rotation of a quaternion (w, x, y, z) of any length but 0."""
+    w, x, y, z = quaternion
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return mi.Matrix3f(
+        1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+        s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),
+        s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y),
+    )  # fmt: skip
+
+
+def depth(gaussians_mean: Any, view: View) -> Any:
+    """Camera-space depth of a world point."""
+    row = view.rotation
+    return row[2, 0] * gaussians_mean.x + row[2, 1] * gaussians_mean.y + row[2, 2] * gaussians_mean.z + view.translation.z
+
+
+def colour(gaussians: Gaussians, view: View) -> Any:
+    """max(0, 0.5 + SH) along the direction from the camera centre to the mean, Color3f in sRGB."""
+    direction = dr.normalize(mi.Vector3f(gaussians.mean - view.position))
+    basis = dr.sh_eval(direction, math.isqrt(len(gaussians.sh)) - 1)
+    total = mi.Color3f(0.5)
+    for factor, coefficient in zip(basis, gaussians.sh, strict=True):
+        total += factor * coefficient
+    return dr.maximum(total, 0.0)
+
+
+def project(gaussians: Gaussians, view: View) -> tuple[Splat, Any, Any]:
+    """Project every Gaussian.
+
+    Returns:
+        The splats, the half-widths (Vector2f, px) of the box outside of which alpha < 1/255 (negative where there is no
+        such box), and the camera-space depths. Lanes with depth < near carry no meaning.
+    """
+    local = view.rotation @ mi.Vector3f(gaussians.mean) + view.translation
+    inverse = 1.0 / local.z
+    tangent = mi.Vector2f(local.x * inverse, local.y * inverse)
+    centre = mi.Point2f(dr.fma(view.focal, tangent, view.principal))
+
+    # Rows of J W R S, the 2 x 3 factor of the 2D covariance (EWA splatting, eq. 24 with the Jacobian of eq. 29).
+    tx = dr.clip(tangent.x, -view.guard.x, view.guard.x)
+    ty = dr.clip(tangent.y, -view.guard.y, view.guard.y)
+    jx, jy = view.focal.x * inverse, view.focal.y * inverse
+    r = view.rotation
+    row_x = mi.Vector3f(*[jx * (r[0, i] - tx * r[2, i]) for i in range(3)])
+    row_y = mi.Vector3f(*[jy * (r[1, i] - ty * r[2, i]) for i in range(3)])
+    turn = rotation_columns(gaussians.rotation)
+    v0 = mi.Vector3f(*[dr.dot(row_x, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)]) * gaussians.scale
+    v1 = mi.Vector3f(*[dr.dot(row_y, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)]) * gaussians.scale
+
+    n0, n1 = dr.squared_norm(v0), dr.squared_norm(v1)
+    xx, yy, xy = n0 + BLUR, n1 + BLUR, dr.dot(v0, v1)
+    # Lagrange's identity: no cancellation between xx yy and xy^2 for long thin splats.
+    determinant = dr.squared_norm(dr.cross(v0, v1)) + BLUR * (n0 + n1 + BLUR)
+    u0 = dr.sqrt(_HALF_LOG2_E * yy / determinant)
+    splat = Splat(
+        centre=centre,
+        u0=u0,
+        u1=-u0 * xy / yy,
+        v1=dr.sqrt(_HALF_LOG2_E / yy),
+        level=dr.log2(gaussians.opacity),
+        colour=colour(gaussians, view),
+    )
+    reach = dr.detach((splat.level - CUTOFF) / _HALF_LOG2_E)  # squared Mahalanobis radius where alpha = 1/255
+    extent = dr.select(
+        reach >= 0.0,
+        mi.Vector2f(dr.sqrt(dr.detach(xx) * reach), dr.sqrt(dr.detach(yy) * reach)),
+        mi.Vector2f(-1.0),
+    )
+    return splat, extent, local.z

@@ -1,0 +1,149 @@
+"""Renderer: the splat rasteriser as a torch function. The only caller of `dr.wrap`."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mi_splat import variant
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderSettings:
+    """What a picture of a splat depends on besides the splat and the camera; the defaults are those of 3DGS.
+
+    Attributes:
+        background: sRGB colour behind the splat.
+        near: Gaussians whose mean is nearer than this (camera-space depth, world units) are culled.
+        alpha: Append opacity (1 - transmittance) as a fourth channel.
+        linear: Return linear values instead of sRGB.
+        variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb"; the current one (or LLVM) if empty.
+
+    Raises:
+        InvalidValueError: A number is not finite, `near` is not positive, or the background has not three channels.
+    """
+
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    near: float = 0.2
+    alpha: bool = False
+    linear: bool = False
+    variant: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.background) != 3 or not all(math.isfinite(v) for v in self.background):
+            raise InvalidValueError(message("background", "three finite numbers", self.background, "pass an sRGB colour"))
+        if not (math.isfinite(self.near) and self.near > 0):
+            raise InvalidValueError(message("near", "a positive distance", self.near, "pass world units, such as 0.2"))
+
+
+class _Job:
+    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`."""
+
+    def __init__(self, cameras: Sequence[Camera], settings: RenderSettings) -> None:
+        self.cameras = tuple(cameras)
+        self.settings = settings
+
+
+class Renderer:
+    """Renders splats with the `splat_tile` rasteriser; a `RenderFn`.
+
+    Differentiable in the five tensors of the scene (reverse mode), deterministic to the bit, and free of random
+    numbers: a picture depends on the scene, the camera and the settings only.
+
+    Args:
+        settings: How to render.
+    """
+
+    def __init__(self, settings: RenderSettings | None = None) -> None:
+        self.settings = settings or RenderSettings()
+        self.variant = variant.use(self.settings.variant)
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """Render one picture.
+
+        Args:
+            scene: N Gaussians; N may be 0.
+            camera: The camera.
+
+        Returns:
+            (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1 are not clipped.
+
+        Raises:
+            InvalidValueError: The scene's tensors are not on the device of the variant.
+        """
+        return self.batch(scene, [camera])[0]
+
+    def batch(self, scene: GaussianScene, cameras: Sequence[Camera]) -> list[Tensor]:
+        """Render one picture per camera in one differentiable call; sizes may differ."""
+        if self.variant != variant.use(self.variant):
+            raise AssertionError("unreachable: use() returns the variant it was given")
+        device = "cuda" if self.variant.startswith("cuda") else "cpu"
+        if scene.means.device.type != device:
+            raise InvalidValueError(
+                message("scene", f"tensors on {device} for {self.variant}", scene.means.device, f'call scene.to("{device}")')
+            )
+        tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
+        if not torch.is_grad_enabled():
+            tensors = [t.detach() for t in tensors]
+        return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings)))
+
+
+@functools.cache
+def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
+    """The one crossing from torch to Dr.Jit and back, for one variant."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from mi_splat.rasterization import layouts, pinhole
+    from mi_splat.rasterization.colour import develop, develop_backward
+    from mi_splat.rasterization.pipeline import Picture, rasterize, rasterize_backward
+
+    class Rasterize(dr.CustomOp):  # type: ignore[misc]
+        """Rasteriser as one node of Dr.Jit's AD graph."""
+
+        def eval(self, means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
+            self.shapes = [t.shape for t in (means, scales, rotations, opacities, sh)]
+            self.arrays = tuple(mi.Float(dr.detach(t.array)) for t in (means, scales, rotations, opacities, sh))
+            self.job = job
+            self.pictures: list[Picture] = []
+            images = []
+            for camera in job.cameras:
+                view = pinhole.from_camera(camera, near=job.settings.near)
+                picture = rasterize(layouts.TENSORS, self.arrays, view, job.settings.background)
+                self.pictures.append(picture)
+                images.append(develop(picture, view.size, alpha=job.settings.alpha, linear=job.settings.linear))
+            return images
+
+        def backward(self) -> None:
+            totals: list[Any] | None = None
+            for picture, slope in zip(self.pictures, self.grad_out(), strict=True):
+                settings = self.job.settings
+                slopes = develop_backward(picture, slope, alpha=settings.alpha, linear=settings.linear)
+                parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *slopes)
+                totals = list(parts) if totals is None else [a + b for a, b in zip(totals, parts, strict=True)]
+            names = ("means", "scales", "rotations", "opacities", "sh")
+            for key, shape, total in zip(names, self.shapes, totals or [], strict=True):
+                self.set_grad_in(key, mi.TensorXf(total, shape))
+
+        def forward(self) -> None:
+            raise InvalidValueError(
+                message("Renderer", "reverse-mode differentiation", "forward mode", "use backward(), or jvp by two of them")
+            )
+
+        def name(self) -> str:
+            return "mi_splat.Rasterize"
+
+    @dr.wrap(source="torch", target="drjit")
+    def bridge(means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
+        return tuple(dr.custom(Rasterize, means, scales, rotations, opacities, sh, job))
+
+    return bridge  # type: ignore[no-any-return]
