@@ -89,7 +89,7 @@ class Detector(Protocol):
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
-            extra: One (E, 4) tensor of pixel boxes per image that are scored as well, however unlikely the detector's own
+            extra: One (E, 4) tensor of pixel boxes per image that are scored as well, whether or not the detector's own
                 proposals found them: an objective on a known object then always has a candidate there. They are the
                 last E candidates of their image.
         """

@@ -81,11 +81,10 @@ class RCNNDetector:
         heads = self.model.roi_heads
         logits, deltas = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes)))
         counts = [len(p) for p in proposals]
-        boxes = heads.box_coder.decode(deltas, proposals).split(counts)
-        scores = torch.softmax(logits, -1).split(counts)
+        boxes = torch.split(heads.box_coder.decode(deltas, proposals), counts)
+        scores = torch.split(torch.softmax(logits, -1), counts)
         return [
-            self._in_pixels(b, s, inner, size)
-            for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
+            self._in_pixels(b, s, inner, size) for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
         ]
 
     def detect(self, images: Tensor) -> list[Detections]:
@@ -154,7 +153,7 @@ def _warm_up(model: FasterRCNN, *, batches: int = 8, side: int = 64) -> None:
     norms = [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
     for norm in norms:
         norm.reset_running_stats()
-        norm.momentum = None  # type: ignore[assignment]  # a cumulative average, says the library
+        norm.momentum = None  # a cumulative average
         norm.train()
     heads, transform = model.roi_heads, model.transform
     usual = transform.min_size, heads.score_thresh
@@ -211,6 +210,9 @@ def _check_extra(extra: Sequence[Tensor], count: int) -> None:
     if len(extra) != count or any(e.ndim != 2 or e.shape[-1] != 4 for e in extra):
         raise InvalidValueError(
             message(
-                "extra", f"{count} tensors (E, 4)", [tuple(e.shape) for e in extra], "give one tensor of boxes per image"
+                "extra",
+                f"{count} tensors (E, 4)",
+                [tuple(e.shape) for e in extra],
+                "give one tensor of boxes per image",
             )
         )

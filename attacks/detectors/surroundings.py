@@ -25,7 +25,7 @@ def noise(rng: Generator, size: int = 128, *, cells: int = 3, octaves: int = 5, 
         rows = grid[i % count] * (1 - f)[:, None] + grid[j] * f[:, None]
         total += (rows[:, i % count] * (1 - f) + rows[:, j] * f) * gain**octave
     low, high = total.min(), total.max()
-    return ((total - low) / max(high - low, 1e-9)).astype(np.float32)
+    return np.asarray((total - low) / max(high - low, 1e-9), np.float32)
 
 
 def colour(rng: Generator) -> Pixels:
@@ -33,7 +33,7 @@ def colour(rng: Generator) -> Pixels:
     hue = rng.random(3)
     grey = rng.uniform(0.1, 0.9)
     weight = rng.beta(1.2, 2.0)
-    return np.clip(grey * (1 - weight) + hue * weight, 0.03, 0.95).astype(np.float32)
+    return np.asarray(np.clip(grey * (1 - weight) + hue * weight, 0.03, 0.95), np.float32)
 
 
 def pattern(rng: Generator) -> Pixels:
@@ -58,7 +58,7 @@ def pattern(rng: Generator) -> Pixels:
         mask = np.clip(0.5 + 0.3 * rng.standard_normal((size, size)), 0, 1).astype(np.float32)
     picture = first + (second - first) * np.asarray(mask, np.float32)[..., None]
     picture = picture * (1 - 0.3 * rng.random() * noise(rng)[..., None])
-    return np.clip(picture, 0.02, 0.98).astype(np.float32)
+    return np.asarray(np.clip(picture, 0.02, 0.98), np.float32)
 
 
 def ground_texture(rng: Generator) -> Pixels:
@@ -76,7 +76,7 @@ def ground_texture(rng: Generator) -> Pixels:
     low, high = (np.array(c, np.float32) for c in palette[str(kind)])
     mix = noise(rng, 256, cells=int(rng.integers(2, 7)), octaves=6, gain=rng.uniform(0.6, 1.0))
     grain = rng.normal(0, rng.uniform(0.01, 0.07), (256, 256, 1))
-    return np.clip(low + (high - low) * mix[..., None] + grain, 0.02, 0.98).astype(np.float32)
+    return np.asarray(np.clip(low + (high - low) * mix[..., None] + grain, 0.02, 0.98), np.float32)
 
 
 def ground(rng: Generator, extent: float) -> Mesh:

@@ -1,0 +1,111 @@
+"""`python -m attacks.detectors.train`: make the pictures, train `fasterrcnn_small`, write weights and curves."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from attacks.detectors.data import Recipe, Sample, load, make
+from attacks.detectors.rcnn import RCNNDetector
+from attacks.detectors.scoring import Score, evaluate
+from attacks.detectors.small import CLASSES
+from attacks.detectors.training import TrainConfig, Training, ship
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """Train the small detector from nothing.
+
+    Attributes:
+        data: Folder of the pictures; what is missing in it is made first.
+        out: Folder of checkpoint, curves.json and the best weights so far.
+        pictures: Number of training pictures.
+        validation: Number of pictures by which the best epoch is chosen.
+        every: Epochs between two validations.
+        processes: Processes that make pictures.
+        threads: Threads that train.
+        only_data: Stop when the pictures are made.
+        config: The training itself.
+    """
+
+    data: Path = Path("out/detector-data")
+    out: Path = Path("out/detector")
+    pictures: int = 2400
+    validation: int = 120
+    every: int = 2
+    processes: int = 2
+    threads: int = 2
+    only_data: bool = False
+    config: TrainConfig = field(default_factory=TrainConfig)
+
+
+def main(run: Run) -> None:
+    """Do the run, continuing an earlier one with the same folders."""
+    torch.set_num_threads(run.threads)
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    ) as bars:
+        train = _pictures(Recipe(split="train", count=run.pictures), run, bars)
+        validation = _pictures(Recipe(split="validation", count=run.validation), run, bars)
+        if run.only_data:
+            return
+        training = Training.resume(run.out, run.config)
+        while training.epoch < run.config.epochs:
+            _epoch(training, train, validation, run, bars, console)
+
+
+def _pictures(recipe: Recipe, run: Run, bars: Progress) -> list[Sample]:
+    folder = run.data / recipe.split
+    bar = bars.add_task(f"{recipe.split} pictures", total=recipe.count)
+    make(recipe, folder, processes=run.processes, on_step=lambda done, _: bars.update(bar, completed=done))
+    bars.update(bar, completed=recipe.count)
+    return load(folder, limit=recipe.count)
+
+
+def _epoch(
+    training: Training, train: list[Sample], validation: list[Sample], run: Run, bars: Progress, console: Console
+) -> None:
+    """One epoch, its validation, its checkpoint, and a line about it."""
+    start = time.monotonic()
+    bar = bars.add_task(f"epoch {training.epoch + 1} of {run.config.epochs}", total=len(train) // run.config.batch)
+    losses = training.run_epoch(train, on_step=lambda done, _, __: bars.update(bar, completed=done))
+    record: dict[str, object] = {"epoch": training.epoch, "losses": losses, "seconds": time.monotonic() - start}
+    if training.epoch % run.every == 0 or training.epoch == run.config.epochs:
+        detector = RCNNDetector("fasterrcnn_small", training.snapshot(), ("__background__", *CLASSES))
+        result = evaluate(detector, validation)
+        record |= {"validation": asdict(result), "map": result.mean}
+        if result.mean >= max((float(str(r["map"])) for r in training.history if "map" in r), default=0.0):
+            notes = {"epoch": str(training.epoch), "seed": str(run.config.seed)}
+            ship(training.averaged, run.out / "best.safetensors", notes=notes)
+    training.history.append(record)
+    training.save(run.out)
+    curves = {"config": asdict(run.config), "pictures": len(train), "history": training.history}
+    (run.out / "curves.json").write_text(json.dumps(curves, indent=1))
+    console.print(_line(record, result if "map" in record else None))
+
+
+def _line(record: dict[str, object], result: Score | None) -> str:
+    losses = record["losses"]
+    total = sum(losses.values()) if isinstance(losses, dict) else 0.0
+    line = f"epoch {record['epoch']}: loss {total:.3f}, {record['seconds']:.0f} s"
+    if result is not None:
+        each = " ".join(f"{name} {ap:.2f}" for name, ap in result.ap.items())
+        line += f", mAP {result.mean:.3f} ({each})"
+    return line
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Run))
