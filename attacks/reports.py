@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
@@ -149,9 +150,10 @@ def difference(result: Result) -> NDArray[np.uint8]:
         (H, W, 3): 128 + factor * (after - before), enlarged to be legible.
     """
     gaps = [view.after - view.shot.before for view in result.views]
-    largest = max(float(gap.abs().max()) for gap in gaps)
-    # The largest round factor that shows the largest change without clipping; 1 at least.
-    factor = next((f for f in (100, 50, 20, 10, 5, 2) if f * largest <= 0.5), 1)
+    changed = torch.cat([gap.abs()[gap.abs().amax(-1) > 0].amax(-1) for gap in gaps])
+    # The largest round factor that shows nearly every change without clipping; 1 at least.
+    typical = float(changed.sort().values[int(0.98 * (len(changed) - 1))]) if len(changed) else 0.0
+    factor = next((f for f in (100, 50, 20, 10, 5, 2) if f * typical <= 0.5), 1)
     pictures = []
     for gap in gaps:
         picture = _enlarged(to_bytes(0.5 + factor * gap))

@@ -33,8 +33,8 @@ def blobs(scene: GaussianScene, camera: Camera) -> Tensor:
 class ColourDetector:
     """Finds patches of colour: a red one is a car, a green one a person, a blue one a stop sign; dark is nothing."""
 
-    name = "fake_colour"
-    classes = ("car", "person", "stop sign")
+    name: str = "fake_colour"
+    classes: tuple[str, ...] = ("car", "person", "stop sign")
     sizes = (12, 16, 20, 24)
     stride = 2
 
