@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor
 
@@ -32,7 +34,7 @@ def psnr(image: Tensor, reference: Tensor) -> Tensor:
 
 
 def ssim(image: Tensor, reference: Tensor) -> Tensor:
-    """Structural similarity (Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5) for values in [0, 1]; differentiable.
+    """Structural similarity (Wang et al. 2004; Gaussian window with sigma 1.5) for values in [0, 1]; differentiable.
 
     Args:
         image: (H, W, 3) or (B, H, W, 3) sRGB in [0, 1].
@@ -57,8 +59,7 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
             message("ssim", "the package torchmetrics", "no such package", "pip install torchmetrics")
         ) from error
     planes = [picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1) for picture in (image, reference)]
-    value: Tensor = measure(planes[0], planes[1], data_range=1.0)
-    return value
+    return cast("Tensor", measure(planes[0], planes[1], data_range=1.0))
 
 
 def _check_shapes(image: Tensor, reference: Tensor) -> None:

@@ -8,14 +8,14 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError, message
 
 UNIT_SLACK = 1e-6
-"""A quaternion whose norm is this close to one is left bit for bit as it is, so that normalising twice changes nothing."""
+"""A quaternion whose norm is this close to one keeps its bits, so that normalising twice changes nothing."""
 
 
 def normalise(quaternions: Tensor) -> Tensor:
     """Quaternions scaled to unit length.
 
-    The norm is taken in float64. A quaternion that is already a unit one (norm within 1e-6 of one) keeps its bits, which
-    makes the function idempotent; its gradient is that of the normalisation all the same.
+    The norm is taken in float64. A quaternion that is already a unit one (norm within 1e-6 of one) keeps its bits,
+    which makes the function idempotent; its gradient is that of the normalisation all the same.
 
     Args:
         quaternions: (..., 4) of any length but zero.
@@ -24,7 +24,7 @@ def normalise(quaternions: Tensor) -> Tensor:
         (..., 4) unit quaternions of the same dtype; a zero quaternion gives NaN.
     """
     wide = quaternions.double()
-    factor = torch.linalg.vector_norm(wide, dim=-1, keepdim=True).reciprocal()
+    factor: Tensor = torch.linalg.vector_norm(wide, dim=-1, keepdim=True).reciprocal()
     near = (factor.detach() - 1).abs() <= UNIT_SLACK
     # The added constant makes the factor exactly one and leaves its derivative alone.
     factor = factor + torch.where(near, 1 - factor.detach(), 0.0)
@@ -75,7 +75,7 @@ def to_matrix(quaternions: Tensor) -> Tensor:
         2 * (y * z + w * x),
         1 - 2 * (x * x + y * y),
     ]
-    return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
+    return torch.stack(entries, dim=-1).reshape(*quaternions.shape[:-1], 3, 3)
 
 
 def from_matrix(matrices: Tensor) -> Tensor:

@@ -30,7 +30,7 @@ class Similarity:
         scale: Factor > 0.
 
     Raises:
-        InvalidValueError: rotation is no rotation, or translation or scale is not finite and of the right shape or sign.
+        InvalidValueError: rotation is no rotation, translation not three finite numbers, or scale not positive.
     """
 
     rotation: Tensor

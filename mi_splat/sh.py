@@ -1,7 +1,7 @@
-"""Real spherical harmonics of degree 0 to 3 in the order and sign convention of 3D Gaussian Splatting (Kerbl et al. 2023).
+"""Real spherical harmonics of degree 0 to 3 in the order and signs of 3D Gaussian Splatting (Kerbl et al. 2023).
 
-The basis is the real one with the Condon-Shortley phase, each band ordered m = -l .. l. Against SciPy's complex harmonics:
-m > 0 is sqrt(2) Re Y_l^m, m = 0 is Y_l^0, and m < 0 is sqrt(2) Im Y_l^|m|. A colour is max(0, 0.5 + sum_k sh_k basis_k).
+The basis is the real one with the Condon-Shortley phase, each band ordered m = -l .. l. Against complex harmonics Y:
+m > 0 is sqrt(2) Re Y_l^m, m = 0 is Y_l^0, m < 0 is sqrt(2) Im Y_l^|m|. A colour is max(0, 0.5 + sum_k sh_k basis_k).
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from mi_splat.io.errors import SplatFileError, from_os_error
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Write a file so that a crash, a kill or a full disk leaves the old file or the new one, never a part.
 
-    The bytes go to a temporary file in the same folder, reach the disk, and take the name `path` in one step. The mode of
-    a file that was there is kept; a symbolic link is followed. When the body raises, the temporary file is removed.
+    The bytes go to a temporary file in the same folder, reach the disk, and take the name `path` in one step. The mode
+    of a file that was there is kept; a symbolic link is followed. When the body raises, the temporary file is removed.
 
     Args:
         path: The file to write.

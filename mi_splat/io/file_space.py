@@ -1,8 +1,8 @@
 """The parametrisation in which splat files keep a Gaussian, as differentiable torch functions.
 
-Files hold log-scales, logit opacities and quaternions of any length; scenes hold physical values. The functions compute in
-float64 and round once. Rounding there and back is stable: a value that came from a file goes back to a number that gives
-the same physical value again, so repeated round trips do not drift.
+Files hold log-scales, logit opacities and quaternions of any length; scenes hold physical values. The functions compute
+in float64 and round once. Rounding there and back is stable: a value that came from a file goes back to a number that
+gives the same physical value again, so repeated round trips do not drift.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def from_file_space(values: Mapping[str, Tensor]) -> GaussianScene:
         values: The five names of `ATTRIBUTES`; quaternions may have any length but zero.
 
     Raises:
-        InvalidValueError: A name is missing or unknown, or the values make no valid scene (for instance log-scales whose
-            exponential overflows).
+        InvalidValueError: A name is missing or unknown, or the values make no valid scene (for instance log-scales
+            whose exponential overflows).
     """
     if set(values) != set(ATTRIBUTES):
         raise InvalidValueError(message("values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these"))

@@ -1,0 +1,125 @@
+"""Rows of a 3DGS PLY file to tensors and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.io._blocks import Rows
+from mi_splat.io.file_space import activate, to_file_space
+from mi_splat.scene import GaussianScene
+
+COLUMNS = {
+    "means": ("x", "y", "z"),
+    "scales": ("scale_0", "scale_1", "scale_2"),
+    "rotations": ("rot_0", "rot_1", "rot_2", "rot_3"),
+    "opacities": ("opacity",),
+}
+DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+REST_COUNTS = (0, 9, 24, 45)
+"""Number of f_rest_* properties for SH degree 0 to 3: channel-major, all of red, then green, then blue."""
+
+
+def rest_names(count: int) -> list[str]:
+    """Names of the SH properties after the first coefficients."""
+    return [f"f_rest_{i}" for i in range(count)]
+
+
+def needed_names(rest: int) -> list[str]:
+    """Names of all properties of a splat with `rest` properties f_rest_*."""
+    return [*(name for names in COLUMNS.values() for name in names), *DC, *rest_names(rest)]
+
+
+def file_names(rest: int) -> list[str]:
+    """Names of all properties in the order in which the reference code writes them, with normals."""
+    after = [name for attribute in ("opacities", "scales", "rotations") for name in COLUMNS[attribute]]
+    return [*COLUMNS["means"], "nx", "ny", "nz", *DC, *rest_names(rest), *after]
+
+
+def file_record(rest: int) -> np.dtype[np.void]:
+    """One Gaussian as `pack` fills it: the properties `file_names`, grouped."""
+    colours = [("dc", "<f4", (3,)), ("rest", "<f4", (3, rest // 3))]
+    after = [("opacities", "<f4", ()), ("scales", "<f4", (3,)), ("rotations", "<f4", (4,))]
+    return np.dtype([("means", "<f4", (3,)), ("normals", "<f4", (3,)), *colours, *after])
+
+
+def pack(part: GaussianScene, rows: Rows) -> bool:
+    """Fill rows of `file_record` with the Gaussians of `part`, which is on the CPU.
+
+    Returns:
+        Whether all values are finite in float32.
+    """
+    values = {name: value.numpy() for name, value in to_file_space(part).items()}
+    with np.errstate(over="ignore"):
+        for name in COLUMNS:
+            rows[name] = values[name]
+        rows["dc"] = values["sh"][:, 0]
+        for channel in range(3):  # a channel at a time is twice as fast as one transpose
+            rows["rest"][:, channel] = values["sh"][:, 1:, channel]
+    return bool(np.isfinite(rows.view("<f4")).all())
+
+
+def unpack(rows: Rows, rest: int, part: Sequence[Tensor]) -> NDArray[np.bool_]:
+    """Fill the five float32 tensors `part` from rows of a file, in any kinds and byte order.
+
+    Returns:
+        (rows,) which Gaussians are valid.
+    """
+    table, place = _table(rows, rest)
+    values = {name: torch.from_numpy(_columns(table, place, columns)) for name, columns in COLUMNS.items()}
+    values["opacities"] = values["opacities"][:, 0]
+    values["sh"] = values["means"][:, None]
+    for target, value in zip(part[:4], activate(values)[:4], strict=True):
+        target.copy_(value)
+    colours = part[4].numpy()
+    with np.errstate(over="ignore"):
+        colours[:, 0] = _columns(table, place, DC)
+        for channel in range(3 if rest else 0):
+            names = rest_names(rest)[channel * rest // 3 : (channel + 1) * rest // 3]
+            colours[:, 1:, channel] = _columns(table, place, names)
+    return _valid([value.numpy() for value in part])
+
+
+def _table(rows: Rows, rest: int) -> tuple[NDArray[np.floating], dict[str, int]]:
+    """Rows as a (rows, columns) table in the machine's byte order, and the column of each property in it."""
+    names = list(rows.dtype.names or ())
+    kinds = {rows.dtype[name] for name in names}
+    if len(kinds) == 1:
+        kind = kinds.pop()
+        table = rows.view(kind).reshape(len(rows), len(names))
+        return table.astype(kind.newbyteorder("="), copy=False), {name: i for i, name in enumerate(names)}
+    names = needed_names(rest)
+    table = np.empty((len(rows), len(names)), np.result_type(*(rows.dtype[name] for name in names)))
+    for column, name in enumerate(names):
+        table[:, column] = rows[name]
+    return table, {name: i for i, name in enumerate(names)}
+
+
+def _columns(table: NDArray[np.floating], place: dict[str, int], names: Sequence[str]) -> NDArray[np.floating]:
+    """(rows, names) values, without a copy if the columns are neighbours in this order."""
+    wanted = [place[name] for name in names]
+    first, last = wanted[0], wanted[0] + len(wanted)
+    return table[:, first:last] if wanted == list(range(first, last)) else table[:, wanted]
+
+
+def _valid(part: Sequence[NDArray[np.float32]]) -> NDArray[np.bool_]:
+    """(rows,) which Gaussians have finite values and scales above zero."""
+    good = np.ones(len(part[0]), np.bool_)
+    for check in (part[1] > 0, *(np.isfinite(value) for value in part)):
+        if not check.all():
+            good &= check.reshape(len(check), -1).all(1)
+    return good
+
+
+def describe(row: np.void, rest: int) -> str:
+    """What is wrong with one Gaussian that is not valid."""
+    for name in needed_names(rest):
+        if not np.isfinite(row[name]):
+            return f"{name} is {row[name]}"
+    if all(row[name] == 0 for name in COLUMNS["rotations"]):
+        return "the quaternion is zero"
+    return f"values or log-scales {[float(row[name]) for name in COLUMNS['scales']]} leave float32's range"
