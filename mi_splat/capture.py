@@ -95,7 +95,7 @@ def daylight(seed: int) -> Light:
         sun_elevation=elevation,
         sun_strength=exposure * 2.8 * (1 - overcast) ** 1.5 * (1 - 0.4 * warm),
         sun_colour=(1.0, 0.96 - 0.25 * warm, 0.9 - 0.5 * warm),
-        sky_strength=exposure * (0.5 + 0.4 * overcast),
+        sky_strength=exposure * (0.55 + 0.7 * overcast),
         zenith=(float(zenith[0]), float(zenith[1]), float(zenith[2])),
         horizon=(float(horizon[0]), float(horizon[1]), float(horizon[2])),
         clouds=float(rng.uniform(0, 0.8)),

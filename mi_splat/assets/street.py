@@ -1,0 +1,311 @@
+"""Surroundings: a street with houses, trees and lamps, a park, plain grounds, a room; and one of them by chance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mi_splat.assets import textures
+from mi_splat.assets.mesh import (
+    Asset,
+    Floats,
+    Mesh,
+    box,
+    ellipsoid,
+    extrude,
+    quad,
+    rotation,
+    sheet,
+    sweep,
+    transform,
+    translation,
+)
+
+WALLS = (
+    (0.82, 0.76, 0.64), (0.88, 0.86, 0.82), (0.62, 0.36, 0.28), (0.75, 0.62, 0.45), (0.6, 0.68, 0.72), (0.8, 0.55, 0.42),
+    (0.7, 0.72, 0.62), (0.5, 0.27, 0.22),
+)  # fmt: skip
+ROOFS = ((0.5, 0.2, 0.14), (0.28, 0.27, 0.29), (0.42, 0.27, 0.2), (0.35, 0.37, 0.4))
+REACH = 45.0
+"""Half of the length of a street, metres."""
+
+
+def ground(size: float, texture: Floats, *, tile: float, height: float = 0.0) -> Mesh:
+    """A square of edge `size` around the origin whose texture covers `tile` metres."""
+    half = size / 2
+    grid = np.array([[[-half, -half, height], [half, -half, height]], [[-half, half, height], [half, half, height]]])
+    return sheet(grid, texture, repeat=(size / tile, size / tile), smooth=False)
+
+
+def strip(y: tuple[float, float], height: float, texture: Floats, *, tile: float) -> Mesh:
+    """A band of ground along the street between two values of y; u of the texture runs across it once."""
+    low, high = y
+    grid = np.array([[[-REACH, high, height], [-REACH, low, height]], [[REACH, high, height], [REACH, low, height]]])
+    return sheet(grid, texture, repeat=((high - low) / tile, 2 * REACH / tile), smooth=False)
+
+
+def facade(rng: np.random.Generator, *, floors: int, bays: int) -> Floats:
+    """The front of a house: wall, windows with frames and bars, a door, a plinth."""
+    per = 56
+    height, width = floors * per, bays * per
+    wall = np.array(WALLS[rng.integers(len(WALLS))]) * rng.uniform(0.85, 1.1)
+    if rng.random() < 0.45:
+        bricks = textures.tiles(per * 2, int(rng.integers(1 << 30)), colour=wall, rows=16, columns=6, joint=0.08)
+        picture = np.tile(bricks, (floors // 2 + 1, bays // 2 + 1, 1))[:height, :width].copy()
+    else:
+        picture = textures.speckle((height, width), wall, rng, grain=0.015, patch=0.12)
+    frame = ((0.93, 0.92, 0.9), (0.3, 0.2, 0.14), (0.2, 0.27, 0.25))[rng.integers(3)]
+    door_at = int(rng.integers(bays))
+    shutters = rng.random() < 0.3
+    colour = rng.uniform(0.08, 0.5, 3)
+    for floor in range(floors):
+        for bay in range(bays):
+            x0, y0 = bay * per, (floors - 1 - floor) * per
+            if floor == 0 and bay == door_at:
+                picture[y0 + 8 : y0 + per, x0 + 16 : x0 + 42] = frame
+                picture[y0 + 11 : y0 + per, x0 + 19 : x0 + 39] = colour
+                picture[y0 + 15 : y0 + 26, x0 + 23 : x0 + 35] = (0.12, 0.15, 0.18)
+                picture[y0 + 32 : y0 + 35, x0 + 35 : x0 + 37] = (0.8, 0.7, 0.3)
+                continue
+            picture[y0 + 12 : y0 + 43, x0 + 14 : x0 + 43] = frame
+            for left in (16, 30):
+                pane = picture[y0 + 14 : y0 + 40, x0 + left : x0 + left + 11]
+                pane[:] = (0.09, 0.12, 0.16) + np.linspace(0.28, 0, 26)[:, None, None] * rng.uniform(0.2, 1)
+                if rng.random() < 0.4:
+                    pane[:, : int(rng.integers(2, 8))] = (0.75, 0.72, 0.66)
+            picture[y0 + 43 : y0 + 46, x0 + 12 : x0 + 45] = np.clip(np.array(frame) * 0.8, 0, 1)
+            if shutters:
+                picture[y0 + 12 : y0 + 43, x0 + 6 : x0 + 13] = colour
+                picture[y0 + 12 : y0 + 43, x0 + 44 : x0 + 51] = colour
+    picture[-5:] = picture[-5:] * 0.25 + 0.25
+    return np.clip(picture, 0, 1).astype(np.float32)
+
+
+def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
+    """A house whose front lies in the plane y = 0 and looks along -y, from x = -width / 2 to width / 2."""
+    floors, bays = int(rng.integers(2, 4)), max(2, round(width / 2.6))
+    tall, deep = floors * 2.8, 7.0
+    front = facade(rng, floors=floors, bays=bays)
+    plain = textures.speckle((32, 32), front[3, 3], rng, grain=0.02, patch=0.1)
+    w = width / 2
+    parts = [quad([[-w, 0, 0], [w, 0, 0], [w, 0, tall], [-w, 0, tall]], front)]
+    parts.append(box((width - 0.01, deep, tall), plain, centre=(0, deep / 2 + 0.02, tall / 2)))
+    tiles = textures.tiles(96, int(rng.integers(1 << 30)), colour=ROOFS[rng.integers(len(ROOFS))], rows=12, columns=10)
+    style = rng.integers(3)
+    if style == 0:
+        parts.append(box((width + 0.3, deep + 0.3, 0.35), (0.55, 0.54, 0.52), centre=(0, deep / 2, tall + 0.17)))
+        parts.append(box((1.6, 1.6, 0.9), (0.5, 0.5, 0.5), centre=(rng.uniform(-w / 2, w / 2), deep / 2, tall + 0.7)))
+    elif style == 1:
+        rise, over = rng.uniform(1.6, 2.8), 0.35
+        for y0, y1 in ((-over, deep / 2), (deep + over, deep / 2)):
+            grid = np.array(
+                [
+                    [[-w - 0.2, y0, tall - 0.1], [w + 0.2, y0, tall - 0.1]],
+                    [[-w - 0.2, y1, tall + rise], [w + 0.2, y1, tall + rise]],
+                ]
+            )
+            parts.append(sheet(grid, tiles, repeat=(width / 2.2, 2.0), smooth=False))
+        gable = extrude([[0, 0], [deep, 0], [deep / 2, rise]], width, plain)
+        parts.append(transform(gable, translation(-w, 0, tall) @ rotation("x", 90) @ rotation("y", 90)))
+        parts.append(box((0.6, 0.6, 1.5), (0.45, 0.25, 0.2), centre=(w * 0.5, deep * 0.45, tall + rise)))
+    else:
+        rise = rng.uniform(1.8, 3.0)
+        for sign in (-1, 1):
+            grid = np.array(
+                [
+                    [[sign * (w + 0.25), -0.3, tall - 0.15], [sign * (w + 0.25), deep, tall - 0.15]],
+                    [[0, -0.3, tall + rise], [0, deep, tall + rise]],
+                ]
+            )
+            parts.append(sheet(grid, tiles, repeat=(deep / 2.2, 2.0), smooth=False))
+        gable = extrude([[-w, 0], [w, 0], [0, rise]], 0.1, plain)
+        parts.append(transform(gable, translation(0, 0.1, tall) @ rotation("x", 90)))
+        parts.append(box((0.6, 0.6, 1.4), (0.45, 0.25, 0.2), centre=(w * 0.45, deep * 0.6, tall + rise * 0.7)))
+    return parts
+
+
+def tree(rng: np.random.Generator) -> list[Mesh]:
+    """A broad-leaved tree or a conifer, 3 to 7 m tall, at the origin."""
+    bark = np.array((0.3, 0.22, 0.15)) * rng.uniform(0.7, 1.2)
+    green = np.array([rng.uniform(0.16, 0.34), rng.uniform(0.32, 0.48), rng.uniform(0.08, 0.16)])
+    leaves = textures.grass(64, int(rng.integers(1 << 30))) * 0.5 + green.astype(np.float32) * 0.5
+    tall = rng.uniform(3.5, 6.5)
+    parts = [
+        sweep(
+            [[0, 0, -0.1], [rng.normal(0, 0.1), 0, tall * 0.35], [0, rng.normal(0, 0.2), tall * 0.7]],
+            [0.16, 0.12, 0.06],
+            bark,
+            segments=8,
+        )
+    ]
+    if rng.random() < 0.7:
+        for _ in range(9):
+            place = rng.normal(0, 1, 3) * (0.75, 0.75, 0.5)
+            size = rng.uniform(1.2, 2.2) * tall / 5
+            blob = ellipsoid(
+                (size, size, size * 0.85), leaves, centre=(place[0], place[1], tall * 0.72 + place[2]), segments=14
+            )
+            bumps = 1 + 0.13 * rng.normal(size=(len(blob.vertices), 1))
+            middle = blob.vertices.mean(0)
+            parts.append(
+                type(blob)(middle + (blob.vertices - middle) * bumps, blob.faces, blob.uvs * 2, leaves, None, False)
+            )
+    else:
+        for level in np.linspace(0.2, 0.85, 5):
+            wide = (1.05 - level) * tall * 0.3
+            parts.append(
+                sweep([[0, 0, tall * level], [0, 0, tall * (level + 0.28)]], [wide, 0.02], leaves, segments=12)
+            )
+    return parts
+
+
+def lamp(rng: np.random.Generator) -> list[Mesh]:
+    """A street lamp at the origin whose arm reaches along +y."""
+    iron = np.array((0.22, 0.24, 0.24)) * rng.uniform(0.7, 1.8)
+    path = [[0, 0, 0], [0, 0, 4.6], [0, 0.25, 5.2], [0, 1.1, 5.4]]
+    return [
+        sweep(path, [0.08, 0.055, 0.045, 0.04], iron, segments=10, up=(1, 0, 0)),
+        ellipsoid((0.26, 0.7, 0.16), (0.85, 0.85, 0.8), centre=(0, 1.35, 5.38)),
+    ]
+
+
+def _place(parts: Sequence[Mesh], x: float, y: float, turn: float = 0.0) -> list[Mesh]:
+    return [transform(part, translation(x, y, 0) @ rotation("z", turn)) for part in parts]
+
+
+def build(seed: int = 0, *, clear: float = 6.0, centre: float = 0.0) -> Asset:
+    """A street along x; the origin is the middle of its right-hand lane, houses stand on both sides.
+
+    Args:
+        seed: Which street.
+        clear: No tree or lamp stands within this many metres of (centre, 0).
+        centre: X of the place to keep clear.
+    """
+    rng = np.random.default_rng([seed, 0x57])
+    lane = rng.uniform(3.2, 3.8)
+    right, left = -lane / 2, 1.5 * lane
+    paving_colour = np.array((0.62, 0.6, 0.57)) * rng.uniform(0.8, 1.15)
+    paving = textures.tiles(192, seed, colour=paving_colour, rows=6, columns=4, joint=0.03, spread=0.06)
+    lawn, asphalt = textures.grass(256, seed), textures.road(256, seed, markings=False)
+    parts = [ground(6 * REACH, lawn, tile=4.0, height=-0.03), strip((right, left), 0.0, asphalt, tile=3.0)]
+    white = np.array((0.88, 0.88, 0.85)) * rng.uniform(0.85, 1.05)
+    middle = (right + left) / 2
+    period = rng.uniform(4, 7)
+    for x in np.arange(-REACH + 1, REACH - 1, period):
+        dash = [
+            [x, middle - 0.07, 0.004],
+            [x + period * 0.5, middle - 0.07, 0.004],
+            [x + period * 0.5, middle + 0.07, 0.004],
+            [x, middle + 0.07, 0.004],
+        ]
+        parts.append(quad(dash, white))
+    if rng.random() < 0.6:
+        for y in (right + 0.25, left - 0.25):
+            parts.append(
+                quad(
+                    [
+                        [-REACH, y - 0.06, 0.004],
+                        [REACH, y - 0.06, 0.004],
+                        [REACH, y + 0.06, 0.004],
+                        [-REACH, y + 0.06, 0.004],
+                    ],
+                    white,
+                )
+            )
+    walk, verge = rng.uniform(1.6, 2.4), rng.uniform(1.0, 2.5)
+    for edge, out in ((right, -1.0), (left, 1.0)):
+        stones = np.linspace(-REACH, REACH, 91)
+        for kerb, tone in ((stones[:-1:2], 1.0), (stones[1::2], 0.9)):
+            for x in kerb:
+                parts.append(
+                    box((0.99, 0.16, 0.22), paving_colour * 1.12 * tone, centre=(x + 0.5, edge + out * 0.08, 0.01))
+                )
+        parts.append(strip(tuple(sorted((edge + out * 0.16, edge + out * walk))), 0.115, paving, tile=1.8))  # type: ignore[arg-type]
+        y = edge + out * (walk + verge + 2.5)
+        x = -REACH * 0.8
+        while x < REACH * 0.8:
+            width = rng.uniform(6.5, 10)
+            if rng.random() < 0.85:
+                parts += _place(
+                    house(rng, width=width), x + width / 2, y + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0
+                )
+            if rng.random() < 0.5:
+                parts += _place(
+                    tree(rng), x + rng.uniform(0, 2), edge + out * (walk + verge * 0.6), rng.uniform(0, 360)
+                )
+            x += width + rng.uniform(0.0, 3.0)
+        for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
+            place = (x + rng.uniform(3, 8), edge + out * 0.5)
+            if np.hypot(place[0] - centre, place[1]) > clear + 1.5:
+                parts += _place(lamp(rng), *place, 180.0 if out > 0 else 0.0)
+    return Asset("street", tuple(parts))
+
+
+def park(seed: int = 0, *, clear: float = 8.0) -> Asset:
+    """Grass with trees around, a path and a fence at a distance."""
+    rng = np.random.default_rng([seed, 0x9A])
+    parts = [ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
+    for _ in range(int(rng.integers(5, 16))):
+        angle, reach = rng.uniform(0, 2 * np.pi), clear + 3 + rng.uniform(0, 25)
+        parts += _place(tree(rng), reach * np.cos(angle), reach * np.sin(angle), rng.uniform(0, 360))
+    if rng.random() < 0.6:
+        gravel = textures.speckle((128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2)
+        offset, width = rng.uniform(-4, 4), rng.uniform(1.5, 3)
+        path = strip((offset - width / 2, offset + width / 2), 0.01, gravel, tile=1.5)
+        parts.append(transform(path, rotation("z", rng.uniform(0, 360))))
+    return Asset("park", tuple(parts))
+
+
+def plain(seed: int = 0) -> Asset:
+    """Open ground of one kind: asphalt, a car park, paving, sand, earth, snow, concrete, grass."""
+    rng = np.random.default_rng([seed, 0x91])
+    tone = rng.uniform(0.8, 1.15)
+    makers: tuple[Callable[[], Floats], ...] = (
+        lambda: textures.road(256, seed, markings=False),
+        lambda: textures.road(256, seed),
+        lambda: textures.tiles(256, seed, colour=rng.uniform(0.4, 0.7, 3), rows=8, columns=6, joint=0.03),
+        lambda: textures.speckle((256, 256), np.array((0.76, 0.66, 0.48)) * tone, rng, grain=0.05, patch=0.2),
+        lambda: textures.speckle((256, 256), np.array((0.4, 0.3, 0.21)) * tone, rng, grain=0.1, patch=0.4),
+        lambda: textures.speckle((256, 256), (0.88, 0.9, 0.93), rng, grain=0.015, patch=0.07),
+        lambda: textures.speckle((256, 256), np.array((0.6, 0.6, 0.58)) * tone, rng, grain=0.05, patch=0.2),
+        lambda: textures.grass(256, seed),
+    )
+    kind = int(rng.integers(len(makers)))
+    return Asset("ground", (ground(260, makers[kind](), tile=7.0 if kind == 1 else rng.uniform(2.5, 6)),))
+
+
+def room(seed: int = 0, *, size: float = 14.0) -> Asset:
+    """The floor and two walls of a large room without a ceiling, daylight coming from above."""
+    rng = np.random.default_rng([seed, 0x90])
+    colour = np.array([(0.55, 0.38, 0.22), (0.7, 0.55, 0.36), (0.35, 0.22, 0.13), (0.75, 0.74, 0.7)][rng.integers(4)])
+    boards = textures.tiles(256, seed, colour=colour, rows=16, columns=2, joint=0.02, spread=0.09)
+    parts = [ground(size * 3, boards, tile=rng.uniform(1.8, 3))]
+    wall = np.clip(rng.uniform(0.45, 0.9) + rng.uniform(-0.12, 0.12, 3), 0, 1)
+    paper = textures.speckle((64, 64), wall, rng, grain=0.01, patch=0.05)
+    if rng.random() < 0.4:
+        paper[:, ::8] *= 0.85
+    for turn in (0.0, 90.0, 180.0, 270.0)[: int(rng.integers(1, 4))]:
+        side = box((0.2, 3 * size, 2.8), paper, centre=(-size, 0, 1.4))
+        skirting = box((0.05, 3 * size, 0.14), (0.9, 0.9, 0.88), centre=(-size + 0.12, 0, 0.07))
+        parts += [transform(m, rotation("z", turn)) for m in (side, skirting)]
+    return Asset("room", tuple(parts))
+
+
+def backdrop(seed: int = 0, *, clear: float = 8.0) -> Asset:
+    """Surroundings by chance, turned and shifted: a street, a park, open ground, a room.
+
+    Args:
+        seed: Which surroundings.
+        clear: Nothing but ground within this many metres of the origin, so that a camera in this circle sees an object
+            at its centre; a street is only chosen up to 7.5 metres, where its houses begin.
+    """
+    rng = np.random.default_rng([seed, 0xBAC])
+    kind = rng.random()
+    if kind < 0.35 and clear <= 7.5:
+        shift = rng.uniform(-15, 15)
+        return build(seed, clear=clear, centre=-shift).transformed(translation(shift, rng.uniform(-0.5, 0.5), 0))
+    turn = rotation("z", rng.uniform(0, 360))
+    if kind < 0.5:
+        return park(seed, clear=clear).transformed(turn)
+    return (plain(seed) if kind < 0.85 else room(seed, size=clear + 2)).transformed(turn)
