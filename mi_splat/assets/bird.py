@@ -12,13 +12,13 @@ from mi_splat.assets.mesh import ellipsoid as ball
 from mi_splat.assets.organic import Blob, Layer, Noise, blade, body, cone, ellipsoid, grounded, mix, spot
 
 Colour = tuple[float, float, float]
-LENGTH = 0.30  # from beak to tail of the figure before it is scaled, metres
+LENGTH = 0.31  # from beak to tail of the figure before it is scaled, metres
 CELL = 0.0040
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Species:
-    """Shape (metres at a length of 0.30, degrees) and plumage of a kind of bird."""
+    """Shape (metres at a length of 0.31, degrees) and plumage of a kind of bird."""
 
     length: tuple[float, float]
     tilt: float
@@ -35,7 +35,7 @@ class _Species:
     skull: float = 0.030
     beak: tuple[float, float] = (0.034, 0.0085)
     hook: float = 0.15
-    tail: tuple[float, float] = (0.095, 0.026)
+    tail: tuple[float, float] = (0.115, 0.030)
     leg: float = 0.050
     marks: tuple[str, ...] = ()
     roughness: float | None = None
@@ -64,21 +64,21 @@ SPECIES = {
         marks=("bars", "sheen", "cere"),
     ),
     "parrot": _Species(
-        length=(0.32, 0.40), tilt=50, back=(0.20, 0.60, 0.20), wing=(0.16, 0.54, 0.20), flight=(0.14, 0.30, 0.60),
+        length=(0.32, 0.40), tilt=44, back=(0.20, 0.60, 0.20), wing=(0.16, 0.54, 0.20), flight=(0.14, 0.30, 0.60),
         breast=(0.42, 0.72, 0.26), belly=(0.50, 0.74, 0.28), head=(0.26, 0.66, 0.22), bill=(0.88, 0.82, 0.70),
         legs=(0.50, 0.48, 0.46), eye=(0.85, 0.48, 0.12), plump=1.1, skull=0.037, beak=(0.032, 0.0155), hook=0.95,
-        tail=(0.085, 0.026), leg=0.034, marks=("crown", "red tail"),
+        tail=(0.105, 0.030), leg=0.034, marks=("crown", "red tail"),
     ),
     "macaw": _Species(
-        length=(0.44, 0.50), tilt=54, back=(0.80, 0.12, 0.10), wing=(0.80, 0.14, 0.10), flight=(0.12, 0.28, 0.72),
+        length=(0.44, 0.50), tilt=40, back=(0.80, 0.12, 0.10), wing=(0.80, 0.14, 0.10), flight=(0.12, 0.28, 0.72),
         breast=(0.82, 0.13, 0.10), belly=(0.80, 0.12, 0.10), head=(0.84, 0.14, 0.11), bill=(0.90, 0.86, 0.76),
         legs=(0.34, 0.33, 0.33), eye=(0.90, 0.85, 0.55), skull=0.037, beak=(0.036, 0.0175), hook=0.95,
-        tail=(0.155, 0.020), leg=0.034, marks=("yellow", "cheek"),
+        tail=(0.185, 0.022), leg=0.046, marks=("yellow", "cheek"),
     ),
     "gull": _Species(
         length=(0.42, 0.50), tilt=14, back=(0.62, 0.66, 0.70), wing=(0.62, 0.66, 0.71), flight=(0.10, 0.10, 0.11),
         breast=(0.94, 0.94, 0.93), belly=(0.93, 0.93, 0.92), head=(0.95, 0.95, 0.94), bill=(0.93, 0.72, 0.12),
-        legs=(0.90, 0.60, 0.45), eye=(0.80, 0.74, 0.35), beak=(0.042, 0.0095), hook=0.35, tail=(0.072, 0.026),
+        legs=(0.90, 0.60, 0.45), eye=(0.80, 0.74, 0.35), beak=(0.042, 0.0095), hook=0.35, tail=(0.092, 0.030),
         leg=0.056, marks=("tips", "white tail", "red spot"),
     ),
     "bluebird": _Species(
@@ -132,9 +132,9 @@ def _bird(rng: np.random.Generator) -> _Bird:
         tilt=tilt,
         head=head,
         wings=wings,
-        sweep=float(rng.uniform(5, 55)),
+        sweep=float(rng.uniform(0, 50)),
         lift=float(rng.uniform(5, 45)),
-        fan=float(rng.uniform(0.9, 1.3) if wings == "folded" else rng.uniform(1.3, 2.0)),
+        fan=float(rng.uniform(0.95, 1.4) if wings == "folded" else rng.uniform(1.3, 2.0)),
         stride=float(rng.uniform(-0.018, 0.018)),
     )
 
@@ -144,8 +144,8 @@ def _layers(bird: _Bird) -> list[Layer]:
     kind, plump = bird.kind, bird.kind.plump
     head = bird.head[:3, 3].astype(np.float64)
     blobs: list[Blob] = [
-        ellipsoid((0, 0, 0), (0.080, 0.045 * plump, 0.047 * plump)),
-        ellipsoid((0.034, 0, -0.006), (0.050, 0.044 * plump, 0.045 * plump)),
+        ellipsoid((-0.004, 0, 0), (0.084, 0.042 * plump, 0.044 * plump)),
+        ellipsoid((0.034, 0, -0.006), (0.050, 0.042 * plump, 0.044 * plump)),
         cone((-0.04, 0, 0.006), (-0.105, 0, 0.008), (0.030, 0.0095), flat=(0, 0.5, 0)),
         cone((0.045, 0, 0.014), head * (0.96, 1, 0.92), (0.036 * plump, 0.92 * kind.skull)),
         ellipsoid(head, np.array((1.10, 0.94, 1.0)) * kind.skull, bird.head[:3, :3].T),
@@ -163,9 +163,9 @@ def _layers(bird: _Bird) -> list[Layer]:
             outward -= along * (outward @ along)
             outward /= np.linalg.norm(outward)
             frame = np.stack([along, outward, np.cross(along, outward)])
-            wings.append(ellipsoid((-0.012, side * 0.036 * plump, 0.008), (0.078, 0.0135, 0.035 * plump), frame))
+            wings.append(ellipsoid((-0.014, side * 0.0355 * plump, 0.008), (0.080, 0.0165, 0.036 * plump), frame))
             tip = (-0.118, side * 0.014, 0.014)
-            wings.append(cone((-0.04, side * 0.030 * plump, 0.012), tip, (0.012, 0.0062), flat=(0, 0, 0.9)))
+            wings.append(cone((-0.03, side * 0.032 * plump, 0.010), tip, (0.016, 0.0062), flat=(0, 0, 0.9)))
         layers.append(Layer(tuple(wings), 0.012))
     return layers
 
@@ -175,9 +175,9 @@ def _scales(points: Floats, size: float) -> Floats:
     x, y, z = points.T
     around = np.arctan2(y, z) * 0.045
     row = np.floor(x / size)
-    lane = np.mod(around / size + 0.5 * np.mod(row, 2), 1) - 0.5
+    lane = np.mod(around / (0.9 * size) + 0.5 * np.mod(row, 2), 1) - 0.5
     depth = np.mod(x / size, 1)
-    edge: Floats = (depth < 0.2 + 0.9 * lane**2).astype(np.float32)
+    edge: Floats = (depth < 0.16 + 1.6 * lane**2).astype(np.float32)
     return edge
 
 
@@ -219,7 +219,7 @@ def _plumage(bird: _Bird, points: Floats, noise: Noise) -> Floats:
         colours = mix(colours, np.where(hue > 0, (0.16, 0.46, 0.36), (0.46, 0.22, 0.48)), 0.8 * neck)
     if "collar" in kind.marks:
         colours = mix(colours, (0.08, 0.09, 0.14), 0.9 * (np.abs(x + 0.7 * z - 0.082) < 0.006) * (x > 0.03))
-    shade = 1 - 0.14 * _scales(points, 0.0125) * (x < 0.075)
+    shade = 1 - 0.14 * _scales(points, 0.0085) * (x < 0.075)
     result: Floats = colours * shade[:, None] * bird.tint
     return result
 
@@ -278,16 +278,16 @@ def _wing(bird: _Bird, span: Floats, chord: Floats, place: Floats, noise: Noise)
         colours = mix(colours, (0.92, 0.92, 0.92), np.abs(span - 0.45) < 0.022)
         colours = mix(colours, (0.08, 0.09, 0.12), (np.mod(span * 16, 1) < 0.25) * (span > 0.5))
     quills = np.mod(chord * 9 + span * 3 + 0.25 * noise(place, 0.02), 1) < 0.18
-    edges = np.where(span > 0.42, quills, _scales(place, 0.013) > 0)
-    result: Floats = colours * (1 - 0.30 * edges)[:, None] * bird.tint
+    edges = np.where(span > 0.42, quills, _scales(place, 0.0095) > 0)
+    result: Floats = colours * (1 - 0.24 * edges)[:, None] * bird.tint
     return result
 
 
 def _spread(bird: _Bird, noise: Noise) -> list[Mesh]:
     """Two open wings, from half to fully stretched."""
     u, v = np.linspace(0, 1, 25)[None], np.linspace(0, 1, 9)[:, None]
-    reach = 0.215
-    chord = 0.092 * (1 - 0.25 * u) * np.clip(1 - u**3.2, 0.03, 1) ** 0.6
+    reach = 0.235
+    chord = 0.100 * (1 - 0.25 * u) * np.clip(1 - u**3.2, 0.03, 1) ** 0.6
     chord = chord * (1 - 0.16 * np.mod(np.clip(u - 0.5, 0, 1) * 12, 1))
     lead = 0.022 * np.sin(np.pi * np.clip(u * 1.25, 0, 1)) - 0.055 * u**2
     x = lead + chord * (v - 1) - 0.02 * u**3
@@ -314,8 +314,11 @@ def _tail(bird: _Bird) -> Mesh:
     length, width = kind.tail[0], kind.tail[1] * bird.fan
     u, v = np.linspace(-1, 1, 13)[None], np.linspace(0, 1, 9)[:, None]
     out = 0.011 + (width - 0.011) * v**0.8
-    x = -0.080 - length * v * (1 - 0.10 * u**2)
-    grid = np.stack([x, u * out, 0.008 - 0.012 * v - 0.006 * u**2 * np.ones_like(v)], -1)[::-1]
+    along = length * v * (1 - 0.10 * u**2)
+    drop = (0.075 + length) * np.sin(np.radians(bird.tilt)) - kind.leg - 0.040
+    bend = np.arcsin(np.clip(drop / length, -0.06, 0.7))  # the tip stays above the ground
+    x, z = -0.080 - along * np.cos(bend), 0.008 + along * np.sin(bend) - 0.006 * u**2
+    grid = np.stack([x, u * out, z], -1)[::-1]
     vv, uu = np.mgrid[1:0:64j, -1:1:64j].astype(np.float32)
     tail = np.asarray(kind.back if "white tail" not in kind.marks else (0.95, 0.95, 0.94), np.float32)
     colours = np.broadcast_to(tail, (64 * 64, 3)).astype(np.float32)

@@ -24,7 +24,7 @@ from mi_splat.assets.organic import (
     spot,
 )
 
-GREYS = ((0.45, 0.43, 0.41), (0.50, 0.47, 0.43), (0.38, 0.38, 0.39), (0.55, 0.52, 0.48), (0.50, 0.43, 0.37))
+GREYS = ((0.43, 0.42, 0.41), (0.48, 0.46, 0.44), (0.37, 0.37, 0.38), (0.52, 0.50, 0.48), (0.46, 0.41, 0.37))
 CELL = 0.068
 HEAD = np.array([1.52, 0.0, 2.38])  # joint about which the head turns, metres, for an elephant of 3 m
 TRUNKS = {  # pitch of each of the trunk's pieces below the horizontal, degrees
@@ -75,7 +75,7 @@ def _look(rng: np.random.Generator) -> _Look:
         bulk=float(rng.uniform(0.92, 1.06)),
         steps=gait * np.array([1, -1, -0.7, 0.8]) * float(rng.choice((-1, 1))) + rng.uniform(-3, 3, 4),
         trunk=str(rng.choice(tuple(TRUNKS))),
-        ears=float(rng.uniform(24, 68)),
+        ears=float(rng.uniform(30, 75)),
         big_ears=float(rng.uniform(0.92, 1.08) if african else rng.uniform(0.62, 0.72)),
         tusks=float(rng.choice((0.0, 0.45, 0.7, 0.9, 1.1))),
         turn=float(rng.uniform(-22, 22)),
@@ -101,9 +101,9 @@ def _legs(look: _Look) -> tuple[list[Blob], Doubles]:
         knee = top + 0.98 * forward + (0.05, side * 0.03, 0)
         ankle = knee + 0.62 * forward + (-0.04 - bend, 0, 0)
         foot = ankle + np.array((0.05, 0, -0.21))
-        thick = (0.36, 0.245, 0.185) if x > 0 else (0.42, 0.255, 0.175)
-        blobs += chain([top, knee, ankle, foot], [*thick, 0.205])
-        blobs.append(ellipsoid(np.add(foot, (0.035, 0, -0.03)), (0.245, 0.235, 0.16)))
+        thick = (0.36, 0.225, 0.195) if x > 0 else (0.42, 0.235, 0.185)
+        blobs += chain([top, knee, ankle, foot], [*thick, 0.195])
+        blobs.append(cone(foot, np.add(foot, (0.03, 0, -0.05)), (0.20, 0.215)))
         feet.append(foot)
     return blobs, np.stack(feet)
 
@@ -170,43 +170,45 @@ def _body(look: _Look, noise: Noise, pose: Floats) -> Mesh:
         side = head * (1, 0, 1) + np.abs(head[:, 1])[:, None] * (0, 1, 0)
         colours = mix(colours, look.skin * 0.55, 0.8 * spot(side, (0.33, 0.30, 0.10), (0.11, 0.14, 0.08), 0.7))
         colours = mix(colours, look.skin * 0.45, 0.7 * spot(side, (0.42, 0.12, -0.50), (0.2, 0.1, 0.025), 0.7))
+        low = np.flatnonzero(points[:, 2] < feet[:, 2].max() + 0.05)
         for foot in feet:
             for angle in np.radians((-58, -20, 20, 58)):
-                nail = np.add(foot, (0.26 * np.cos(angle) + 0.02, 0.25 * np.sin(angle), -0.08))
-                colours = mix(colours, (0.76, 0.71, 0.62), spot(points, nail, (0.07, 0.07, 0.075), 0.3))
+                nail = np.add(foot, (0.215 * np.cos(angle) + 0.03, 0.215 * np.sin(angle), -0.15))
+                colours[low] = mix(
+                    colours[low], (0.76, 0.71, 0.62), spot(points[low], nail, (0.065, 0.065, 0.075), 0.3)
+                )
         return colours
 
     def relief(points: Floats) -> Floats:
         bumps = 0.016 * noise(points, 0.16) + 0.012 * noise(points, (0.10, 0.3, 0.35))
         on, s = along(points)
         bumps[on] += 0.008 * np.sin(s * 2 * np.pi / 0.17)
-        result: Floats = bumps * (points[:, 2] > 0.12)
+        result: Floats = bumps * (points[:, 2] > feet[:, 2].min() - 0.1)
         return result
 
-    return body([Layer(tuple(blobs), 0.16)], CELL, paint, relief=relief, texels=5)
+    return body([Layer(tuple(blobs), 0.16)], CELL, paint, relief=relief, texels=4)
 
 
 def _hide(look: _Look, points: Floats, noise: Noise) -> Floats:
     """Grey, wrinkled, dusty skin (N, 3)."""
     z = points[:, 2]
-    broad, middle = noise(points, 0.55), noise(points, 0.11)
-    colours = (look.skin * (1 + 0.13 * broad + 0.09 * middle)[:, None]).astype(np.float32)
-    colours = mix(colours, look.dust, 0.32 * np.clip(broad + 0.25, 0, 1) + 0.25 * np.clip((z - 2.5) * 1.5, 0, 1))
+    broad, middle = noise(points, 0.55), noise(points, (0.16, 0.16, 0.07))
+    colours = (look.skin * (1 + 0.11 * broad + 0.10 * middle)[:, None]).astype(np.float32)
+    colours = mix(colours, look.dust, 0.22 * np.clip(broad + 0.2, 0, 1) + 0.22 * np.clip((z - 2.5) * 1.5, 0, 1))
     colours = mix(colours, look.dust, 0.35 * np.clip((0.55 - z) * 2, 0, 1))
-    folds = np.abs(noise(points, (0.13, 0.13, 0.26))) < 0.07
-    cracks = np.abs(noise(points + 3.1, 0.075)) < 0.09
-    return mix(colours, look.skin * 0.55, 0.55 * folds + 0.35 * cracks)
+    wrinkles = np.abs(noise(points + 3.1, (0.14, 0.14, 0.055))) < 0.12
+    return mix(colours, look.skin * 0.6, 0.38 * wrinkles)
 
 
 def _ears(look: _Look, noise: Noise) -> list[Mesh]:
     """Two large thin ears in the frame of the head."""
     t, u = np.linspace(0, 1, 15)[:, None], np.linspace(0, 1, 13)[None]
     width = (
-        0.98 * look.big_ears * np.clip(np.sin(np.pi * np.clip(t, 0.015, 0.985) ** 0.85), 0, 1) ** 0.55 * (0.5 + 0.5 * t)
+        1.12 * look.big_ears * np.clip(np.sin(np.pi * np.clip(t, 0.015, 0.985) ** 0.85), 0, 1) ** 0.55 * (0.5 + 0.5 * t)
     )
     drop = np.radians(look.ears)
     out = width * u
-    height = 0.36 - 0.86 * (1 - t) ** 1.1 * look.big_ears**0.5 + out * (0.38 * t - 0.30)
+    height = 0.38 - 0.98 * (1 - t) ** 1.1 * look.big_ears**0.5 + out * (0.38 * t - 0.30)
     ripple = 0.07 * np.sin(3.0 * t + 5.0 * u) * u + 0.10 * u**2
     x = -0.08 + 0.10 * (1 - t) - out * np.cos(drop) + ripple * np.sin(drop)
     y = 0.31 + out * np.sin(drop) + ripple * np.cos(drop)

@@ -92,6 +92,18 @@ def ellipsoid(centre: ArrayLike, radii: ArrayLike, axes: ArrayLike | None = None
     return Blob(distance, np.stack([o - reach, o + reach]))
 
 
+def above(blob: Blob, level: float) -> Blob:
+    """`blob` cut off flat below z = `level`: the hem of a shirt."""
+    bounds = blob.bounds.copy()
+    bounds[0, 2] = max(bounds[0, 2], level)
+
+    def distance(x: Floats, y: Floats, z: Floats) -> Floats:
+        value: Floats = np.maximum(blob.distance(x, y, z), np.float32(level) - z)
+        return value
+
+    return Blob(distance, bounds)
+
+
 def chain(points: ArrayLike, radii: Sequence[float], *, flat: ArrayLike = (0.0, 0.0, 0.0)) -> list[Blob]:
     """Round cones along a polyline of (n, 3) points with n radii."""
     path = np.asarray(points, np.float64)

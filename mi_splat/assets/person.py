@@ -9,7 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Asset, Floats, Mesh, loft, rotation, scaling, transform, translation
-from mi_splat.assets.organic import Blob, Doubles, Layer, Noise, body, chain, cone, ellipsoid, grounded, mix, spot
+from mi_splat.assets.organic import (
+    Blob,
+    Doubles,
+    Layer,
+    Noise,
+    above,
+    body,
+    chain,
+    cone,
+    ellipsoid,
+    grounded,
+    mix,
+    spot,
+)
 
 HEIGHT = 1.75  # of the figure before it is scaled, metres
 SKIN = ((0.93, 0.76, 0.66), (0.87, 0.67, 0.54), (0.76, 0.56, 0.42), (0.58, 0.40, 0.29), (0.40, 0.27, 0.20))
@@ -48,6 +61,7 @@ class _Look:
     shoes: Floats
     legs: str
     sleeves: str
+    hem: float
     beard: float
     cap: str
     backpack: bool
@@ -106,6 +120,7 @@ def _look(rng: np.random.Generator) -> _Look:
         shoes=_pick(rng, SHOES),
         legs=str(rng.choice(("long", "skirt", "short") if feminine else ("long", "long", "long", "short"))),
         sleeves=str(rng.choice(("long", "short", "short"))),
+        hem=float(rng.choice((1.015, 0.94, 0.93, 0.95))),
         beard=0.0 if feminine else float(rng.choice((0.0, 0.0, 0.35, 0.9))),
         cap=str(rng.choice(("none", "none", "none", "none", "cap", "beanie"))),
         backpack=bool(rng.random() < 0.2),
@@ -134,7 +149,7 @@ def _arms(pose: str, look: _Look, rng: np.random.Generator) -> list[_Limb]:
             upper, lower = _swing(20, rng.uniform(95, 125), side), _swing(15, rng.uniform(155, 180), side)
         elif pose == "phone" and side == active:
             upper, lower = _swing(42, 16, side), _swing(150, -6, side)
-        shoulder = np.array([-0.01, side * (0.160 if look.feminine else 0.182), 1.435])
+        shoulder = np.array([-0.01, side * (0.160 if look.feminine else 0.184), 1.415])
         elbow = shoulder + 0.285 * upper
         limbs.append(_Limb(np.stack([shoulder, elbow, elbow + 0.25 * lower]), lower))
     return limbs
@@ -165,14 +180,17 @@ def _torso(look: _Look) -> list[Blob]:
     g, wide = look.girth, 0.105 if look.feminine else 0.130
     blobs = [
         cone((0.0, 0, 1.17), (0.0, 0, 1.345), (0.100 * g, 0.108 * g), flat=(0, 0.38, 0)),
-        cone((-0.012, -wide, 1.435), (-0.012, wide, 1.435), (0.064, 0.064)),
-        cone((0.0, 0, 0.97), (0.0, 0, 1.16), (0.113 * g, (0.092 if look.feminine else 0.102) * g), flat=(0, 0.36, 0)),
+        cone((-0.012, -wide, 1.41), (-0.012, wide, 1.41), (0.066, 0.066)),
+        cone((-0.018, -0.045, 1.468), (-0.014, -wide - 0.02, 1.42), (0.052, 0.055)),
+        cone((-0.018, 0.045, 1.468), (-0.014, wide + 0.02, 1.42), (0.052, 0.055)),
+        above(cone((-0.012, 0, 0.92), (-0.002, 0, 1.04), (0.131 * g, 0.117 * g), flat=(0, 0.42, 0)), look.hem),
+        cone((0.0, 0, 1.12), (0.0, 0, 1.16), (0.108 * g, (0.092 if look.feminine else 0.103) * g), flat=(0, 0.38, 0)),
         cone((-0.015, 0, 1.43), (-0.02, 0, 1.50), (0.075, 0.058)),
     ]
     if look.feminine:
         blobs += [ellipsoid((0.075, s * 0.068, 1.29), (0.062, 0.062, 0.066)) for s in (1, -1)]
     elif look.girth > 1.05:
-        blobs.append(ellipsoid((0.055, 0, 1.10), (0.10 * g, 0.12 * g, 0.13)))
+        blobs.append(above(ellipsoid((0.055, 0, 1.10), (0.10 * g, 0.12 * g, 0.13)), look.hem))
     return blobs
 
 
@@ -191,12 +209,12 @@ def _layers(look: _Look, arms: list[_Limb], legs: list[_Limb]) -> list[Layer]:
             top.append(cone(shoulder, short, (0.063 * thick, 0.056 * thick)))
     g = look.girth
     bottom.append(cone((-0.005, 0, 0.925), (0, 0, 1.01), (0.112 * g, 0.106 * g), flat=(0, 0.42, 0)))
-    bottom.append(ellipsoid((-0.055, 0, 0.93), (0.09 * g, 0.15 * g, 0.10)))
+    bottom.append(ellipsoid((-0.05, 0, 0.90), (0.085 * g, 0.15 * g, 0.10)))
     for leg in legs:
         hip, knee, ankle = leg.joints
         skin += chain(leg.joints, [0.075 * thick, 0.055, 0.040])
-        calf = knee + 0.3 * (ankle - knee) - 0.014 * leg.end
-        skin.append(cone(knee, calf, (0.045, 0.054 * thick)))
+        if look.legs != "long":
+            skin.append(cone(knee, knee + 0.3 * (ankle - knee) - 0.014 * leg.end, (0.045, 0.054 * thick)))
         if look.legs == "long":
             bottom += chain([hip, knee, ankle + 0.02 * (knee - ankle)], [0.092 * thick, 0.069, 0.059])
         elif look.legs == "short":
@@ -204,7 +222,8 @@ def _layers(look: _Look, arms: list[_Limb], legs: list[_Limb]) -> list[Layer]:
         heel, ball = ankle - 0.025 * leg.end - (0, 0, 0.035), ankle + 0.115 * leg.end - (0, 0, 0.045)
         shoes += chain([heel, ball, ball + 0.06 * leg.end], [0.042, 0.041, 0.034], flat=(0, 0.12, 0))
         shoes.append(cone(ankle, heel, (0.048, 0.046)))
-    layers = [Layer(tuple(skin), 0.03), Layer(tuple(top), 0.05), Layer(tuple(bottom), 0.05), Layer(tuple(shoes), 0.03)]
+    layers = [Layer(tuple(skin), 0.03), Layer(tuple(top), 0.05), Layer(tuple(bottom), 0.05)]
+    layers.append(Layer(tuple(shoes), 0.03))
     if look.backpack:
         pack = (ellipsoid((-0.17, 0, 1.27), (0.095, 0.15, 0.21)), ellipsoid((-0.25, 0, 1.20), (0.05, 0.10, 0.10)))
         layers.append(Layer(pack, 0.04))
@@ -274,7 +293,9 @@ def _paint_shoes(look: _Look, points: Floats, noise: Noise) -> Floats:
     """Shoes with a lighter sole and laces."""
     floor = points[:, 2].min()
     colours = np.broadcast_to(look.shoes, points.shape).astype(np.float32)
-    colours = mix(colours, (0.82, 0.81, 0.78), 0.6 * (noise(points, 0.012) > 0.25) * (points[:, 2] > floor + 0.075))
+    colours = mix(
+        colours, (0.82, 0.81, 0.78), 0.8 * (points[:, 2] > floor + 0.068) * (np.sin(points[:, 0] * 280) > 0.2)
+    )
     return mix(
         colours, (0.75, 0.74, 0.72) if look.shoes.mean() < 0.6 else (0.3, 0.3, 0.3), points[:, 2] < floor + 0.022
     )
@@ -308,7 +329,7 @@ def _head_layers(look: _Look) -> list[Layer]:
     elif look.cap == "beanie":
         layers.append(
             Layer(
-                (crown, ellipsoid((-0.02, 0, 0.085), (0.09, 0.08, 0.082)), ellipsoid((-0.03, 0, 0.17), (0.025,) * 3)),
+                (crown, ellipsoid((-0.02, 0, 0.078), (0.098, 0.086, 0.075)), ellipsoid((-0.03, 0, 0.158), (0.03,) * 3)),
                 0.02,
             )
         )
@@ -390,7 +411,7 @@ def _hand(look: _Look, arm: _Limb, side: int) -> Mesh:
     thumb = hint - along * (hint @ along)
     thumb /= np.linalg.norm(thumb)
     frame = np.eye(4)
-    frame[:3, :3] = np.stack([along, side * np.cross(thumb, along), thumb], 1)
+    frame[:3, :3] = 0.92 * np.stack([along, side * np.cross(thumb, along), thumb], 1)
     frame[:3, 3] = arm.joints[2]
     return transform(mesh, frame)
 
