@@ -353,22 +353,11 @@ def capture(
     return views
 
 
-def _first_hits(scene: mi.Scene, camera: Camera, channels: str, *, seed: int = 0) -> Floats:
-    """(H, W, C) values at the first hit of one ray a pixel; `channels` as in Mitsuba's `aov` integrator."""
-    integrator = mi.load_dict({"type": "aov", "aovs": channels})
-    film = mi.render(scene, sensor=_sensor(camera, samples=1, seed=seed), integrator=integrator, spp=1, seed=seed)
-    return np.array(film, dtype=np.float32)
-
-
-def object_map(scene: mi.Scene, camera: Camera, *, seed: int = 0) -> NDArray[np.int64]:
-    """(H, W) number of the object seen by one ray in each pixel, -1 where there is none (backdrop, sky)."""
-    owner = np.full(len(scene.shapes()) + 1, -1, np.int64)
-    for number, shape in enumerate(scene.shapes()):
-        name = shape.id().split("_")[0]
-        if name.startswith("object"):
-            owner[number + 1] = int(name.removeprefix("object"))
-    index = _first_hits(scene, camera, "shape:shape_index", seed=seed)[..., -1]  # counts from 1, 0 is a miss
-    return owner[np.round(index).astype(np.int64)]
+def first_hits(scene: mi.Scene, camera: Camera, *, seed: int = 0) -> Floats:
+    """(H, W) distance from the camera along one ray a pixel, 0 where it meets nothing; rays depend on the seed only."""
+    sensor = _sensor(camera, samples=1, seed=seed)
+    film = mi.render(scene, sensor=sensor, integrator=mi.load_dict({"type": "depth"}), spp=1, seed=seed)
+    return np.array(film, dtype=np.float32)[..., 0]
 
 
 def _in_frame(asset: Asset, camera: Camera) -> float:
@@ -403,20 +392,16 @@ def photograph(
     with scalar_variant():
         scene = _load(description)
         view = _picture(scene, camera, samples=samples, seed=seed)
-        seen = object_map(scene, camera, seed=seed) if assets else np.empty((0, 0), np.int64)
+        nearest = first_hits(scene, camera, seed=seed)
         for number, asset in enumerate(assets):
-            rows, columns = np.nonzero(seen == number)
+            shapes = {k: v for k, v in description.items() if k.startswith(f"object{number}_")}
+            alone = first_hits(mi.load_dict({"type": "scene", **shapes}), camera, seed=seed)
+            rows, columns = np.nonzero((alone > 0) & (alone <= nearest * (1 + 1e-5)))
             if len(rows) < max(min_pixels, 1):
                 continue
-            share = 1.0
-            if len(assets) > 1 or backdrop is not None:
-                prefix = f"object{number}_"
-                alone = {k: v for k, v in description.items() if k.startswith(prefix)}
-                outline = object_map(mi.load_dict({"type": "scene", **alone}), camera, seed=seed) >= 0
-                share = min(1.0, len(rows) / max(int(outline.sum()), 1))
             boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
             labels.append(asset.name)
-            visible.append(share * _in_frame(asset, camera))
+            visible.append(len(rows) / int((alone > 0).sum()) * _in_frame(asset, camera))
             objects.append(number)
     return Photograph(
         view,
