@@ -49,7 +49,9 @@ class Camera:
         rigid = torch.isfinite(pose).all() and torch.allclose(pose[3], last)
         if not (rigid and torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-4)):
             raise InvalidValueError(
-                message("to_world", "a finite rotation and translation", pose.tolist(), "remove scale and shear from it")
+                message(
+                    "to_world", "a finite rotation and translation", pose.tolist(), "remove scale and shear from it"
+                )
             )
         if torch.linalg.det(rotation) < 0:
             raise InvalidValueError(
@@ -169,7 +171,7 @@ def orbit_pose(
     a, e = math.radians(azimuth), math.radians(elevation)
     offset = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
     origin = [t + distance * o for t, o in zip(target, offset, strict=True)]
-    # Near the zenith world z is no usable "up"; the horizontal direction back to the orbit's axis is, and it is continuous.
+    # Near the zenith world z is no usable "up"; this direction is perpendicular to the view everywhere.
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
     return look_at(origin, target, up=up)
 

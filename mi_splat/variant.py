@@ -91,7 +91,9 @@ def prepare_llvm() -> Path | None:
         path = Path(named)
         version = llvm_version(path)
         if not path.exists():
-            raise VariantError(message("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint()))
+            raise VariantError(
+                message("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint())
+            )
         if version is not None and version < MINIMUM_LLVM:
             raise VariantError(message("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint()))
         return path
@@ -119,7 +121,9 @@ def use(variant: str = "") -> str:
         current = mi.variant()
         variant = current if current in SUPPORTED_VARIANTS else DEFAULT_VARIANT
     if variant not in SUPPORTED_VARIANTS or variant not in mi.variants():
-        raise VariantError(message("variant", f"one of {SUPPORTED_VARIANTS}", repr(variant), "choose a *_ad_rgb variant"))
+        raise VariantError(
+            message("variant", f"one of {SUPPORTED_VARIANTS}", repr(variant), "choose a *_ad_rgb variant")
+        )
     if variant.startswith("llvm"):
         prepare_llvm()
     if mi.variant() != variant:

@@ -109,6 +109,4 @@ def random_scene(count: int, *, degree: int, seed: int, dtype: Any = np.float32)
     rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
     opacities = np.where(kind == 4, 1.0, rng.uniform(0.0, 1.0, count))
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.3
-    return GaussianScene(
-        *(torch.from_numpy(a.astype(dtype)) for a in (means, scales, rotations, opacities, sh))
-    )
+    return GaussianScene(*(torch.from_numpy(a.astype(dtype)) for a in (means, scales, rotations, opacities, sh)))

@@ -1,2 +1,41 @@
-"""Mitsuba plugins of this project."""
-def register() -> None: pass
+"""Mitsuba plugins of this project: the shape `gaussians` and the integrator `splat_tile`.
+
+Importing this package is enough: the plugins are registered in the current variant, and again whenever another one
+that can render splats is set.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+
+from mi_splat.variant import SUPPORTED_VARIANTS, prepare_llvm
+
+
+@functools.cache
+def _register_in(variant: str) -> None:
+    import mitsuba as mi
+
+    from mi_splat.plugins import shape, tile
+
+    mi.register_shape("gaussians", shape.gaussians)
+    mi.register_integrator("splat_tile", tile.integrator_class(variant))
+
+
+def _on_variant(old: str | None, new: str | None) -> None:
+    if new in SUPPORTED_VARIANTS:
+        if new.startswith("llvm") and not os.environ.get("DRJIT_LIBLLVM_PATH"):
+            prepare_llvm()
+        _register_in(new)
+
+
+@functools.cache
+def register() -> None:
+    """Register the plugins now and on every later change of variant; calls after the first do nothing."""
+    import mitsuba as mi
+
+    mi.detail.add_variant_callback(_on_variant)
+    _on_variant(None, mi.variant())
+
+
+register()

@@ -11,7 +11,7 @@ from mi_splat.rasterization.pipeline import Picture
 
 
 def _linear(value: Any) -> Any:
-    """sRGB to linear (IEC 61966-2-1)."""
+    """Linear value of an sRGB one (IEC 61966-2-1)."""
     return dr.select(value <= 0.04045, value / 12.92, dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 2.4))
 
 

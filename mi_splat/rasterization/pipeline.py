@@ -215,9 +215,7 @@ def _sum_rows(span: tuple[Any, Any], moments: tuple[Any, Any]) -> list[Any]:
         return row + 1, [s + v for s, v in zip(sums, [*m, extra], strict=True)]
 
     zeros = [mi.Float(0) for _ in range(RECORD + 1)]
-    _, sums = dr.while_loop(
-        (mi.UInt32(span[0]), zeros), lambda row, _: row < span[1], body, label="sum of moments"
-    )
+    _, sums = dr.while_loop((mi.UInt32(span[0]), zeros), lambda row, _: row < span[1], body, label="sum of moments")
     return list(sums)
 
 

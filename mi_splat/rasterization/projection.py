@@ -1,4 +1,4 @@
-"""From 3D Gaussians to 2D ones: EWA projection (Zwicker et al. 2001) as 3D Gaussian Splatting (Kerbl et al. 2023) uses it.
+"""From 3D Gaussians to 2D ones: EWA projection (Zwicker et al. 2001) as 3DGS (Kerbl et al. 2023) uses it.
 
 Ordinary Dr.Jit code without side effects, so its derivatives come from automatic differentiation.
 """
@@ -68,7 +68,9 @@ def rotation_columns(quaternion: Any) -> Any:
 def depth(gaussians_mean: Any, view: View) -> Any:
     """Camera-space depth of a world point."""
     row = view.rotation
-    return row[2, 0] * gaussians_mean.x + row[2, 1] * gaussians_mean.y + row[2, 2] * gaussians_mean.z + view.translation.z
+    return (
+        row[2, 0] * gaussians_mean.x + row[2, 1] * gaussians_mean.y + row[2, 2] * gaussians_mean.z + view.translation.z
+    )
 
 
 def colour(gaussians: Gaussians, view: View) -> Any:
@@ -101,8 +103,14 @@ def project(gaussians: Gaussians, view: View) -> tuple[Splat, Any, Any]:
     row_x = mi.Vector3f(*[jx * (r[0, i] - tx * r[2, i]) for i in range(3)])
     row_y = mi.Vector3f(*[jy * (r[1, i] - ty * r[2, i]) for i in range(3)])
     turn = rotation_columns(gaussians.rotation)
-    v0 = mi.Vector3f(*[dr.dot(row_x, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)]) * gaussians.scale
-    v1 = mi.Vector3f(*[dr.dot(row_y, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)]) * gaussians.scale
+    v0 = (
+        mi.Vector3f(*[dr.dot(row_x, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)])
+        * gaussians.scale
+    )
+    v1 = (
+        mi.Vector3f(*[dr.dot(row_y, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)])
+        * gaussians.scale
+    )
 
     n0, n1 = dr.squared_norm(v0), dr.squared_norm(v1)
     xx, yy, xy = n0 + BLUR, n1 + BLUR, dr.dot(v0, v1)

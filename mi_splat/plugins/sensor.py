@@ -1,0 +1,71 @@
+"""Mitsuba's perspective sensor as the rasteriser's camera and as ours.
+
+Mitsuba's camera looks along its +z with x to the left and y up; ours (OpenCV) has x right and y down.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import torch
+
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.rasterization.pinhole import Pinhole
+
+_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]:
+    """Pose (OpenCV, rigid), focal length and principal point in pixels of the whole film, crop offset, crop size."""
+    params = mi.traverse(sensor)
+    if "x_fov" not in params or "principal_point_offset_x" not in params:
+        raise InvalidValueError(
+            message(
+                f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
+            )
+        )
+    pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _FLIP
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    film = sensor.film()
+    width, height = (int(v) for v in film.size())
+    focal = 0.5 * width / math.tan(math.radians(float(np.array(params["x_fov"]).item())) / 2)
+    offset = [float(np.array(params[f"principal_point_offset_{axis}"]).item()) for axis in "xy"]
+    principal = ((0.5 - offset[0]) * width, (0.5 - offset[1]) * height)
+    return pose, focal, principal, film.crop_offset(), film.crop_size()
+
+
+def pinhole(sensor: Any, *, near: float) -> Pinhole:
+    """The kernels' camera for a perspective sensor; a crop window shows the same pixels as the whole film would.
+
+    Raises:
+        InvalidValueError: The sensor is not a perspective one.
+    """
+    pose, focal, principal, offset, crop = _intrinsics(sensor)
+    width, height = (int(v) for v in sensor.film().size())
+    return Pinhole(
+        to_camera=np.linalg.inv(pose),
+        focal=(focal, focal),
+        principal=(principal[0] - float(offset[0]), principal[1] - float(offset[1])),
+        size=(int(crop[0]), int(crop[1])),
+        field=(0.5 * width / focal, 0.5 * height / focal),
+        near=near,
+    )
+
+
+def camera(sensor: Any) -> Camera:
+    """Our camera for a perspective sensor (of its crop window, if it has one)."""
+    pose, focal, principal, offset, crop = _intrinsics(sensor)
+    centre = (principal[0] - float(offset[0]), principal[1] - float(offset[1]))
+    size = (int(crop[0]), int(crop[1]))
+    centred = np.allclose(centre, (size[0] / 2, size[1] / 2), rtol=0, atol=1e-6)
+    return Camera(
+        to_world=torch.from_numpy(pose),
+        focal=focal,
+        width=size[0],
+        height=size[1],
+        principal=None if centred else centre,
+    )

@@ -1,0 +1,104 @@
+"""The shape `gaussians`: any splat that this library reads, as Mitsuba's `ellipsoids`.
+
+==================  ==================  ==============================================================================
+parameter           type                meaning
+==================  ==================  ==============================================================================
+filename            string              a splat file, looked up beside the scene file and on Mitsuba's search path
+means               tensor (N, 3)       instead of a file, from Python: the five tensors of a GaussianScene
+scales              tensor (N, 3)       standard deviations, world units
+rotations           tensor (N, 4)       quaternions w, x, y, z
+opacities           tensor (N, )        in [0, 1]
+sh                  tensor (N, K, 3)    spherical harmonics in 3DGS order
+to_world            transform           rotation, translation and uniform scale; the spherical harmonics turn with it
+extent, ...         as `ellipsoids`     handed on to Mitsuba's shape
+==================  ==================  ==============================================================================
+
+`mi.traverse` shows `<id>.data` (N x 10: centre, standard deviations, quaternion x, y, z, w), `<id>.opacities` (N) and
+`<id>.sh_coeffs` (N x 3K), all differentiable.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity
+
+_HANDED_ON = ("extent", "extent_adaptive_clamping")
+
+
+def gaussians(props: Any) -> Any:
+    """Factory that Mitsuba calls for `<shape type="gaussians">`.
+
+    Raises:
+        InvalidValueError: Neither or both of a file and tensors are given, or `to_world` is no similarity.
+        SplatFileError: The file is not a splat.
+    """
+    given = [name for name in ATTRIBUTES if name in props]
+    if "filename" in props and not given:
+        scene = load_splat(Path(str(mi.file_resolver().resolve(props["filename"]))))
+    elif len(given) == len(ATTRIBUTES):
+        scene = GaussianScene(*(torch.from_numpy(_numpy(props[name])) for name in ATTRIBUTES))
+    else:
+        raise InvalidValueError(
+            message(
+                f'shape "{props.id()}"',
+                f"a filename, or the tensors {', '.join(ATTRIBUTES)}",
+                ", ".join(props.keys()) or "neither",
+                "give one or the other",
+            )
+        )
+    if "to_world" in props:
+        scene = scene.transform(similarity(np.array(props["to_world"].matrix)))
+    extra = {key: props[key] for key in _HANDED_ON if key in props}
+    children = dict(props.objects())
+    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **tensors(scene), **extra, **children})
+
+
+def tensors(scene: GaussianScene) -> dict[str, Any]:
+    """The entries `data`, `opacities` and `sh_coeffs` of an `ellipsoids` dict for a scene."""
+    means, scales, (w, *xyz) = scene.means, scene.scales, scene.rotations.unbind(1)
+    data = torch.cat([means, scales, torch.stack([*xyz, w], dim=1)], dim=1)
+    flat = {"data": data, "opacities": scene.opacities[:, None], "sh_coeffs": scene.sh.flatten(1)}
+    return {key: mi.TensorXf(np.ascontiguousarray(t.detach().cpu().float().numpy())) for key, t in flat.items()}
+
+
+def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
+    """A dict for `mi.load_dict` that holds `scene` as a `gaussians` shape."""
+    arrays = {name: mi.TensorXf(t.detach().cpu().float().contiguous().numpy()) for name, t in _named(scene)}
+    return {"type": "gaussians", **arrays, **extra}
+
+
+def similarity(matrix: NDArray[np.float64]) -> Similarity:
+    """The similarity of a 4 x 4 matrix.
+
+    Raises:
+        InvalidValueError: The matrix shears, mirrors or scales its axes differently.
+    """
+    linear = matrix[:3, :3].astype(np.float64)
+    determinant = float(np.linalg.det(linear))
+    scale = abs(determinant) ** (1 / 3)
+    if determinant <= 0 or not np.allclose(linear @ linear.T, scale**2 * np.eye(3), rtol=0, atol=1e-4 * scale**2):
+        raise InvalidValueError(
+            message(
+                "to_world", "rotation, translation and uniform scale", matrix.tolist(), "remove shear and mirroring"
+            )
+        )
+    return Similarity(
+        rotation=torch.from_numpy(linear / scale), translation=torch.from_numpy(matrix[:3, 3].copy()), scale=scale
+    )
+
+
+def _named(scene: GaussianScene) -> list[tuple[str, torch.Tensor]]:
+    return list(zip(ATTRIBUTES, scene.tensors(), strict=True))
+
+
+def _numpy(tensor: Any) -> NDArray[np.float32]:
+    return np.array(tensor, dtype=np.float32)
