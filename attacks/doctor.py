@@ -191,14 +191,11 @@ def _cuda() -> str:
 
     if not torch.cuda.is_available():
         raise AbsentError(f"torch {torch.__version__} sees no GPU")
-    from mi_splat.variant import use
-
-    use("cuda_ad_rgb")
-    picture = _render(device="cuda")
+    picture = _render(variant="cuda_ad_rgb")
     return f"{torch.cuda.get_device_name()}; the middle pixel of one Gaussian is {_middle(picture):.2f}"
 
 
-def _render(sh: Tensor | None = None, device: str = "cpu") -> Tensor:
+def _render(sh: Tensor | None = None, variant: str = "llvm_ad_rgb") -> Tensor:
     """A picture of one bright Gaussian in front of black, or of one with the colour `sh`."""
     import torch
 
@@ -214,7 +211,8 @@ def _render(sh: Tensor | None = None, device: str = "cpu") -> Tensor:
         sh=torch.ones(1, 1, 3) if sh is None else sh,
     )
     camera = Camera(to_world=look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)), focal=32.0, width=32, height=32)
-    return Renderer(RenderSettings(background=(0.0, 0.0, 0.0)))(scene.to(device), camera)
+    render = Renderer(RenderSettings(background=(0.0, 0.0, 0.0), variant=variant))
+    return render(scene.to("cuda" if variant.startswith("cuda") else "cpu"), camera)
 
 
 def _middle(picture: Tensor) -> float:

@@ -21,14 +21,14 @@ def run(options: RenderOptions) -> int:
     with progress("rendering"):
         stage = open_stage(options.scene)
         camera = _camera(stage, options)
-        settings = dataclasses.replace(stage.settings, method=options.method)
+        settings = stage.settings
         if options.background is not None:
             settings = dataclasses.replace(settings, background=options.background)
         begun = time.perf_counter()
         with torch.no_grad():
             picture = Renderer(settings)(stage.scene, camera)
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        save_png(to_bytes(picture), options.out)
+        save_png(to_bytes(picture[..., :3]), options.out)
     seconds = time.perf_counter() - begun
     if options.json:
         show_json(
