@@ -1,7 +1,8 @@
 """Training pictures for `fasterrcnn_small`: which objects, seen from where, in what light, in front of what.
 
-Picture i of a split is a pure function of (recipe, i): nothing depends on the order or the process in which pictures
-are made. A data set is a folder of 8-bit PNG files and one labels.json; making it again continues where it stopped.
+Scene n of a split, with all its pictures, is a pure function of (recipe, n): nothing depends on the order or the
+process in which pictures are made. A data set is a folder of 8-bit PNG files and one labels.json; making it again
+continues where it stopped.
 """
 
 from __future__ import annotations
@@ -14,24 +15,31 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import torch
 from numpy.random import Generator
+from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
 from attacks.detectors.small import CLASSES, SIZE
-from attacks.detectors.surroundings import backdrop
-from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset, rotation, scaling, translation
+from attacks.detectors.surroundings import backdrop, scatter
+from mi_splat.assets import build, street
+from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.cameras import Camera, orbit_pose, project_points
-from mi_splat.capture import Light, daylight, photograph
+from mi_splat.capture import Light, capture, daylight, first_hits, mesh_scene, scalar_variant
 from mi_splat.errors import InvalidValueError, message
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
 """Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""
 
 OnStep = Callable[[int, int], None]
+Mask = NDArray[np.bool_]
+Record = dict[str, list[list[float]] | list[int]]
+_TRIES, _WELL_VISIBLE = 4, 0.5
+_LEAST_PIXELS = 12
+_COARSE = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,10 +51,11 @@ class Recipe:
         count: Number of pictures.
         seed: Seed of everything that is random.
         size: Width and height, pixels.
+        shots: Pictures of each scene.
         samples: Paths a pixel.
-        empty: Share of pictures without any object.
-        pair: Share of pictures with two objects.
-        street: Share of pictures on the street scene.
+        empty: Share of scenes without any object.
+        pair: Share of scenes with two objects.
+        street: Share of scenes in the project's own surroundings: street, park, open ground, room.
         least_visible: Objects of which less than this share can be seen are not labelled.
     """
 
@@ -54,10 +63,11 @@ class Recipe:
     count: int = 2800
     seed: int = 0
     size: int = SIZE
-    samples: int = 8
+    shots: int = 3
+    samples: int = 6
     empty: float = 0.06
     pair: float = 0.3
-    street: float = 0.25
+    street: float = 0.5
     least_visible: float = 0.15
 
     def __post_init__(self) -> None:
@@ -66,14 +76,12 @@ class Recipe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
-    """A picture before it is taken: objects placed in the world, surroundings, camera, light, seed of the sampler."""
+class Place:
+    """A scene before it is photographed: objects in the world, what is around them, the light."""
 
     assets: tuple[Asset, ...]
     surroundings: Asset
-    camera: Camera
     light: Light
-    seed: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,34 +99,25 @@ class Sample:
     labels: Tensor
 
 
-def shot(recipe: Recipe, index: int) -> Shot:
-    """Picture `index` of a recipe, everything but the path tracing."""
+def place(recipe: Recipe, number: int) -> Place:
+    """Scene `number` of a recipe."""
     low, high = SPLITS[recipe.split]
-    rng = np.random.default_rng([recipe.seed, low, index])
+    rng = np.random.default_rng([recipe.seed, low, number])
     kind = rng.random()
-    names = [CLASSES[index % len(CLASSES)], CLASSES[int(rng.integers(len(CLASSES)))]]
-    names = [("car" if n == "train" else n) for n in names]  # TMP
+    names = [CLASSES[number % len(CLASSES)], CLASSES[int(rng.integers(len(CLASSES)))]]
     count = 0 if kind < recipe.empty else 2 if kind < recipe.empty + recipe.pair else 1
     seeds = [int(rng.integers(low, high)) for _ in names]
     assets = _arrange([build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng)
-    if assets:
-        points = np.concatenate([asset.vertices for asset in assets])
-        focus = assets[int(rng.integers(len(assets)))].vertices if rng.random() < 0.4 else points
-    else:
-        points = focus = rng.normal(0, 0.7, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.6]
-    camera, azimuth = _camera(focus, rng, recipe.size)
-    radius = float(np.linalg.norm(points[:, :2], axis=1).max()) + 1e-3
+    points = np.concatenate([asset.vertices for asset in assets]) if assets else np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
+    radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
-    around = _street(rng) if assets and rng.random() < recipe.street else backdrop(rng, radius, azimuth)
-    return Shot(tuple(assets), around, camera, daylight(int(rng.integers(1 << 30))), int(rng.integers(1 << 28)))
-
-
-def _street(rng: Generator) -> Asset:
-    from mi_splat.assets import street
-
-    asset: Asset = street.build(int(rng.integers(100_000)))
-    shift = translation(float(rng.uniform(-10, 10)), float(rng.uniform(-4, 4)), 0)
-    return asset.transformed(shift @ rotation("z", float(rng.choice([0.0, 180.0]))))
+    light = daylight(int(rng.integers(1 << 30)))
+    if assets and rng.random() < recipe.street:
+        around = street.backdrop(int(rng.integers(low, high)))
+        around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
+    else:
+        around = backdrop(rng, radius)
+    return Place(tuple(assets), around, light)
 
 
 def _arrange(assets: Sequence[Asset], rng: Generator) -> list[Asset]:
@@ -147,8 +146,8 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def _camera(points: np.ndarray, rng: Generator, size: int) -> tuple[Camera, float]:
-    """A camera in which the longer side of the box around `points` is 20 to 100 % of the picture, and its azimuth."""
+def _camera(points: Floats, rng: Generator, size: int) -> Camera:
+    """A camera in which the longer side of the box around `points` is 20 to 100 % of the picture."""
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(0, 90))
@@ -169,34 +168,93 @@ def _camera(points: np.ndarray, rng: Generator, size: int) -> tuple[Camera, floa
     room = (size - extent) / 2 + (0.3 * extent if rng.random() < 0.25 else 0.0)
     shift = rng.uniform(-1, 1, 2) * room
     principal = (size / 2 + float(shift[0]), size / 2 + float(shift[1]))
-    camera = Camera(to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal)
-    return camera, azimuth
+    return Camera(to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal)
 
 
-def take(recipe: Recipe, index: int) -> Sample:
-    """Path trace and label picture `index`."""
-    plan = shot(recipe, index)
-    photo = photograph(
-        plan.assets,
-        plan.camera,
-        light=plan.light,
-        backdrop=plan.surroundings,
-        samples=recipe.samples,
-        seed=plan.seed,
-    )
-    keep = photo.visible >= recipe.least_visible
-    labels = torch.tensor([1 + CLASSES.index(name) for name in photo.labels], dtype=torch.int64)
-    image = (photo.view.image * 255).round().to(torch.uint8)
-    return Sample(image, photo.boxes[keep], labels[keep])
+class Photographer:
+    """Takes the pictures of one scene."""
+
+    def __init__(self, recipe: Recipe, number: int) -> None:
+        """Build scene `number` and load it into Mitsuba."""
+        self._recipe = recipe
+        self._place = place(recipe, number)
+        self._rng = np.random.default_rng([recipe.seed, SPLITS[recipe.split][0], number, 1])
+        self._dict = mesh_scene(self._place.assets, light=self._place.light, backdrop=self._place.surroundings)
+        with scalar_variant():
+            self._scene = mi.load_dict(self._dict)
+            self._alone = [
+                mi.load_dict({"type": "scene", **{k: v for k, v in self._dict.items() if k.startswith(f"object{i}_")}})
+                for i in range(len(self._place.assets))
+            ]
+
+    def take(self) -> Sample:
+        """The next picture; hidden or cut-off objects make it look for another camera, a few times."""
+        for _ in range(_TRIES):
+            camera = self._aim()
+            visible = self._visible(camera)
+            if not visible or max(visible) >= _WELL_VISIBLE:
+                break
+        seed = int(self._rng.integers(1 << 28))
+        (view,) = capture(self._dict, [camera], samples=self._recipe.samples, seed=seed)
+        boxes, labels = [], []
+        if visible:
+            for i, (seen, _) in enumerate(self._outlines(camera)):
+                rows, columns = np.nonzero(seen)
+                if len(rows) >= _LEAST_PIXELS and visible[i] >= self._recipe.least_visible:
+                    boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+                    labels.append(1 + CLASSES.index(self._place.assets[i].name))
+        image = (view.image * 255).round().to(torch.uint8)
+        return Sample(image, torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), torch.tensor(labels).long())
+
+    def _aim(self) -> Camera:
+        assets, rng = self._place.assets, self._rng
+        if not assets:
+            points: Floats = (rng.normal(0, 0.7, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.6]).astype(np.float32)
+        elif rng.random() < 0.5:
+            points = assets[int(rng.integers(len(assets)))].vertices
+        else:
+            points = np.concatenate([asset.vertices for asset in assets])
+        return _camera(points, rng, self._recipe.size)
+
+    def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
+        """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
+        with scalar_variant():
+            nearest = first_hits(self._scene, camera)
+            alone = [first_hits(scene, camera) for scene in self._alone]
+        return [((own > 0) & (own <= nearest * (1 + 1e-5)), own > 0) for own in alone]
+
+    def _visible(self, camera: Camera) -> list[float]:
+        """Share of each object's outline that is inside the picture and not hidden, estimated with few rays."""
+        small = replace(
+            camera,
+            focal=camera.fx / _COARSE,
+            width=camera.width // _COARSE,
+            height=camera.height // _COARSE,
+            principal=(camera.cx / _COARSE, camera.cy / _COARSE),
+        )
+        shares = []
+        for asset, (seen, alone) in zip(self._place.assets, self._outlines(small), strict=True):
+            pixels, depth = project_points(torch.from_numpy(asset.vertices), camera)
+            inside = (pixels >= 0).all(1) & (pixels <= self._recipe.size).all(1) & (depth > 0)
+            shares.append(float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean()))
+        return shares
 
 
-def _take_to_disk(job: tuple[Recipe, int, Path]) -> tuple[int, dict[str, object]]:
-    recipe, index, folder = job
-    sample = take(recipe, index)
-    temporary = folder / f".{index:05d}.{os.getpid()}.png"
-    Image.fromarray(sample.image.numpy()).save(temporary)
-    temporary.replace(folder / f"{index:05d}.png")
-    return index, {"boxes": sample.boxes.tolist(), "labels": sample.labels.tolist()}
+def take(recipe: Recipe, number: int) -> list[Sample]:
+    """The pictures of scene `number`."""
+    photographer = Photographer(recipe, number)
+    return [photographer.take() for _ in range(recipe.shots)]
+
+
+def _take_to_disk(job: tuple[Recipe, int, Path]) -> dict[int, Record]:
+    recipe, number, folder = job
+    records: dict[int, Record] = {}
+    for i, sample in enumerate(take(recipe, number), start=number * recipe.shots):
+        temporary = folder / f".{i:05d}.{os.getpid()}.png"
+        Image.fromarray(sample.image.numpy()).save(temporary)
+        temporary.replace(folder / f"{i:05d}.png")
+        records[i] = {"boxes": sample.boxes.tolist(), "labels": sample.labels.tolist()}
+    return records
 
 
 def _single_thread() -> None:
@@ -214,21 +272,22 @@ def make(recipe: Recipe, folder: Path, *, processes: int = 2, on_step: OnStep | 
     """
     folder.mkdir(parents=True, exist_ok=True)
     records = _records(folder, recipe)
-    missing = [i for i in range(recipe.count) if i not in records]
+    scenes = math.ceil(recipe.count / recipe.shots)
+    missing = [n for n in range(scenes) if any(n * recipe.shots + i not in records for i in range(recipe.shots))]
     if not missing:
         return
     context = multiprocessing.get_context("spawn")
     with context.Pool(processes, initializer=_single_thread) as pool:
-        for index, record in pool.imap_unordered(_take_to_disk, [(recipe, i, folder) for i in missing]):
-            records[index] = record
-            if len(records) % 50 == 0:
+        for done, new in enumerate(pool.imap_unordered(_take_to_disk, [(recipe, n, folder) for n in missing])):
+            records |= new
+            if done % 20 == 19:
                 _write(folder, recipe, records)
             if on_step is not None:
-                on_step(len(records), recipe.count)
+                on_step(len(records), scenes * recipe.shots)
     _write(folder, recipe, records)
 
 
-def _write(folder: Path, recipe: Recipe, records: dict[int, dict[str, object]]) -> None:
+def _write(folder: Path, recipe: Recipe, records: dict[int, Record]) -> None:
     content = {
         "recipe": asdict(recipe),
         "classes": list(CLASSES),
@@ -239,7 +298,7 @@ def _write(folder: Path, recipe: Recipe, records: dict[int, dict[str, object]]) 
     temporary.replace(folder / "labels.json")
 
 
-def _records(folder: Path, recipe: Recipe) -> dict[int, dict[str, object]]:
+def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
     path = folder / "labels.json"
     if not path.is_file():
         return {}

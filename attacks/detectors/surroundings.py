@@ -87,12 +87,12 @@ def ground(rng: Generator, extent: float) -> Mesh:
     return transform(sheet(corners, ground_texture(rng), repeat=(repeat, repeat), smooth=False), turned)
 
 
-def wall(rng: Generator, distance: float, azimuth: float) -> Mesh:
-    """An upright wall `distance` metres from the origin, on the far side from a camera at `azimuth` degrees."""
+def wall(rng: Generator, distance: float) -> Mesh:
+    """An upright wall `distance` metres from the origin."""
     half, height = distance * rng.uniform(0.8, 4), distance * rng.uniform(0.4, 2.5)
     x = -distance
     corners = [[x, -half, 0], [x, half, 0], [x, half, height], [x, -half, height]]
-    return transform(quad(corners, pattern(rng)), rotation("z", azimuth + float(rng.uniform(-35, 35))))
+    return transform(quad(corners, pattern(rng)), rotation("z", float(rng.uniform(0, 360))))
 
 
 def clutter(rng: Generator, size: float) -> Mesh:
@@ -121,13 +121,13 @@ def scatter(rng: Generator, radius: float) -> list[Mesh]:
     return meshes
 
 
-def backdrop(rng: Generator, radius: float, azimuth: float) -> Asset:
-    """A random place around objects that reach `radius` metres from the origin, seen from `azimuth` degrees."""
+def backdrop(rng: Generator, radius: float) -> Asset:
+    """A random place around objects that reach `radius` metres from the origin."""
     meshes = scatter(rng, radius)
     if rng.random() < 0.9:
         meshes.append(ground(rng, radius * rng.uniform(15, 40)))
     if rng.random() < 0.35:
-        meshes.append(wall(rng, radius * rng.uniform(1.6, 6), azimuth))
+        meshes.append(wall(rng, radius * rng.uniform(1.6, 6)))
     if not meshes:
         meshes.append(transform(clutter(rng, radius), translation(0, 0, -3 * radius)))
     return Asset("surroundings", tuple(meshes))
