@@ -12,13 +12,16 @@ from mi_splat.assets.mesh import ellipsoid as ball
 from mi_splat.assets.organic import Blob, Layer, Noise, blade, body, cone, ellipsoid, grounded, mix, spot
 
 Colour = tuple[float, float, float]
-LENGTH = 0.31  # from beak to tail of the figure before it is scaled, metres
 CELL = 0.0040
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Species:
-    """Shape (metres at a length of 0.31, degrees) and plumage of a kind of bird."""
+    """Shape and plumage of a kind of bird.
+
+    `length` runs from beak to tail, smallest and largest, metres; the other lengths are for a figure of about 0.3 m
+    that is scaled to it. `tilt` is in degrees.
+    """
 
     length: tuple[float, float]
     tilt: float
@@ -110,10 +113,12 @@ def build(seed: int) -> Asset:
     bird = _bird(rng)
     noise = Noise(rng)
     tilt = rotation("y", -bird.tilt)
-    trunk = [_trunk(bird, noise), _tail(bird), *(_spread(bird, noise) if bird.wings == "spread" else ())]
+    trunk = [_trunk(bird, noise), _tail(bird)]
     trunk += [transform(mesh, bird.head) for mesh in (*_beak(bird), *_eyes(bird))]
+    reach = float(np.ptp(np.concatenate([mesh.vertices[:, 0] for mesh in trunk])))
+    trunk += _spread(bird, noise) if bird.wings == "spread" else []
     meshes = [transform(mesh, tilt) for mesh in trunk] + _legs(bird, tilt)
-    size = float(rng.uniform(*bird.kind.length)) / LENGTH
+    size = float(rng.uniform(*bird.kind.length)) / reach
     return Asset("bird", grounded([transform(mesh, scaling(size, size, size)) for mesh in meshes]))
 
 
@@ -123,14 +128,14 @@ def _bird(rng: np.random.Generator) -> _Bird:
     low = bool(rng.random() < 0.2)
     place = (0.098, 0.022) if low else (0.084, 0.046 + float(rng.uniform(-0.004, 0.008)))
     turn = float(rng.choice((-1, 1)) * rng.uniform(0, 50))
-    nod = (32.0 if low else float(rng.uniform(-6, 12))) + tilt
-    head = translation(place[0], 0, place[1]) @ rotation("y", tilt) @ rotation("z", turn) @ rotation("y", nod - tilt)
+    nod = 32.0 if low else float(rng.uniform(-6, 12))
+    head = translation(place[0], 0, place[1]) @ rotation("y", tilt) @ rotation("z", turn) @ rotation("y", nod)
     wings = "spread" if rng.random() < 0.3 else "folded"
     return _Bird(
         kind=kind,
         tint=float(rng.uniform(0.88, 1.12)),
         tilt=tilt,
-        head=head,
+        head=head.astype(np.float32),
         wings=wings,
         sweep=float(rng.uniform(0, 50)),
         lift=float(rng.uniform(5, 45)),
@@ -238,7 +243,7 @@ def _face(bird: _Bird, colours: Floats, place: Floats, noise: Noise) -> Floats:
         mask = spot(place, (0.95 * s, 0, -0.35 * s), (0.95 * s, 1.1 * s, 0.95 * s), 0.15)
         colours = mix(colours, kind.breast, mask)
     if "cheek" in kind.marks:
-        bare = spot(side, (0.55 * s, 0.85 * s, 0), (0.55 * s, 0.5 * s, 0.55 * s), 0.2)
+        bare = spot(side, (0.55 * s, 0.85 * s, -0.02 * s), (0.48 * s, 0.5 * s, 0.42 * s), 0.25)
         colours = mix(colours, (0.93, 0.91, 0.88), bare)
     if "crown" in kind.marks:
         crown = spot(place, (0.75 * s, 0, 0.7 * s), (0.65 * s, 0.75 * s, 0.5 * s), 0.3)
@@ -279,7 +284,7 @@ def _wing(bird: _Bird, span: Floats, chord: Floats, place: Floats, noise: Noise)
         colours = mix(colours, (0.08, 0.09, 0.12), (np.mod(span * 16, 1) < 0.25) * (span > 0.5))
     quills = np.mod(chord * 9 + span * 3 + 0.25 * noise(place, 0.02), 1) < 0.18
     edges = np.where(span > 0.42, quills, _scales(place, 0.0095) > 0)
-    result: Floats = colours * (1 - 0.24 * edges)[:, None] * bird.tint
+    result: Floats = (colours * (1 - 0.24 * edges)[:, None] * bird.tint).astype(np.float32)
     return result
 
 

@@ -89,7 +89,7 @@ def build(seed: int) -> Asset:
         meshes.append(_hand(look, arm, side))
     if look.legs == "skirt":
         meshes.append(_skirt(look, legs, noise))
-    size = float(rng.uniform(1.52, 1.72) if look.feminine else rng.uniform(1.64, 1.90)) / HEIGHT
+    size = float(rng.uniform(1.60, 1.74) if look.feminine else rng.uniform(1.66, 1.88)) / HEIGHT
     wide = size * float(rng.uniform(0.95, 1.06))
     return Asset("person", grounded([transform(mesh, scaling(wide, wide, size)) for mesh in meshes]))
 

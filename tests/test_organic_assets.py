@@ -1,0 +1,139 @@
+"""The organic assets: person, elephant, bird, and the surface nets under them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mi_splat.assets import bird, elephant, person
+from mi_splat.assets.mesh import Asset, Floats, Mesh
+from mi_splat.assets.organic import Layer, Noise, above, blade, body, cone, ellipsoid, normals, surface
+
+BUILDERS: dict[str, Callable[[int], Asset]] = {"person": person.build, "elephant": elephant.build, "bird": bird.build}
+SEEDS = range(3)
+HEIGHTS = {"person": (1.45, 2.3), "elephant": (2.4, 3.5), "bird": (0.1, 0.5)}
+LENGTHS = {"person": (0.2, 1.6), "elephant": (3.0, 5.8), "bird": (0.14, 0.62)}
+
+
+def volume(mesh: Mesh) -> float:
+    """Signed volume, positive for a closed mesh with outward faces."""
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def ball(radius: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Layer:
+    return Layer((ellipsoid(centre, (radius,) * 3),), 0.01)
+
+
+@pytest.fixture(scope="module", params=sorted(BUILDERS))
+def family(request: pytest.FixtureRequest) -> list[Asset]:
+    """Assets of one kind, a few seeds."""
+    return [BUILDERS[request.param](seed) for seed in SEEDS]
+
+
+def test_meshes_are_closed_outward_and_small(family: list[Asset]) -> None:
+    for asset in family:
+        assert sum(len(mesh.faces) for mesh in asset.meshes) < 30_000
+        for mesh in asset.meshes:
+            assert np.isfinite(mesh.vertices).all()
+            assert mesh.faces.max() < len(mesh.vertices)
+            assert volume(mesh) > 0
+            assert (mesh.uvs >= 0).all()
+            assert (mesh.uvs <= 1).all()
+            assert mesh.texture.min() >= 0
+            assert mesh.texture.max() <= 1
+
+
+def test_stands_on_the_ground_centred_in_real_size(family: list[Asset]) -> None:
+    for asset in family:
+        low, high = asset.bounds
+        assert low[2] == pytest.approx(0, abs=1e-5)
+        np.testing.assert_allclose(low[:2] + high[:2], 0, atol=1e-4)
+        (shortest, tallest), (least, most) = HEIGHTS[asset.name], LENGTHS[asset.name]
+        assert shortest < high[2] < tallest
+        assert least < high[0] - low[0] < most
+
+
+def test_seed_decides_everything(family: list[Asset]) -> None:
+    again = BUILDERS[family[0].name](SEEDS[0])
+    for mesh, other in zip(family[0].meshes, again.meshes, strict=True):
+        np.testing.assert_array_equal(mesh.vertices, other.vertices)
+        np.testing.assert_array_equal(mesh.texture, other.texture)
+    sizes = {tuple(np.round(asset.bounds[1], 4).tolist()) for asset in family}
+    colours = {tuple(np.round(asset.meshes[0].texture.mean((0, 1)), 4).tolist()) for asset in family}
+    assert len(sizes) == len(colours) == len(family)
+
+
+def test_people_are_of_human_height() -> None:
+    for seed in SEEDS:
+        asset = person.build(seed)
+        head = asset.meshes[1].vertices[:, 2]
+        assert 1.45 < head.max() < 2.0
+        assert head.min() > 0.75 * head.max()
+
+
+def test_elephants_carry_the_head_in_front() -> None:
+    for seed in SEEDS:
+        left, right = elephant.build(seed).meshes[1:3]
+        assert left.vertices[:, 1].mean() > right.vertices[:, 1].mean()
+        assert left.vertices[:, 0].mean() > -0.5
+
+
+@pytest.mark.parametrize("kind", sorted(bird.SPECIES))
+def test_every_species_occurs(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bird, "SPECIES", {kind: bird.SPECIES[kind]})
+    asset = bird.build(3)
+    assert 0.1 < asset.bounds[1, 2] < 0.5
+
+
+def test_surface_of_a_ball() -> None:
+    vertices, quads = surface([ball(0.5, (0.1, -0.2, 0.3))], 0.05)
+    offset = vertices - np.array((0.1, -0.2, 0.3))
+    radius = np.linalg.norm(offset, axis=1)
+    np.testing.assert_allclose(radius, 0.5, atol=0.012)
+    assert (np.einsum("ij,ij->i", normals(vertices, quads), offset) > 0.45).all()
+    edges = np.sort(np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)]), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+
+
+def test_body_volume_and_colours_by_layer() -> None:
+    def paint(points: Floats, layer: NDArray[np.int64]) -> Floats:
+        return np.where(layer[:, None] == 0, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)).astype(np.float32)
+
+    mesh = body([ball(0.3), ball(0.2, (0.8, 0, 0))], 0.04, paint)
+    assert volume(mesh) == pytest.approx(4 / 3 * np.pi * (0.3**3 + 0.2**3), rel=0.03)
+    height, width = mesh.texture.shape[:2]
+    pixel = (mesh.uvs * (width, -height) + (0, height)).astype(int)
+    colour = mesh.texture[pixel[:, 1], pixel[:, 0]]
+    near = mesh.vertices[:, 0] < 0.45
+    np.testing.assert_array_equal(colour[near], np.broadcast_to((1, 0, 0), (near.sum(), 3)))
+    np.testing.assert_array_equal(colour[~near], np.broadcast_to((0, 0, 1), ((~near).sum(), 3)))
+
+
+def test_blobs_melt_and_are_cut() -> None:
+    pair = (ellipsoid((0, 0, 0.5), (0.2,) * 3), ellipsoid((0.38, 0, 0.5), (0.2,) * 3))
+    apart, melted = (surface([Layer(pair, blend)], 0.03)[0] for blend in (0.001, 0.2))
+    waist = [np.abs(v[np.abs(v[:, 0] - 0.19) < 0.03, 2] - 0.5).max() for v in (apart, melted)]
+    assert waist[1] > waist[0] + 0.02
+    cut, _ = surface([Layer((above(cone((0, 0, 0), (0, 0, 1), (0.2, 0.2)), 0.4),), 0.01)], 0.03)
+    assert cut[:, 2].min() == pytest.approx(0.4, abs=0.02)
+
+
+def test_blade_is_thin_and_closed() -> None:
+    y, x = np.mgrid[0:1:5j, 0:2:7j]
+    sheet = blade(np.stack([x, y, 0 * x], -1), 0.1, np.full((2, 2, 3), 0.5))
+    assert 0.05 < volume(sheet) < 0.2
+    assert np.ptp(sheet.vertices[:, 2]) == pytest.approx(0.1, rel=0.05)
+
+
+def test_noise_is_bounded_smooth_and_periodic() -> None:
+    rng = np.random.default_rng(1)
+    noise = Noise(rng)
+    points = rng.uniform(-30, 30, (500, 3)).astype(np.float32)
+    values = noise(points, 1.0)
+    assert np.abs(values).max() <= 1
+    np.testing.assert_allclose(noise(points + np.float32(24), 1.0), values, atol=1e-3)
+    assert np.abs(noise(points + np.float32(1e-3), 1.0) - values).max() < 0.02
