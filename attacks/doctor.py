@@ -231,7 +231,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
         Probe(
             name="variant",
             run=_variant,
-            advice="reinstall Mitsuba and Dr.Jit: pip install --force-reinstall mitsuba drjit",
+            advice=f"{llvm_hint()}; or reinstall mitsuba and drjit",
         ),
         Probe(name="one Gaussian", run=_one_gaussian, advice=f"if the process was ended, {llvm_hint()}"),
         Probe(name="one gradient", run=_one_gradient, advice=f"if the process was ended, {llvm_hint()}"),

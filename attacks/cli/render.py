@@ -28,7 +28,7 @@ def run(options: RenderOptions) -> int:
         with torch.no_grad():
             picture = Renderer(settings)(stage.scene, camera)
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        save_png(to_bytes(picture[..., :3]), options.out)
+        save_png(to_bytes(picture), options.out)
     seconds = time.perf_counter() - begun
     if options.json:
         show_json(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -15,13 +16,16 @@ from mi_splat.scene import GaussianScene
 
 
 def open_stage(path: Path) -> Stage:
-    """The scene in `path`; a bare splat file becomes a stage of one part without cameras, in front of black.
+    """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
+
+    A bare splat file becomes a stage of one part without cameras, in front of black.
 
     Raises:
         MiSplatError: The file cannot be read, or is of neither kind.
     """
     if path.suffix.lower() == ".xml":
-        return read_stage(path)
+        stage = read_stage(path)
+        return dataclasses.replace(stage, settings=dataclasses.replace(stage.settings, alpha=False, linear=False))
     if path.suffix.lower() != ".ply":
         do = "pass a Mitsuba scene or a 3DGS splat"
         raise InvalidValueError(message(str(path), "a file that ends in .xml or .ply", path.suffix or "no ending", do))
