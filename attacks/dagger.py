@@ -51,6 +51,7 @@ class DaggerConfig:
         steps: Number of steps.
         step_factor: A step is eps * step_factor / steps long.
         restarts: Number of runs; the first starts at the clean splat, the others anywhere in the ball.
+        random_start: Start the first run anywhere in the ball, too.
         early_stop: Stop at the first success instead of spending every step.
         share: Share of the views in which the attack has to succeed.
         noise_draws: Number of draws of the random-noise control.
@@ -63,6 +64,7 @@ class DaggerConfig:
     steps: int = 11
     step_factor: float = 2.0
     restarts: int = 1
+    random_start: bool = False
     early_stop: bool = True
     share: float = 1.0
     noise_draws: int = 5
@@ -250,7 +252,7 @@ def _search(
             config.budget,
             step=step,
             steps=config.steps,
-            start=config.budget.uniform(reference, generator) if restart else None,
+            start=config.budget.uniform(reference, generator) if restart or config.random_start else None,
             early_stop=config.early_stop,
             on_step=numbered,
         )

@@ -35,7 +35,7 @@ class ColourDetector:
 
     name: str = "fake_colour"
     classes: tuple[str, ...] = ("car", "person", "stop sign")
-    sizes = (12, 16, 20, 24)
+    sizes: tuple[int, ...] = (12, 16, 20, 24)
     stride = 2
 
     def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
