@@ -26,6 +26,7 @@ from attacks.dagger import Attribute
 from attacks.laboratory import Job, Laboratory, Setting
 from attacks.reports import save_json
 from attacks.tables import write_tables
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 
 PAIRS = (
     ("car_street", "car", "person"),
@@ -122,7 +123,7 @@ def _stored(path: Path) -> dict[str, Any] | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """Options of the command."""
+    """Many attacks and one table: the paper's pairs, smaller balls, other norms, hiding, every other attribute."""
 
     study: Positional[Literal["dagger"]]
     """Which study."""
@@ -142,7 +143,11 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line of the studies; returns the exit status."""
-    return conduct(tyro.cli(Options, args=arguments, prog="python -m attacks.studies"))
+    try:
+        return conduct(tyro.cli(Options, args=arguments, prog="python -m attacks.studies"))
+    except MiSplatError as error:
+        sys.stderr.write(f"attacks.studies: {error}\n")
+        return 1
 
 
 def conduct(options: Options) -> int:
@@ -152,7 +157,12 @@ def conduct(options: Options) -> int:
 
     from attacks.detectors import load_detector
 
-    jobs = [job for job in dagger_jobs(options.seeds) if not options.groups or job.group in options.groups]
+    jobs = dagger_jobs(options.seeds)
+    known = tuple(dict.fromkeys(job.group for job in jobs))
+    for group in options.groups:
+        if group not in known:
+            raise InvalidValueError(message("groups", f"some of {', '.join(known)}", group, "name one of these"))
+    jobs = [job for job in jobs if not options.groups or job.group in options.groups]
     detector = load_detector(options.detector, weights=options.weights)
     laboratory = Laboratory(lambda name: _from_xml(options.scenes / f"{name}.xml"), detector)
     console = Console(stderr=True)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from attacks.laboratory import Job, Laboratory, Setting, jittered
-from attacks.studies import OTHERS, PAIRS, dagger_jobs, run
+from attacks.studies import OTHERS, PAIRS, dagger_jobs, main, run
 from attacks.tables import by_radius, markdown, rows, write_tables
 from mi_splat.cameras import project_points
 from mi_splat.errors import InvalidValueError
@@ -152,3 +152,12 @@ def test_jitter_keeps_the_object_in_the_middle() -> None:
 def test_an_object_that_is_not_there_is_named() -> None:
     with pytest.raises(InvalidValueError, match="object of toy: expected one of rest, thing, got tree"):
         laboratory().execute(dataclasses.replace(JOBS[0], part="tree"))
+
+
+def test_the_command_refuses_unknown_tables(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["dagger", "--groups", "colours"]) == 1
+    assert "groups: expected some of pairs, curve" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["cloak"])
