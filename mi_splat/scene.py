@@ -138,7 +138,7 @@ class GaussianScene:
         return GaussianScene(
             means=similarity.scale * (self.means @ turn.T) + similarity.translation.to(self.means),
             scales=similarity.scale * self.scales,
-            rotations=quaternion.normalise(quaternion.multiply(spin, self.rotations)),
+            rotations=quaternion.multiply(spin, self.rotations),
             opacities=self.opacities,
             sh=rotate_sh(self.sh, similarity.rotation),
         )
@@ -146,6 +146,8 @@ class GaussianScene:
     def with_degree(self, degree: int) -> GaussianScene:
         """The scene with SH of another degree: zeros are added, or the higher bands are cut off."""
         count = coefficient_count(degree)
+        if count == self.sh.shape[1]:
+            return self
         kept = self.sh[:, :count]
         padding = kept.new_zeros(len(self), count - kept.shape[1], 3)
         return self._trusted(*self.tensors()[:4], torch.cat([kept, padding], dim=1))

@@ -48,18 +48,17 @@ def file_record(rest: int) -> np.dtype[np.void]:
 
 
 def pack(part: GaussianScene, rows: Rows) -> bool:
-    """Fill rows of `file_record` with the Gaussians of `part`, which is on the CPU.
+    """Fill rows of `file_record` with the Gaussians of `part`, which is float32 on the CPU.
 
     Returns:
-        Whether all values are finite in float32.
+        Whether all values are finite.
     """
     values = {name: value.numpy() for name, value in to_file_space(part).items()}
-    with np.errstate(over="ignore"):
-        for name in COLUMNS:
-            rows[name] = values[name]
-        rows["dc"] = values["sh"][:, 0]
-        for channel in range(3):  # a channel at a time is twice as fast as one transpose
-            rows["rest"][:, channel] = values["sh"][:, 1:, channel]
+    for name in COLUMNS:
+        rows[name] = values[name]
+    rows["dc"] = values["sh"][:, 0]
+    for channel in range(3):  # a channel at a time is twice as fast as one transpose
+        rows["rest"][:, channel] = values["sh"][:, 1:, channel]
     return bool(np.isfinite(rows.view("<f4")).all())
 
 

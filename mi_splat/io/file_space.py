@@ -18,6 +18,8 @@ from mi_splat.scene import ATTRIBUTES, GaussianScene
 
 # Finite logits of the opacities 0 and 1: the sigmoid of them rounds to exactly 0 and 1 in that dtype.
 _LOGIT_LIMITS = {torch.float32: (-104.0, 17.5), torch.float64: (-746.0, 38.0)}
+# Largest logarithms whose exponential does not overflow.
+_LOG_LIMITS = {torch.float32: 88.72283, torch.float64: 709.78271}
 
 
 def to_file_space(scene: GaussianScene) -> dict[str, Tensor]:
@@ -32,7 +34,7 @@ def to_file_space(scene: GaussianScene) -> dict[str, Tensor]:
     """
     return {
         "means": scene.means,
-        "scales": scene.scales.double().log().to(scene.scales.dtype),
+        "scales": scene.scales.double().log().clamp(max=_LOG_LIMITS[scene.scales.dtype]).to(scene.scales.dtype),
         "rotations": scene.rotations,
         "opacities": _logit(scene.opacities),
         "sh": scene.sh,

@@ -82,7 +82,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
     properties = "\n".join(f"property float {name}" for name in file_names(rest))
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(scene)}\n{properties}\nend_header\n".encode()
     record, lock = file_record(rest), threading.Lock()
-    tensors = [value.detach().cpu() for value in scene.tensors()]
+    tensors = [value.detach().to("cpu", torch.float32) for value in scene.tensors()]
     with atomic_write(path) as file:
         write_all(file, memoryview(head))
 

@@ -1,0 +1,319 @@
+"""GaussianScene: what it refuses, and that its methods do what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+import re
+from typing import Any
+
+import hypothesis
+import pytest
+import torch
+from hypothesis import strategies as st
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.rotation import from_matrix, normalise, to_matrix
+from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity, merge, scene_hash
+from mi_splat.sh import coefficient_count, sh_to_colour
+from tests.gaussians import random_scene
+
+
+def parts(scene: GaussianScene) -> dict[str, Any]:
+    return dict(zip(ATTRIBUTES, scene.tensors(), strict=True))
+
+
+def turn(seed: int) -> Tensor:
+    quaternion = torch.randn(4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return to_matrix(normalise(quaternion))
+
+
+def changed(value: Tensor, place: tuple[int, ...], to: float) -> Tensor:
+    value = value.clone()
+    value[place] = to
+    return value
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("count", [0, 1, 7])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_valid_scenes_are_accepted(degree: int, count: int, dtype: torch.dtype) -> None:
+    scene = random_scene(count, degree, dtype=dtype)
+    assert len(scene) == count
+    assert scene.degree == degree
+    assert [value.dtype for value in scene.tensors()] == [dtype] * 5
+    assert [field.name for field in dataclasses.fields(scene)] == list(ATTRIBUTES)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("means", [[0.0] * 3] * 3, "means: expected a torch tensor, got list"),
+        ("means", torch.zeros(3, 2), "means: expected shape (3, 3), got (3, 2)"),
+        ("means", torch.zeros(()), "means: expected shape (0, 3), got ()"),
+        ("means", torch.zeros(2, 3), "scales: expected shape (2, 3), got (3, 3)"),
+        ("scales", torch.ones(3), "scales: expected shape (3, 3), got (3,)"),
+        ("rotations", torch.ones(3, 3), "rotations: expected shape (3, 4), got (3, 3)"),
+        ("opacities", torch.ones(3, 1), "opacities: expected shape (3,), got (3, 1)"),
+        ("sh", torch.ones(3, 3), "sh: expected shape (3, K, 3), got (3, 3)"),
+        ("sh", torch.ones(3, 4, 4), "sh: expected shape (3, K, 3), got (3, 4, 4)"),
+        ("sh", torch.ones(3, 5, 3), "sh: expected 1, 4, 9 or 16 coefficients, got 5"),
+        ("sh", torch.ones(3, 0, 3), "sh: expected 1, 4, 9 or 16 coefficients, got 0"),
+        ("sh", torch.ones(3, 25, 3), "sh: expected 1, 4, 9 or 16 coefficients, got 25"),
+        ("means", torch.zeros(3, 3, dtype=torch.float16), "means: expected float32 or float64, got torch.float16"),
+        ("means", torch.zeros(3, 3, dtype=torch.int64), "means: expected float32 or float64, got torch.int64"),
+        ("sh", torch.ones(3, 4, 3, dtype=torch.float64), "sh: expected torch.float32 like the means"),
+        ("sh", torch.ones(3, 4, 3, device="meta"), "sh: expected device cpu like the means, got meta"),
+    ],
+)
+def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
+    with pytest.raises(InvalidValueError, match=re.escape(words)) as caught:
+        GaussianScene(**{**parts(random_scene(3, 1)), name: value})
+    assert isinstance(caught.value, MiSplatError)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "to"),
+    [
+        *((name, place, value) for value in (float("nan"), float("inf"), float("-inf"))
+          for name, place in (("means", (4, 1)), ("scales", (4, 0)), ("rotations", (4, 3)), ("opacities", (4,)),
+                              ("sh", (4, 2, 1)))),
+        ("scales", (4, 2), 0.0),
+        ("scales", (4, 2), -1.0),
+        ("rotations", (4, 0), 1.5),
+        ("opacities", (4,), -1e-6),
+        ("opacities", (4,), 1.0001),
+    ],
+)  # fmt: skip
+def test_wrong_values_are_refused_and_named(name: str, place: tuple[int, ...], to: float) -> None:
+    scene = random_scene(6, 1)
+    with pytest.raises(InvalidValueError, match=rf"^{name}: expected .* in row 4 \(1 of 6 rows are wrong\); "):
+        scene.replace(**{name: changed(parts(scene)[name], place, to)})
+
+
+def test_zero_quaternion_is_refused() -> None:
+    scene = random_scene(2)
+    with pytest.raises(InvalidValueError, match="unit quaternions"):
+        scene.replace(rotations=torch.zeros(2, 4))
+
+
+def test_quaternions_within_the_tolerance_are_kept_bit_for_bit() -> None:
+    scene = random_scene(5)
+    rotations = scene.rotations * 1.0009
+    assert scene.replace(rotations=rotations).rotations is rotations
+    with pytest.raises(InvalidValueError, match="unit quaternions"):
+        scene.replace(rotations=scene.rotations * 1.0011)
+
+
+def test_limits_of_the_ranges_are_valid() -> None:
+    scene = random_scene(2)
+    scene.replace(opacities=torch.tensor([0.0, 1.0]))
+    scene.replace(scales=torch.full((2, 3), 1e-45))
+
+
+def test_tensors_keep_their_graph() -> None:
+    scene = random_scene(4, 1, dtype=torch.float64)
+    leaves = [value.clone().requires_grad_() for value in scene.tensors()]
+    built = GaussianScene(*(2 * leaf / 2 for leaf in leaves))
+    for derived in (built, built.select(slice(None)), merge(built, built), built.with_degree(3), built.to("cpu")):
+        total = sum((value.sum() for value in derived.tensors()), torch.zeros((), dtype=torch.float64))
+        assert all(g is not None for g in torch.autograd.grad(total, leaves, retain_graph=True, allow_unused=True))
+    assert not any(value.requires_grad for value in built.detach().tensors())
+
+
+def test_a_scene_cannot_be_changed() -> None:
+    scene = random_scene(1)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scene.means = scene.means  # type: ignore[misc]
+
+
+def test_repr_is_short_and_pickle_works() -> None:
+    scene = random_scene(1234, 2)
+    assert repr(scene) == "GaussianScene(1,234 Gaussians, SH degree 2, float32, cpu)"
+    again = pickle.loads(pickle.dumps(scene))
+    assert scene_hash(again) == scene_hash(scene)
+
+
+def test_replace_checks_and_refuses_unknown_names() -> None:
+    scene = random_scene(3)
+    opacities = torch.full((3,), 0.25)
+    other = scene.replace(opacities=opacities)
+    assert other.opacities is opacities
+    assert other.means is scene.means
+    with pytest.raises(TypeError):
+        scene.replace(colours=opacities)
+
+
+@pytest.mark.parametrize("rows", [[0, 3, 3, -1], [2], []])
+def test_select_by_index(rows: list[int]) -> None:
+    scene = random_scene(5)
+    picked = scene.select(torch.tensor(rows, dtype=torch.int64))
+    for value, source in zip(picked.tensors(), scene.tensors(), strict=True):
+        assert torch.equal(value, source[rows])
+
+
+@hypothesis.given(mask=st.lists(st.booleans(), min_size=0, max_size=9))
+def test_select_by_mask_and_its_complement_part_the_scene(mask: list[bool]) -> None:
+    scene, chosen = random_scene(len(mask)), torch.tensor(mask, dtype=torch.bool)
+    inside, outside = scene.select(chosen), scene.select(~chosen)
+    assert len(inside) + len(outside) == len(scene)
+    assert torch.equal(inside.means, scene.means[chosen])
+    assert torch.equal(outside.sh, scene.sh[~chosen])
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (torch.ones(4, dtype=torch.bool), "a mask of 5 rows"),
+        (torch.ones(5), "bool mask or"),
+        (torch.ones(5, dtype=torch.uint8), "bool mask or"),
+        (torch.ones(5, 1, dtype=torch.bool), "bool mask or"),
+        (torch.tensor([0, 5]), "indices below 5"),
+        (torch.tensor([-6]), "indices below 5"),
+    ],
+)
+def test_select_refuses_what_is_no_selection(rows: Tensor, words: str) -> None:
+    with pytest.raises(InvalidValueError, match=words):
+        random_scene(5).select(rows)
+
+
+def test_merge_keeps_order_and_pads_lower_degrees() -> None:
+    first, second = random_scene(2, 0), random_scene(3, 2, seed=1)
+    both = merge(first, second)
+    assert (len(both), both.degree) == (5, 2)
+    assert torch.equal(both.means, torch.cat([first.means, second.means]))
+    assert torch.equal(both.sh[:2, :1], first.sh)
+    assert not both.sh[:2, 1:].any()
+    assert torch.equal(both.sh[2:], second.sh)
+    assert scene_hash(both.select(slice(2, 5))) == scene_hash(second)
+    assert scene_hash(merge(first)) == scene_hash(first)
+
+
+def test_merge_refuses_nothing_and_mixtures() -> None:
+    with pytest.raises(InvalidValueError, match="at least one scene"):
+        merge()
+    with pytest.raises(InvalidValueError, match="one dtype and device"):
+        merge(random_scene(1), random_scene(1, dtype=torch.float64))
+
+
+def test_with_degree_pads_and_cuts() -> None:
+    scene = random_scene(3, 2)
+    assert torch.equal(scene.with_degree(3).with_degree(2).sh, scene.sh)
+    assert torch.equal(scene.with_degree(1).sh, scene.sh[:, :4])
+    with pytest.raises(InvalidValueError, match="degree"):
+        scene.with_degree(4)
+
+
+def test_to_changes_dtype_and_back() -> None:
+    scene = random_scene(4)
+    wide = scene.to(dtype=torch.float64)
+    assert wide.means.dtype == torch.float64
+    assert scene_hash(wide.to("cpu", torch.float32)) == scene_hash(scene)
+    with pytest.raises(InvalidValueError, match="float32 or float64"):
+        scene.to(dtype=torch.float16)
+    with pytest.raises(InvalidValueError, match="finite"):
+        wide.replace(means=wide.means + 1e300).to(dtype=torch.float32)
+
+
+def test_hash_depends_on_every_tensor_and_on_nothing_else() -> None:
+    scene = random_scene(4, 1)
+    assert len(scene_hash(scene)) == 64
+    copies = GaussianScene(*(value.clone().requires_grad_() for value in scene.tensors()))
+    strided = GaussianScene(*(value.repeat_interleave(2, 0)[::2] for value in scene.tensors()))
+    assert scene_hash(copies) == scene_hash(scene) == scene_hash(strided)
+    others = [
+        scene.replace(means=scene.means + 1),
+        scene.replace(scales=scene.scales * 2),
+        scene.replace(rotations=-scene.rotations),
+        scene.replace(opacities=1 - scene.opacities),
+        scene.replace(sh=-scene.sh),
+        scene.select(slice(3)),
+        scene.select(slice(0)),
+        scene.with_degree(2),
+        scene.to(dtype=torch.float64),
+    ]
+    assert len({scene_hash(other) for other in (scene, *others)}) == len(others) + 1
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_transform_moves_covariances_and_colours_with_the_scene(degree: int, seed: int) -> None:
+    scene = random_scene(20, degree, seed=seed, dtype=torch.float64)
+    similarity = Similarity(turn(seed), torch.tensor([1.0, -2.0, 3.0], dtype=torch.float64), 1.7)
+    moved = scene.transform(similarity)
+    linear = similarity.scale * similarity.rotation
+    torch.testing.assert_close(moved.means, scene.means @ linear.T + similarity.translation)
+
+    def covariance(of: GaussianScene) -> Tensor:
+        axes = to_matrix(of.rotations) * of.scales[:, None, :]
+        return axes @ axes.mT
+
+    torch.testing.assert_close(covariance(moved), linear @ covariance(scene) @ linear.T)
+    camera = torch.tensor([5.0, 4.0, -3.0], dtype=torch.float64)
+    before = torch.nn.functional.normalize(scene.means - camera, dim=1)
+    after = torch.nn.functional.normalize(moved.means - (linear @ camera + similarity.translation), dim=1)
+    torch.testing.assert_close(sh_to_colour(moved.sh, after), sh_to_colour(scene.sh, before))
+    assert torch.equal(moved.opacities, scene.opacities)
+
+
+def test_transform_by_a_translation_alone_changes_means_alone() -> None:
+    scene = random_scene(50)
+    moved = scene.transform(Similarity(torch.eye(3), torch.ones(3)))
+    assert torch.equal(moved.means, scene.means + 1)
+    assert scene_hash(moved.replace(means=scene.means)) == scene_hash(scene)
+
+
+def test_transforms_compose_and_can_be_undone() -> None:
+    scene = random_scene(30, dtype=torch.float64)
+    zero = torch.zeros(3, dtype=torch.float64)
+    once = scene.transform(Similarity(turn(1), zero)).transform(Similarity(turn(2), zero))
+    twice = scene.transform(Similarity(turn(2) @ turn(1), zero))
+    for one, two in zip(once.tensors(), twice.tensors(), strict=True):
+        sign = torch.sign((one * two).sum(1, keepdim=True)) if one is once.rotations else 1
+        torch.testing.assert_close(one * sign, two)
+    back = once.transform(Similarity((turn(2) @ turn(1)).T, zero))
+    torch.testing.assert_close(back.sh, scene.sh)
+    torch.testing.assert_close(back.means, scene.means)
+
+
+def test_transform_is_differentiable() -> None:
+    scene = random_scene(3, 2, dtype=torch.float64)
+    similarity = Similarity(turn(3), torch.ones(3, dtype=torch.float64), 0.5)
+
+    def move(*leaves: Tensor) -> tuple[Tensor, ...]:
+        return GaussianScene._trusted(*leaves).transform(similarity).tensors()
+
+    leaves = [value.clone().requires_grad_() for value in scene.tensors()]
+    assert torch.autograd.gradcheck(move, leaves)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"rotation": torch.eye(4)}, "rotation"),
+        ({"rotation": 2 * torch.eye(3)}, "rotation"),
+        ({"rotation": torch.diag(torch.tensor([1.0, 1.0, -1.0]))}, "rotation"),
+        ({"rotation": torch.full((3, 3), float("nan"))}, "rotation"),
+        ({"translation": torch.zeros(2)}, "translation"),
+        ({"translation": torch.tensor([0.0, 0.0, float("inf")])}, "translation"),
+        ({"scale": 0.0}, "scale"),
+        ({"scale": -1.0}, "scale"),
+        ({"scale": float("nan")}, "scale"),
+    ],
+)
+def test_similarity_refuses_what_is_none(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidValueError, match=f"^{words}: expected"):
+        Similarity(**{"rotation": torch.eye(3), "translation": torch.zeros(3), **change})
+
+
+def test_trusted_scenes_are_not_checked() -> None:
+    scene = GaussianScene._trusted(*(torch.full((2,), float("nan")) for _ in ATTRIBUTES))
+    assert torch.isnan(scene.means).all()
+
+
+def test_spinning_a_scene_spins_its_quaternions() -> None:
+    scene = random_scene(1, dtype=torch.float64).replace(rotations=torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64))
+    spun = scene.transform(Similarity(turn(4), torch.zeros(3, dtype=torch.float64)))
+    torch.testing.assert_close(spun.rotations[0], from_matrix(turn(4)))
+    assert spun.sh.shape[1] == coefficient_count(3)

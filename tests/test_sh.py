@@ -1,0 +1,146 @@
+"""Spherical harmonics against SciPy's complex ones, and their rotation against its meaning."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import sph_harm_y
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.rotation import normalise, to_matrix
+from mi_splat.sh import (
+    coefficient_count,
+    colour_to_dc,
+    dc_to_colour,
+    degree_of,
+    rotate_sh,
+    sh_basis,
+    sh_rotation,
+    sh_to_colour,
+)
+
+
+def directions(count: int, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1)
+
+
+def turn(seed: int) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return to_matrix(normalise(torch.randn(4, generator=generator, dtype=torch.float64)))
+
+
+def test_basis_is_the_real_form_of_scipys_harmonics() -> None:
+    d = directions(200)
+    x, y, z = d.numpy().T
+    polar, azimuth = np.arccos(z), np.arctan2(y, x)
+    expected = []
+    for band in range(4):
+        for m in range(-band, band + 1):
+            value = sph_harm_y(band, abs(m), polar, azimuth)
+            expected.append(value.real if m == 0 else math.sqrt(2) * (value.real if m > 0 else value.imag))
+    torch.testing.assert_close(sh_basis(d, 3), torch.from_numpy(np.stack(expected, 1)))
+
+
+def test_basis_is_orthonormal() -> None:
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    azimuth = np.arange(16) * 2 * np.pi / 16
+    ring = np.sqrt(1 - nodes**2)
+    grid = np.stack(
+        [np.outer(ring, np.cos(azimuth)), np.outer(ring, np.sin(azimuth)), np.outer(nodes, np.ones(16))], -1
+    )
+    basis = sh_basis(torch.from_numpy(grid.reshape(-1, 3)), 3)
+    weight = torch.from_numpy(np.repeat(weights, 16) * 2 * np.pi / 16)
+    torch.testing.assert_close(basis.T @ (weight[:, None] * basis), torch.eye(16, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_lower_degrees_are_a_prefix(degree: int) -> None:
+    d = directions(5)
+    assert torch.equal(sh_basis(d, degree), sh_basis(d, 3)[:, : coefficient_count(degree)])
+    assert degree_of(coefficient_count(degree)) == degree
+
+
+def test_basis_keeps_dimensions_and_is_differentiable() -> None:
+    assert sh_basis(directions(6).reshape(2, 3, 3), 2).shape == (2, 3, 9)
+    assert sh_basis(torch.zeros(0, 3), 3).shape == (0, 16)
+    assert torch.autograd.gradcheck(lambda d: sh_basis(d, 3), (directions(4).requires_grad_(),))
+
+
+def test_colour_is_clamped_from_below_only() -> None:
+    sh = torch.zeros(3, 4, 3)
+    sh[0, 0], sh[1, 0] = 10.0, -10.0
+    colour = sh_to_colour(sh, directions(3).float())
+    assert (colour[0] > 3).all()
+    assert torch.equal(colour[1:], torch.tensor([[0.0] * 3, [0.5] * 3]))
+
+
+def test_a_known_colour() -> None:
+    sh = torch.zeros(1, 4, 3, dtype=torch.float64)
+    sh[0, 2, 0] = 1.0
+    for z in (1.0, -1.0):
+        colour = sh_to_colour(sh, torch.tensor([[0.0, 0.0, z]], dtype=torch.float64))
+        torch.testing.assert_close(colour[0, 0].item(), 0.5 + z * math.sqrt(3 / (4 * math.pi)))
+
+
+def test_dc_is_the_colour_from_everywhere() -> None:
+    colour = torch.rand(7, 3)
+    dc = colour_to_dc(colour)
+    torch.testing.assert_close(dc_to_colour(dc), colour)
+    torch.testing.assert_close(sh_to_colour(dc[:, None], directions(7).float()), colour)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_rotated_coefficients_give_rotated_colours(degree: int, seed: int) -> None:
+    sh = torch.randn(30, coefficient_count(degree), 3, dtype=torch.float64)
+    d, rotation = directions(30, seed), turn(seed)
+    torch.testing.assert_close(sh_to_colour(rotate_sh(sh, rotation), d @ rotation.T), sh_to_colour(sh, d))
+
+
+def test_rotations_of_sh_are_a_group_of_orthogonal_blocks() -> None:
+    one, two = turn(1), turn(2)
+    first, second = sh_rotation(one, 3), sh_rotation(two, 3)
+    torch.testing.assert_close(first @ first.T, torch.eye(16, dtype=torch.float64))
+    torch.testing.assert_close(sh_rotation(two @ one, 3), second @ first)
+    torch.testing.assert_close(sh_rotation(torch.eye(3), 3), torch.eye(16, dtype=torch.float64))
+    bands = torch.tensor([math.isqrt(k) for k in range(16)])
+    assert not first[bands[:, None] != bands].any()
+    torch.testing.assert_close(sh_rotation(one, 2), first[:9, :9])
+
+
+def test_a_quarter_turn_about_z_by_hand() -> None:
+    quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
+    sh = torch.zeros(4, 1, dtype=torch.float64)
+    sh[3] = -1.0  # bright towards +x
+    expected = torch.zeros(4, 1, dtype=torch.float64)
+    expected[1] = -1.0  # bright towards +y
+    torch.testing.assert_close(rotate_sh(sh, quarter), expected)
+
+
+def test_half_precision_inputs_keep_their_dtype() -> None:
+    sh = torch.randn(2, 9, 3)
+    assert rotate_sh(sh, torch.eye(3)).dtype == torch.float32
+    assert torch.equal(rotate_sh(sh, torch.eye(3)), sh)
+
+
+@pytest.mark.parametrize("degree", [-1, 4, 10])
+def test_unknown_degrees_are_refused(degree: int) -> None:
+    with pytest.raises(InvalidValueError, match="degree: expected 0, 1, 2 or 3"):
+        sh_basis(directions(1), degree)
+
+
+@pytest.mark.parametrize("count", [-1, 0, 2, 3, 5, 15, 25])
+def test_unknown_counts_are_refused(count: int) -> None:
+    with pytest.raises(InvalidValueError, match="1, 4, 9 or 16 coefficients"):
+        degree_of(count)
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (3, 4)])
+def test_directions_have_three_components(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InvalidValueError, match="directions: expected shape"):
+        sh_basis(torch.zeros(shape), 1)
