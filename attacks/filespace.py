@@ -53,7 +53,7 @@ class Part:
                         "mask", f"bool values or indices in 0..{count - 1}", mask.dtype, "pass a mask or row numbers"
                     )
                 )
-        rows = everything[mask if isinstance(mask, slice) else mask.detach().cpu()].sort().values
+        rows = torch.unique(everything[mask if isinstance(mask, slice) else mask.detach().cpu()])
         if not len(rows):
             raise InvalidValueError(message("mask", "at least one Gaussian", "none", "name an object of the scene"))
         rows = rows.to(scene.means.device)
