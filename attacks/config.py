@@ -27,6 +27,8 @@ class DaggerConfig:
         early_stop: Stop at the first success instead of spending every step.
         share: Share of the views in which the attack has to succeed.
         noise_draws: Number of draws of the random-noise control.
+        degree: SH degree of the attacked file, at least the scene's; coefficients that the scene lacks start at 0. The
+            scene's own if None.
         seed: Seed of restarts and noise; with one run the attack itself is deterministic.
     """
 
@@ -40,6 +42,7 @@ class DaggerConfig:
     early_stop: bool = True
     share: float = 1.0
     noise_draws: int = 5
+    degree: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -60,6 +63,8 @@ class DaggerConfig:
             raise InvalidValueError(message("share", "a number in (0, 1]", self.share, "1 means every view"))
         if not (math.isfinite(self.step_factor) and self.step_factor > 0):
             raise InvalidValueError(message("step_factor", "a positive number", self.step_factor, "2 is the paper's"))
+        if self.degree not in (None, 0, 1, 2, 3):
+            raise InvalidValueError(message("degree", "0, 1, 2 or 3", self.degree, "3 is what 3DGS writes"))
         _ = self.budget
 
     @property

@@ -69,7 +69,7 @@ def attack(
         )
     if not cameras:
         raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the victim looks from"))
-    part = Part.of(scene, mask)
+    part = Part.of(_raised(scene, config.degree), mask)
     stage = Stage(part=part, detector=detector, objective=objective, render=render, share=config.share)
     shots = [stage.shot(camera) for camera in cameras]
     reference = part.parameters(config.attributes)
@@ -99,6 +99,16 @@ def attack(
         seconds=time.perf_counter() - begun,
     )
     return dataclasses.replace(result, doubts=doubts(result))
+
+
+def _raised(scene: GaussianScene, degree: int | None) -> GaussianScene:
+    if degree is None:
+        return scene
+    if degree < scene.degree:
+        raise InvalidValueError(
+            message("degree", f"at least the scene's {scene.degree}", degree, "ask for more or None")
+        )
+    return scene.with_degree(degree)
 
 
 def _search(

@@ -77,6 +77,17 @@ def test_the_clean_object_is_found_first() -> None:
     assert view.confidence("car", attacked=True) < view.confidence("person", attacked=True)
 
 
+def test_the_attacked_file_may_have_more_coefficients() -> None:
+    scene, mask = toy_scene()
+    found = run(degree=3)
+    assert found.scene.degree == 3
+    assert torch.equal(found.scene.sh[~mask], scene.with_degree(3).sh[~mask])
+    assert found.changed <= int(mask.sum())
+    assert found.image.l2 > run().image.l2  # a longer basis vector, so more colour for the same budget
+    with pytest.raises(InvalidValueError, match="degree: expected at least the scene's 1, got 0"):
+        run(degree=0)
+
+
 def test_a_zero_budget_changes_no_bit() -> None:
     scene, _ = toy_scene()
     everything: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
@@ -239,6 +250,7 @@ def test_provenance_is_complete() -> None:
         ({"steps": 0}, "steps: expected a number >= 1"),
         ({"restarts": 0}, "restarts: expected a number >= 1"),
         ({"noise_draws": -1}, "noise_draws: expected a number >= 0"),
+        ({"degree": 4}, "degree: expected 0, 1, 2 or 3, got 4"),
         ({"share": 0.0}, "share: expected a number in"),
         ({"step_factor": float("nan")}, "step_factor: expected a positive number"),
     ],
