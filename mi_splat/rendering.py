@@ -151,7 +151,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
         def name(self) -> str:
             return "mi_splat.Rasterize"
 
-    @dr.wrap(source="torch", target="drjit")
+    @dr.wrap(source="torch", target="drjit")  # type: ignore[untyped-decorator]
     def bridge(means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
         return tuple(dr.custom(Rasterize, means, scales, rotations, opacities, sh, job))
 

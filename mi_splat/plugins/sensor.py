@@ -69,3 +69,33 @@ def camera(sensor: Any) -> Camera:
         height=size[1],
         principal=None if centred else centre,
     )
+
+
+def sensor_dict(camera: Camera) -> dict[str, Any]:
+    """A perspective sensor for `mi.load_dict` that takes our camera's picture through a box filter.
+
+    Raises:
+        InvalidValueError: The pixels are not square, which Mitsuba's perspective sensor cannot express.
+    """
+    if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
+        raise InvalidValueError(
+            message("camera.focal", "fx equal to fy", (camera.fx, camera.fy), "resample to square pixels first")
+        )
+    return {
+        "type": "perspective",
+        "fov_axis": "x",
+        "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),
+        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
+        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
+        "near_clip": 0.01,
+        "far_clip": 2000.0,
+        "to_world": mi.ScalarTransform4f(camera.to_world.numpy() @ _FLIP),
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+    }

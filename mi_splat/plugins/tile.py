@@ -118,11 +118,12 @@ def _pad(sh: Any, degree: int, target: int) -> Any:
 
 
 def _colour(props: Any, name: str) -> tuple[float, float, float]:
-    value = [float(v) for v in np.ravel(np.array(props.get(name, [0.0, 0.0, 0.0]), dtype=np.float64))]
+    given = props.get(name, [0.0, 0.0, 0.0])
+    value = [] if isinstance(given, str) else [float(v) for v in np.ravel(np.array(given, dtype=np.float64))]
     if len(value) == 1:
         value *= 3
     if len(value) != 3 or not all(math.isfinite(v) for v in value):
-        raise InvalidValueError(message(name, "three finite numbers", value, "give an <rgb>"))
+        raise InvalidValueError(message(name, "three finite numbers", given, "give an <rgb>"))
     return value[0], value[1], value[2]
 
 
@@ -162,6 +163,10 @@ def integrator_class(variant: str) -> Any:
                 while len(self.remembered) > _REMEMBERED:
                     self.remembered.popitem(last=False)
             return self.remembered[key]
+
+        def forget(self) -> None:
+            """Drop the pictures kept for their gradients."""
+            self.remembered.clear()
 
         def render(
             self,

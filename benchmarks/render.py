@@ -1,0 +1,161 @@
+"""How fast is `splat_tile`? Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
+
+    python benchmarks/render.py [--rounds 15] [--json]
+
+The same splat, camera and process for both; each is run three times before it is timed, so that compilation stays
+apart, and the runs are interleaved, since a shared machine changes its speed within minutes. Reported is the median
+over the rounds of the ratio within a round. `volprim_rf_basic` takes one sample a pixel through a box filter; backward
+means the gradient of a random linear function of the picture with respect to every parameter of the splat.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from mi_splat import variant
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.scene import GaussianScene
+
+SETTINGS = ((10_000, 256), (100_000, 256), (100_000, 640))
+Runs = tuple[Callable[[], None], Callable[[], None]]
+
+
+def shell(count: int, *, seed: int = 0) -> GaussianScene:
+    """`count` Gaussians of SH degree 3 on a noisy unit sphere, about as large as their distance from each other."""
+    rng = np.random.default_rng(seed)
+    means = rng.normal(size=(count, 3))
+    means = means / np.linalg.norm(means, axis=1, keepdims=True) + rng.normal(size=(count, 3)) * 0.02
+    scales = np.exp(rng.normal(size=(count, 3)) * 0.3) * 1.2 / np.sqrt(count)
+    rotations = rng.normal(size=(count, 4))
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+    opacities, sh = rng.uniform(0.1, 1.0, count), rng.normal(size=(count, 16, 3)) * 0.2
+    return GaussianScene(*(torch.from_numpy(a.astype(np.float32)) for a in (means, scales, rotations, opacities, sh)))
+
+
+def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Runs:
+    """Forward, and forward + backward, by `mi.render`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from mi_splat.plugins.sensor import sensor_dict
+    from mi_splat.plugins.shape import tensors
+
+    shape = {"type": "ellipsoids", "id": "splat", **tensors(scene)}
+    parts = {"integrator": {"type": integrator}, "splat": shape, "sensor": sensor_dict(camera)}
+    loaded = mi.load_dict({"type": "scene", **parts})
+    params = mi.traverse(loaded)
+    keys = [f"splat.{name}" for name in ("data", "opacities", "sh_coeffs")]
+    rng = np.random.default_rng(1)
+    # splat_tile keeps its last pictures for their gradients; a timed forward pass must not find one.
+    forget = getattr(loaded.integrator(), "forget", lambda: None)
+    weights = mi.TensorXf(rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32))
+
+    def forward() -> None:
+        forget()
+        dr.eval(mi.render(loaded, spp=1))
+        dr.sync_thread()
+
+    def both() -> None:
+        forget()
+        for key in keys:
+            dr.disable_grad(params[key])
+            dr.enable_grad(params[key])
+        dr.backward(dr.sum(mi.render(loaded, params, spp=1, spp_grad=1) * weights))
+        dr.eval([dr.grad(params[key]) for key in keys])
+        dr.sync_thread()
+
+    return forward, both
+
+
+def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
+    """Forward, and forward + backward, from torch to torch."""
+    from mi_splat.rendering import Renderer
+
+    render = Renderer()
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+    learnt = GaussianScene(*leaves)
+    weights = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
+
+    def forward() -> None:
+        with torch.no_grad():
+            render(scene, camera)
+
+    def both() -> None:
+        for leaf in leaves:
+            leaf.grad = None
+        (render(learnt, camera) * weights).sum().backward()
+
+    return forward, both
+
+
+def seconds(run: Callable[[], None]) -> float:
+    """Wall time of one run."""
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
+
+
+def measure(count: int, size: int, rounds: int) -> dict[str, Any]:
+    """Median times in ms, and medians of the ratios to the peer, for one setting."""
+    scene = shell(count)
+    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
+    camera = Camera(to_world=pose, focal=float(size), width=size, height=size)
+    ways = {
+        "volprim_rf_basic": through_mitsuba(scene, camera, "volprim_rf_basic"),
+        "splat_tile": through_mitsuba(scene, camera, "splat_tile"),
+        "Renderer": through_renderer(scene, camera),
+    }
+    times: dict[str, list[list[float]]] = {name: [[], []] for name in ways}
+    for runs in ways.values():
+        for run in runs:
+            for _ in range(3):
+                run()
+    for _ in range(rounds):
+        for name, runs in ways.items():
+            for which, run in enumerate(runs):
+                times[name][which].append(seconds(run))
+    row: dict[str, Any] = {"gaussians": count, "size": size}
+    for which, label in enumerate(("forward", "forward + backward")):
+        peer = times["volprim_rf_basic"][which]
+        row[label] = {
+            name: {
+                "ms": round(1e3 * statistics.median(t[which]), 2),
+                "ratio": round(statistics.median(p / v for p, v in zip(peer, t[which], strict=True)), 1),
+            }
+            for name, t in times.items()
+        }
+    return row
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Time splat_tile beside volprim_rf_basic.")
+    parser.add_argument("--rounds", type=int, default=15, help="interleaved runs of everything")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
+    variant.use()
+    rows = [measure(count, size, arguments.rounds) for count, size in SETTINGS]
+    if arguments.json:
+        print(json.dumps(rows, indent=2))  # noqa: T201
+        return
+    for row in rows:
+        for label in ("forward", "forward + backward"):
+            cells = "   ".join(f"{name} {v['ms']:8.1f} ms {v['ratio']:5.1f}x" for name, v in row[label].items())
+            print(f"{row['gaussians']:>7,} at {row['size']}: {label:<18} {cells}")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

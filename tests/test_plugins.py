@@ -1,0 +1,244 @@
+"""`gaussians` and `splat_tile` through Mitsuba's own front door: XML, dicts, traverse, render, gradients, errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mi_splat import variant
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene, Similarity, merge
+from tests import oracle
+
+variant.use()
+
+import drjit as dr  # noqa: E402
+import mitsuba as mi  # noqa: E402
+
+from mi_splat.plugins import sensor as sensors  # noqa: E402
+from mi_splat.plugins.shape import shape_dict, similarity  # noqa: E402
+
+FILM = '<integer name="width" value="61"/><integer name="height" value="43"/>'
+CROP = (
+    '<integer name="crop_width" value="20"/><integer name="crop_height" value="30"/>'
+    '<integer name="crop_offset_x" value="7"/><integer name="crop_offset_y" value="5"/>'
+)
+
+
+def sensor_xml(name: str, film: str) -> str:
+    return f"""<sensor type="perspective" id="{name}">
+      <float name="fov" value="40"/><string name="fov_axis" value="y"/>
+      <float name="principal_point_offset_x" value="0.1"/><float name="principal_point_offset_y" value="-0.05"/>
+      <transform name="to_world"><lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
+      <film type="hdrfilm">{film}</film></sensor>"""
+
+
+def scene_xml(shapes: str, properties: str = "") -> str:
+    sensor = sensor_xml("whole", FILM) + sensor_xml("crop", FILM + CROP)
+    return f'<scene version="3.0.0"><integrator type="splat_tile">{properties}</integrator>{shapes}{sensor}</scene>'
+
+
+def two_splats(folder: Path) -> tuple[GaussianScene, str]:
+    """Two splats of different SH degree as files, and the shapes that name them."""
+    first, second = oracle.random_scene(80, degree=2, seed=1), oracle.random_scene(50, degree=1, seed=2)
+    save_splat(first, folder / "a.ply")
+    save_splat(second, folder / "b.ply")
+    shapes = "".join(
+        f'<shape type="gaussians" id="{name}"><string name="filename" value="{folder / file}"/></shape>'
+        for name, file in (("car", "a.ply"), ("street", "b.ply"))
+    )
+    return merge(first, second), shapes
+
+
+def test_xml_scene_is_the_oracles_picture(tmp_path: Path) -> None:
+    both, shapes = two_splats(tmp_path)
+    loaded = mi.load_string(scene_xml(shapes, '<rgb name="background" value="0.1, 0.2, 0.3"/>'))
+    camera = sensors.camera(loaded.sensors()[0])
+    reference, _ = oracle.render(both, camera, background=(0.1, 0.2, 0.3))
+    np.testing.assert_allclose(np.array(mi.render(loaded)), reference, atol=1e-4)
+
+
+def test_files_are_found_beside_the_scene_file(tmp_path: Path) -> None:
+    two_splats(tmp_path)
+    shape = '<shape type="gaussians" id="car"><string name="filename" value="a.ply"/></shape>'
+    (tmp_path / "scene.xml").write_text(scene_xml(shape))
+    loaded = mi.load_file(str(tmp_path / "scene.xml"))
+    assert "car.data" in mi.traverse(loaded)
+
+
+def test_sampler_samples_and_seed_have_no_influence(tmp_path: Path) -> None:
+    _, shapes = two_splats(tmp_path)
+    loaded = mi.load_string(scene_xml(shapes))
+    plain = np.array(mi.render(loaded))
+    loaded.integrator().forget()
+    assert np.array_equal(plain, np.array(mi.render(loaded, seed=7, spp=64)))
+
+
+def test_crop_window_shows_the_same_pixels(tmp_path: Path) -> None:
+    _, shapes = two_splats(tmp_path)
+    loaded = mi.load_string(scene_xml(shapes))
+    whole, crop = np.array(mi.render(loaded)), np.array(mi.render(loaded, sensor=1))
+    assert crop.shape == (30, 20, 3)
+    np.testing.assert_allclose(crop, whole[5:35, 7:27], atol=1e-4)
+
+
+def test_sensor_camera_round_trip() -> None:
+    camera = sensors.camera(mi.load_string(scene_xml("")).sensors()[0])
+    again = sensors.camera(mi.load_dict(sensors.sensor_dict(camera)))
+    torch.testing.assert_close(again.to_world, camera.to_world, atol=1e-5, rtol=0)
+    assert (again.fx, again.cx, again.cy) == pytest.approx((camera.fx, camera.cx, camera.cy), rel=1e-5)
+
+
+def test_alpha_and_linear_properties(tmp_path: Path) -> None:
+    both, shapes = two_splats(tmp_path)
+    properties = '<boolean name="alpha" value="true"/><boolean name="linear" value="true"/>'
+    loaded = mi.load_string(scene_xml(shapes, properties))
+    expected = Renderer(RenderSettings(alpha=True, linear=True))(both, sensors.camera(loaded.sensors()[0]))
+    np.testing.assert_allclose(np.array(mi.render(loaded)), expected.numpy(), atol=1e-5)
+
+
+def dict_scene(scene: GaussianScene, **integrator: Any) -> Any:
+    sensor = mi.load_string(scene_xml("")).sensors()[0]
+    parts = {"integrator": {"type": "splat_tile", **integrator}, "splat": shape_dict(scene), "sensor": sensor}
+    return mi.load_dict({"type": "scene", **parts})
+
+
+def test_parameters_have_stable_names() -> None:
+    scene = oracle.random_scene(10, degree=1, seed=0)
+    params = mi.traverse(dict_scene(scene))
+    lengths = {key: len(params[f"splat.{key}"]) for key in ("data", "opacities", "sh_coeffs")}
+    assert lengths == {"data": 100, "opacities": 10, "sh_coeffs": 120}
+
+
+def test_gradients_are_the_renderers() -> None:
+    scene = oracle.random_scene(60, degree=2, seed=1)
+    loaded = dict_scene(scene)
+    params = mi.traverse(loaded)
+    keys = [f"splat.{key}" for key in ("data", "opacities", "sh_coeffs")]
+    for key in keys:
+        dr.enable_grad(params[key])
+    picture = mi.render(loaded, params)
+    weights = np.random.default_rng(0).normal(size=picture.shape).astype(np.float32)
+    dr.backward(dr.sum(picture * mi.TensorXf(weights)))
+    data, opacities, sh = (np.array(dr.grad(params[key])) for key in keys)
+
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+    image = Renderer()(GaussianScene(*leaves), sensors.camera(loaded.sensors()[0]))
+    (image * torch.from_numpy(weights)).sum().backward()  # type: ignore[no-untyped-call]
+    expected = [leaf.grad.numpy() for leaf in leaves if leaf.grad is not None]
+    rows = data.reshape(60, 10)
+    for got, want in (
+        (rows[:, :3], expected[0]),
+        (rows[:, 3:6], expected[1]),
+        (rows[:, [9, 6, 7, 8]], expected[2]),
+        (opacities, expected[3]),
+        (sh.reshape(60, 9, 3), expected[4]),
+    ):
+        np.testing.assert_allclose(got, want, rtol=1e-3, atol=1e-4 * float(np.abs(want).max()))
+
+
+def test_gradients_reach_what_the_parameters_were_made_from(tmp_path: Path) -> None:
+    _, shapes = two_splats(tmp_path)
+    loaded = mi.load_string(scene_xml(shapes))
+    params = mi.traverse(loaded)
+    start = mi.Float(params["street.sh_coeffs"])
+    gain = mi.Float(1.0)
+    dr.enable_grad(gain)
+    params["street.sh_coeffs"] = start * gain
+    params.update()
+    dr.backward(dr.sum(mi.render(loaded, params)))
+    values = []
+    for value in (1.01, 0.99):
+        params["street.sh_coeffs"] = start * value
+        params.update()
+        values.append(float(np.array(mi.render(loaded)).astype(np.float64).sum()))
+    assert float(dr.grad(gain)[0]) == pytest.approx((values[0] - values[1]) / 0.02, rel=1e-2)
+
+
+def test_an_update_is_seen_by_the_next_picture() -> None:
+    loaded = dict_scene(oracle.random_scene(60, degree=0, seed=1))
+    params = mi.traverse(loaded)
+    before = np.array(mi.render(loaded))
+    params["splat.opacities"] = params["splat.opacities"] * 0.5
+    params.update()
+    assert not np.allclose(before, np.array(mi.render(loaded)))
+
+
+def test_to_world_moves_and_turns_the_splat(tmp_path: Path) -> None:
+    scene = oracle.random_scene(60, degree=3, seed=1)
+    save_splat(scene, tmp_path / "a.ply")
+    shape = (
+        f'<shape type="gaussians" id="car"><string name="filename" value="{tmp_path / "a.ply"}"/>'
+        '<transform name="to_world"><rotate z="1" angle="50"/><scale value="0.5"/><translate x="0.3"/></transform>'
+        "</shape>"
+    )
+    loaded = mi.load_string(scene_xml(shape))
+    angle = np.radians(50.0)
+    turn = torch.tensor([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    moved = scene.transform(Similarity(rotation=turn, translation=torch.tensor([0.3, 0.0, 0.0]), scale=0.5))
+    expected = Renderer()(moved, sensors.camera(loaded.sensors()[0]))
+    np.testing.assert_allclose(np.array(mi.render(loaded)), expected.numpy(), atol=2e-4)
+
+
+def test_forward_mode_is_refused_in_words() -> None:
+    loaded = dict_scene(oracle.random_scene(10, degree=0, seed=1))
+    params = mi.traverse(loaded)
+    shift = mi.Float(0.0)
+    dr.enable_grad(shift)
+    params["splat.opacities"] = params["splat.opacities"] + shift
+    params.update()
+    picture = mi.render(loaded, params)
+    with pytest.raises((InvalidValueError, RuntimeError)) as caught:
+        dr.forward_to(picture)
+    causes = [caught.value, caught.value.__cause__]
+    assert any("reverse-mode" in str(cause) for cause in causes)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "reason"),
+    [
+        ('<shape type="gaussians" id="k"/>', "a filename, or the tensors"),
+        ('<shape type="gaussians" id="k"><string name="filename" value="none.ply"/></shape>', "none.ply"),
+    ],
+)
+def test_bad_shapes_say_why(shapes: str, reason: str) -> None:
+    with pytest.raises(RuntimeError, match=reason):
+        mi.load_string(scene_xml(shapes))
+
+
+@pytest.mark.parametrize(
+    "properties",
+    [
+        '<float name="near" value="-1"/>',
+        '<string name="background" value="blue"/>',
+    ],
+)
+def test_bad_integrators_say_why(properties: str) -> None:
+    with pytest.raises((RuntimeError, InvalidValueError, ValueError), match="expected"):
+        mi.load_string(scene_xml("", properties))
+
+
+def test_meshes_beside_splats_are_refused() -> None:
+    loaded = mi.load_string(scene_xml('<shape type="sphere" id="ball"/>'))
+    with pytest.raises((RuntimeError, InvalidValueError)) as caught:
+        mi.render(loaded)
+    assert "gaussians shapes only" in str(caught.value) + str(caught.value.__cause__)
+
+
+def test_other_sensors_are_refused() -> None:
+    sensor = mi.load_dict({"type": "orthographic", "film": {"type": "hdrfilm", "width": 8, "height": 8}})
+    with pytest.raises(InvalidValueError, match="perspective"):
+        sensors.camera(sensor)
+
+
+def test_shear_is_no_similarity() -> None:
+    with pytest.raises(InvalidValueError, match="uniform scale"):
+        similarity(np.diag([1.0, 2.0, 1.0, 1.0]))
+    with pytest.raises(InvalidValueError, match="uniform scale"):
+        similarity(np.diag([-1.0, 1.0, 1.0, 1.0]))

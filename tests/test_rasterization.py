@@ -1,0 +1,232 @@
+"""The rasteriser against the float64 oracle, its gradients against central finite differences, and its determinism."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import ATTRIBUTES, GaussianScene
+from tests import oracle
+
+BACKGROUND = (0.2, 0.5, 0.9)
+
+
+def camera(width: int, height: int, *, distance: float = 3.0, azimuth: float = 30.0) -> Camera:
+    return Camera(
+        to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=azimuth, elevation=20.0, distance=distance),
+        focal=(1.0 * width, 0.9 * width),
+        width=width,
+        height=height,
+        principal=(0.45 * width, 0.6 * height),
+    )
+
+
+def agreement(scene: GaussianScene, view: Camera) -> tuple[float, float]:
+    """Share of pixels within 1/255 of the oracle, and the largest difference."""
+    picture = Renderer(RenderSettings(background=BACKGROUND))(scene, view).numpy()
+    reference, _ = oracle.render(scene, view, background=BACKGROUND)
+    difference = np.abs(picture - reference).max(axis=2)
+    return float((difference <= 1 / 255).mean()), float(difference.max())
+
+
+@pytest.mark.parametrize(
+    ("count", "degree", "size", "distance"),
+    [
+        (300, 0, (50, 50), 3.0),
+        (300, 1, (33, 130), 3.0),
+        (300, 2, (64, 64), 3.0),
+        (300, 3, (97, 65), 3.0),
+        (400, 3, (61, 43), 0.4),  # inside the cloud: behind the camera, across the near plane, huge in the picture
+        (400, 2, (40, 77), 1.0),  # on the cloud
+        (20, 1, (7, 3), 1.3),
+        (5, 0, (1, 1), 3.0),
+        (1, 0, (16, 16), 3.0),
+    ],
+)
+def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], distance: float) -> None:
+    scene = oracle.random_scene(count, degree=degree, seed=count + degree)
+    share, _ = agreement(scene, camera(*size, distance=distance, azimuth=37.0 * degree))
+    assert share >= 0.999
+
+
+def test_a_dense_pile_stops_where_the_oracle_stops() -> None:
+    scene = oracle.random_scene(400, degree=0, seed=3)
+    scene = scene.replace(means=scene.means * 0.2, opacities=torch.full((400,), 0.999))
+    share, _ = agreement(scene, camera(48, 48))
+    assert share >= 0.999
+
+
+@pytest.mark.parametrize("angle", [0.0, 45.0, 89.0])
+def test_needles_across_the_picture(angle: float) -> None:
+    half = math.radians(angle) / 2
+    scene = GaussianScene(
+        means=torch.tensor([[0.0, 0.0, 0.0]]),
+        scales=torch.tensor([[5.0, 0.001, 0.001]]),
+        rotations=torch.tensor([[math.cos(half), 0.0, math.sin(half), 0.0]]),
+        opacities=torch.tensor([1.0]),
+        sh=torch.ones(1, 1, 3),
+    )
+    share, largest = agreement(scene, camera(256, 192, azimuth=80.0))
+    assert share >= 0.999
+    assert largest < 2 / 255
+
+
+def test_alpha_output_is_the_oracles() -> None:
+    scene, view = oracle.random_scene(100, degree=1, seed=9), camera(40, 30)
+    picture = Renderer(RenderSettings(background=BACKGROUND, alpha=True))(scene, view).numpy()
+    reference, opacity = oracle.render(scene, view, background=BACKGROUND)
+    assert picture.shape == (30, 40, 4)
+    np.testing.assert_allclose(picture[..., 3], opacity, atol=1e-4)
+    np.testing.assert_allclose(picture[..., :3], reference, atol=1e-4)
+
+
+def test_nothing_visible_is_background() -> None:
+    scene = oracle.random_scene(30, degree=0, seed=0)
+    view = camera(9, 5)
+    away = scene.replace(means=scene.means + torch.tensor([1e4, 1e4, 0.0]))
+    faint = scene.replace(opacities=torch.full((30,), 1 / 256))
+    empty = scene.select(torch.zeros(30, dtype=torch.bool))
+    for case in (away, faint, empty):
+        picture = Renderer(RenderSettings(background=BACKGROUND))(case, view)
+        torch.testing.assert_close(picture, torch.tensor(BACKGROUND).expand(5, 9, 3))
+
+
+def test_quaternion_sign_does_not_matter() -> None:
+    scene, view = oracle.random_scene(50, degree=1, seed=4), camera(32, 32)
+    render = Renderer()
+    assert torch.equal(render(scene, view), render(scene.replace(rotations=-scene.rotations), view))
+
+
+# --------------------------------------------------------------------------------------------------------- gradients
+
+
+def weights(view: Camera) -> NDArray[np.float64]:
+    return np.random.default_rng(0).normal(size=(view.height, view.width, 3))
+
+
+def smooth_scene(count: int, degree: int, seed: int) -> GaussianScene:
+    """A scene without the specification's kinks: colours above 0, opacities well under 0.99, little hidden."""
+    scene = oracle.random_scene(count, degree=degree, seed=seed)
+    sh = scene.sh * 0.2
+    sh[:, 0] += 1.0
+    scales = scene.scales.clamp(0.03, 0.2)
+    return scene.replace(sh=sh, opacities=0.2 + 0.6 * scene.opacities, scales=scales)
+
+
+def analytic(scene: GaussianScene, view: Camera) -> dict[str, Tensor]:
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+    picture = Renderer(RenderSettings(background=BACKGROUND))(GaussianScene(*leaves), view)
+    (picture * torch.from_numpy(weights(view)).float()).sum().backward()  # type: ignore[no-untyped-call]
+    gradients = {}
+    for name, leaf in zip(ATTRIBUTES, leaves, strict=True):
+        assert leaf.grad is not None
+        gradients[name] = leaf.grad
+    return gradients
+
+
+def numeric(scene: GaussianScene, view: Camera, name: str, entry: int, step: float) -> float:
+    """Central difference of the float64 oracle with one entry moved."""
+    values = []
+    for sign in (1.0, -1.0):
+        tensors = {key: tensor.double().clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+        tensors[name].view(-1)[entry] += sign * step
+        moved = GaussianScene._trusted(*(tensors[key] for key in ATTRIBUTES))
+        values.append(float((oracle.render(moved, view, background=BACKGROUND)[0] * weights(view)).sum()))
+    return (values[0] - values[1]) / (2 * step)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [("means", 1e-2), ("scales", 1e-2), ("rotations", 1e-2), ("opacities", 1e-3), ("sh", 1e-3)],
+)
+def test_gradient_is_the_finite_difference(name: str, tolerance: float) -> None:
+    scene, view = smooth_scene(25, 2, seed=11), camera(37, 29)
+    gradient = analytic(scene, view)[name].flatten()
+    largest = torch.argsort(gradient.abs(), descending=True)[: len(gradient) // 3]
+    entries = largest[:: max(1, len(largest) // 8)].tolist()
+    errors = []
+    for entry in entries:
+        # Moving a Gaussian moves the alpha = 1/255 edge across pixel centres, a jump that finite differences see and
+        # that has no derivative: a small step makes it rare, the median makes it harmless.
+        expected = numeric(scene, view, name, entry, 1e-6)
+        errors.append(abs(expected - float(gradient[entry])) / max(abs(expected), 1e-3))
+    assert np.median(errors) <= tolerance / 10
+    assert np.mean(np.array(errors) <= tolerance) >= 0.85
+
+
+def test_opacity_channel_has_its_gradient() -> None:
+    scene, view = smooth_scene(15, 0, seed=2), camera(20, 16)
+    slope = np.random.default_rng(1).normal(size=(16, 20))
+    opacities = scene.opacities.clone().requires_grad_(True)
+    picture = Renderer(RenderSettings(alpha=True))(scene.replace(opacities=opacities), view)
+    (picture[..., 3] * torch.from_numpy(slope).float()).sum().backward()  # type: ignore[no-untyped-call]
+    assert opacities.grad is not None
+    entry = int(opacities.grad.abs().argmax())
+    values = []
+    for step in (1e-5, -1e-5):
+        moved = scene.opacities.double().clone()
+        moved[entry] += step
+        tensors = [tensor.double() for tensor in scene.tensors()]
+        tensors[3] = moved
+        values.append(float((oracle.render(GaussianScene._trusted(*tensors), view)[1] * slope).sum()))
+    assert float(opacities.grad[entry]) == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-3)
+
+
+def test_linear_values_have_their_gradient() -> None:
+    scene, view = smooth_scene(15, 0, seed=2), camera(20, 16)
+    sh = scene.sh.clone().requires_grad_(True)
+    linear = Renderer(RenderSettings(linear=True))(scene.replace(sh=sh), view)
+    plain = Renderer()(scene, view).double()
+    expected = torch.where(plain <= 0.04045, plain / 12.92, ((plain + 0.055) / 1.055) ** 2.4)
+    torch.testing.assert_close(linear.detach().double(), expected, atol=1e-5, rtol=1e-5)
+    linear.sum().backward()  # type: ignore[no-untyped-call]
+    by_hand = scene.sh.clone().requires_grad_(True)
+    srgb = Renderer()(scene.replace(sh=by_hand), view)
+    torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).sum().backward()  # type: ignore[no-untyped-call]
+    assert sh.grad is not None
+    assert by_hand.grad is not None
+    torch.testing.assert_close(sh.grad, by_hand.grad, atol=1e-4, rtol=1e-4)
+
+
+def test_clamped_and_hidden_gaussians_have_no_gradient() -> None:
+    scene, view = smooth_scene(20, 0, seed=5), camera(32, 32)
+    sh = scene.sh.clone()
+    sh[:10] = -5.0  # colour far below 0
+    means = scene.means.clone()
+    means[10:15] += torch.tensor([1e3, 1e3, 0.0])  # out of sight
+    gradients = analytic(scene.replace(sh=sh, means=means), view)
+    assert not gradients["sh"][:15].any()
+    for name in ATTRIBUTES:
+        assert torch.isfinite(gradients[name]).all()
+        assert not gradients[name][10:15].any()
+
+
+def test_zero_opacity_and_points_at_the_camera_stay_finite() -> None:
+    scene, view = smooth_scene(20, 1, seed=6), camera(32, 32)
+    means, opacities = scene.means.clone(), scene.opacities.clone()
+    means[0], opacities[1], opacities[2] = view.position.float(), 0.0, 1.0
+    gradients = analytic(scene.replace(means=means, opacities=opacities), view)
+    assert all(torch.isfinite(gradient).all() for gradient in gradients.values())
+
+
+def test_gradients_are_the_same_bits_on_any_number_of_threads() -> None:
+    import drjit as dr
+
+    scene, view = oracle.random_scene(3000, degree=1, seed=8), camera(128, 96)
+    before = dr.thread_count()
+    runs = []
+    try:
+        for threads in (1, 2, 3, 3):
+            dr.set_thread_count(threads)
+            runs.append(analytic(scene, view))
+    finally:
+        dr.set_thread_count(before)
+    for run in runs[1:]:
+        assert all(torch.equal(run[name], runs[0][name]) for name in ATTRIBUTES)
