@@ -65,8 +65,8 @@ def read_rows(file: io.FileIO, header: Header, element: Element, path: str, work
         element: One of its elements.
         path: For messages.
         work: Gets the index of the first row and a structured array with the element's properties in file order, in the
-            file's kinds and byte order (float64 for text); the array is used again. Blocks come in any order, and from
-            several threads.
+            file's kinds and byte order (text: the machine's, and float64 for integers); the array is used again.
+            Blocks come in any order, and from several threads.
 
     Raises:
         SplatFileError: The file is larger or smaller than its header says, or text does not parse.
@@ -161,25 +161,26 @@ def _lines(reader: io.BufferedReader, path: str) -> Iterator[bytes]:
 
 
 def _parse(lines: Iterator[bytes], element: Element, path: str, work: Callable[[int, Rows], None]) -> None:
-    """Rows of numbers from lines of text, as float64 whatever the header says."""
-    record = np.dtype([(column.name, "f8") for column in element.properties])
+    """Rows of numbers from lines of text."""
+    record = np.dtype([(column.name, column.kind if column.kind[0] == "f" else "f8") for column in element.properties])
     at_once = max(1, BLOCK_BYTES // record.itemsize)
     for first in range(0, element.count, at_once):
         block = [line.split() for line in islice(lines, min(at_once, element.count - first))]
         _check_rows(first + len(block), min(first + at_once, element.count), element, path)
-        table = np.empty((len(block), len(element.properties)))
-        for row, words in enumerate(block):
-            table[row] = _numbers(words, first + row, element, path)
-        work(first, table.view(record).reshape(-1))
+        rows = np.empty(len(block), record)
+        with np.errstate(over="ignore"):
+            for row, words in enumerate(block):
+                rows[row] = _numbers(words, first + row, element, path)
+        work(first, rows)
 
 
-def _numbers(words: list[bytes], row: int, element: Element, path: str) -> list[float]:
+def _numbers(words: list[bytes], row: int, element: Element, path: str) -> tuple[float, ...]:
     """One line of text as numbers."""
     if len(words) != len(element.properties):
         expected = f"{len(element.properties)} numbers in row {row} of {element.name}"
         raise SplatFileError(message(path, expected, len(words), "export the splat again"))
     try:
-        return [float(word) for word in words]
+        return tuple(float(word) for word in words)
     except ValueError as error:
         expected = f"numbers in row {row} of {element.name}"
         raise SplatFileError(message(path, expected, str(error)[:80], "export the splat again")) from error

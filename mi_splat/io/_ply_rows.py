@@ -71,6 +71,7 @@ def unpack(rows: Rows, rest: int, part: Sequence[Tensor]) -> NDArray[np.bool_]:
     table, place = _table(rows, rest)
     values = {name: torch.from_numpy(_columns(table, place, columns)) for name, columns in COLUMNS.items()}
     values["opacities"] = values["opacities"][:, 0]
+    logits = values["opacities"].numpy()
     values["sh"] = values["means"][:, None]
     for target, value in zip(part[:4], activate(values)[:4], strict=True):
         target.copy_(value)
@@ -80,7 +81,7 @@ def unpack(rows: Rows, rest: int, part: Sequence[Tensor]) -> NDArray[np.bool_]:
         for channel in range(3 if rest else 0):
             names = rest_names(rest)[channel * rest // 3 : (channel + 1) * rest // 3]
             colours[:, 1:, channel] = _columns(table, place, names)
-    return _valid([value.numpy() for value in part])
+    return _valid([value.numpy() for value in part], logits)
 
 
 def _table(rows: Rows, rest: int) -> tuple[NDArray[np.floating], dict[str, int]]:
@@ -105,10 +106,10 @@ def _columns(table: NDArray[np.floating], place: dict[str, int], names: Sequence
     return table[:, first:last] if wanted == list(range(first, last)) else table[:, wanted]
 
 
-def _valid(part: Sequence[NDArray[np.float32]]) -> NDArray[np.bool_]:
-    """(rows,) which Gaussians have finite values and scales above zero."""
+def _valid(part: Sequence[NDArray[np.float32]], logits: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """(rows,) which Gaussians have finite values, in the file too (an infinite logit has a sigmoid), and scales > 0."""
     good = np.ones(len(part[0]), np.bool_)
-    for check in (part[1] > 0, *(np.isfinite(value) for value in part)):
+    for check in (part[1] > 0, *(np.isfinite(value) for value in (logits, *part))):
         if not check.all():
             good &= check.reshape(len(check), -1).all(1)
     return good
@@ -121,4 +122,4 @@ def describe(row: np.void, rest: int) -> str:
             return f"{name} is {row[name]}"
     if all(row[name] == 0 for name in COLUMNS["rotations"]):
         return "the quaternion is zero"
-    return f"values or log-scales {[float(row[name]) for name in COLUMNS['scales']]} leave float32's range"
+    return f"values, or log-scales {[round(float(row[name]), 3) for name in COLUMNS['scales']]}, leave float32's range"

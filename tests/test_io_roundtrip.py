@@ -1,0 +1,212 @@
+"""Splat files there and back: nothing lost, nothing drifting, and other programs read the same."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import plyfile
+import pytest
+import torch
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from torch import Tensor
+
+from mi_splat.io import from_file_space, load_splat, save_splat, to_file_space
+from mi_splat.rotation import normalise
+from mi_splat.scene import ATTRIBUTES, GaussianScene, scene_hash
+from tests.gaussians import columns, ply_bytes, random_scene, splat_names, splat_rows
+
+FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
+POSITIVE = st.floats(min_value=0, exclude_min=True, width=32, allow_infinity=False)
+UNIT = st.one_of(st.floats(0, 1, width=32), st.sampled_from([0.0, 1.0, 1 - 2.0**-24, 2.0**-149]))
+
+
+def table(draw: st.DrawFn, shape: tuple[int, ...], elements: st.SearchStrategy[float]) -> Tensor:
+    return torch.from_numpy(draw(hnp.arrays(np.float32, shape, elements=elements)))
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> GaussianScene:
+    count, degree = draw(st.integers(0, 4)), draw(st.integers(0, 3))
+    quaternions = table(draw, (count, 4), st.floats(-1, 1, width=32))
+    quaternions[quaternions.norm(dim=1) == 0] = torch.tensor([1.0, 0, 0, 0])
+    return GaussianScene(
+        means=table(draw, (count, 3), FINITE),
+        scales=table(draw, (count, 3), POSITIVE),
+        rotations=normalise(quaternions),
+        opacities=table(draw, (count,), UNIT),
+        sh=table(draw, (count, (degree + 1) ** 2, 3), FINITE),
+    )
+
+
+def bits(value: Tensor) -> bytes:
+    return value.numpy().tobytes()
+
+
+def close(one: Tensor, two: Tensor) -> None:
+    """Equal to the rounding of a float32 logarithm of up to 104 in size."""
+    torch.testing.assert_close(one, two, rtol=8e-6, atol=1.5e-45)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("splats")
+
+
+@hypothesis.given(scene=scenes())
+@hypothesis.example(scene=random_scene(0))
+@hypothesis.example(scene=random_scene(3).replace(opacities=torch.tensor([0.0, 1.0, 1 - 2.0**-24])))
+@hypothesis.example(scene=random_scene(1).replace(scales=torch.tensor([[3.4028234e38, 1e-45, 1.0]])))
+def test_round_trips(scene: GaussianScene, folder: Path) -> None:
+    first, second = folder / "first.ply", folder / "second.ply"
+    save_splat(scene, first)
+    once = load_splat(first)
+    assert bits(once.means) == bits(scene.means)
+    assert bits(once.sh) == bits(scene.sh)
+    assert bits(once.rotations) == bits(scene.rotations)
+    close(once.scales, scene.scales)
+    close(once.opacities, scene.opacities)
+    ends = (scene.opacities == 0) | (scene.opacities == 1)
+    assert torch.equal(once.opacities[ends], scene.opacities[ends])
+    save_splat(once, second)
+    assert second.read_bytes() == first.read_bytes()
+
+
+@pytest.mark.parametrize("low", [-100.0, -3.0])
+def test_what_came_from_a_file_never_changes_again(low: float, tmp_path: Path) -> None:
+    """Any file: its physical values survive saving and loading to the last bit."""
+    rows = splat_rows(20_000, 0)
+    generator = np.random.default_rng(1)
+    for name in ("opacity", "scale_0", "scale_1", "scale_2"):
+        rows[name] = generator.uniform(low, min(-low, 88), len(rows))
+    (tmp_path / "a.ply").write_bytes(ply_bytes(rows))
+    scene = load_splat(tmp_path / "a.ply")
+    for _ in range(3):
+        save_splat(scene, tmp_path / "b.ply")
+        again = load_splat(tmp_path / "b.ply")
+        assert scene_hash(again) == scene_hash(scene)
+
+
+def test_opacity_near_the_ends_survives(tmp_path: Path) -> None:
+    opacities = torch.tensor([0.0, 1e-45, 1e-30, 1e-6, 0.5, 1 - 1e-6, 1 - 2.0**-24, 1.0])
+    save_splat(random_scene(8).replace(opacities=opacities), tmp_path / "a.ply")
+    logits = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]["opacity"]
+    assert np.isfinite(logits).all()
+    assert np.abs(logits).max() < 105
+    torch.testing.assert_close(load_splat(tmp_path / "a.ply").opacities, opacities, rtol=8e-6, atol=1e-45)
+    assert load_splat(tmp_path / "a.ply").opacities[[0, -1]].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_saved_files_have_the_layout_of_3dgs(degree: int, tmp_path: Path) -> None:
+    scene = random_scene(3, degree)
+    save_splat(scene, tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes()
+    properties = "".join(f"property float {name}\n" for name in splat_names(degree))
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 3\n{properties}end_header\n".encode()
+    assert data.startswith(head)
+    assert len(data) == len(head) + 3 * 4 * len(splat_names(degree))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_plyfile_reads_what_we_save(degree: int, tmp_path: Path) -> None:
+    scene = random_scene(50, degree)
+    save_splat(scene, tmp_path / "a.ply")
+    rows = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"].data
+    np.testing.assert_array_equal(columns(rows, "x", "y", "z"), scene.means.double())
+    np.testing.assert_array_equal(columns(rows, "rot_0", "rot_1", "rot_2", "rot_3"), scene.rotations.double())
+    np.testing.assert_allclose(np.exp(columns(rows, "scale_0", "scale_1", "scale_2")), scene.scales.double(), 1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-columns(rows, "opacity")[:, 0])), scene.opacities.double(), 1e-6)
+    assert not columns(rows, "nx", "ny", "nz").any()
+    bands = scene.sh.shape[1]
+    for channel in range(3):
+        np.testing.assert_array_equal(rows[f"f_dc_{channel}"], scene.sh[:, 0, channel])
+        for k in range(1, bands):
+            name = f"f_rest_{channel * (bands - 1) + k - 1}"
+            np.testing.assert_array_equal(rows[name], scene.sh[:, k, channel])
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_we_read_what_plyfile_writes(degree: int, text: bool, order: str, tmp_path: Path) -> None:
+    rows = splat_rows(20, degree)
+    element = plyfile.PlyElement.describe(rows.astype(rows.dtype.newbyteorder("=")), "vertex")
+    plyfile.PlyData([element], text=text, byte_order=order).write(tmp_path / "a.ply")
+    (tmp_path / "b.ply").write_bytes(ply_bytes(rows))
+    assert scene_hash(load_splat(tmp_path / "a.ply")) == scene_hash(load_splat(tmp_path / "b.ply"))
+
+
+def test_loaded_values_are_the_physical_ones(tmp_path: Path) -> None:
+    rows = splat_rows(100, 1)
+    (tmp_path / "a.ply").write_bytes(ply_bytes(rows))
+    scene = load_splat(tmp_path / "a.ply")
+    assert [value.dtype for value in scene.tensors()] == [torch.float32] * 5
+    np.testing.assert_array_equal(scene.means, columns(rows, "x", "y", "z"))
+    np.testing.assert_allclose(scene.scales, np.exp(columns(rows, "scale_0", "scale_1", "scale_2")), 1e-7)
+    np.testing.assert_allclose(scene.opacities, 1 / (1 + np.exp(-columns(rows, "opacity")[:, 0])), 1e-7)
+    raw = columns(rows, "rot_0", "rot_1", "rot_2", "rot_3")
+    np.testing.assert_allclose(scene.rotations, raw / np.linalg.norm(raw, axis=1, keepdims=True), 0, 1e-7)
+    np.testing.assert_array_equal(scene.sh[:, 0], columns(rows, "f_dc_0", "f_dc_1", "f_dc_2"))
+    np.testing.assert_array_equal(scene.sh[:, 2], columns(rows, "f_rest_1", "f_rest_4", "f_rest_7"))
+
+
+def test_a_loaded_scene_is_a_valid_one(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(ply_bytes(splat_rows(1000, 3)))
+    scene = load_splat(tmp_path / "a.ply")
+    assert scene_hash(GaussianScene(*scene.tensors())) == scene_hash(scene)
+
+
+def test_quaternions_of_any_length_and_sign_are_the_same_rotation(tmp_path: Path) -> None:
+    rows = splat_rows(50)
+    hashes = set()
+    for factor in (1.0, 64.0, 2.0**-60):
+        other = rows.copy()
+        for name in ("rot_0", "rot_1", "rot_2", "rot_3"):
+            other[name] *= factor
+        (tmp_path / "a.ply").write_bytes(ply_bytes(other))
+        hashes.add(scene_hash(load_splat(tmp_path / "a.ply")))
+    assert len(hashes) == 1
+
+
+def test_large_scenes_cross_the_borders_of_blocks(tmp_path: Path) -> None:
+    scene = random_scene(40_000, 1)
+    save_splat(scene, tmp_path / "a.ply")
+    again = load_splat(tmp_path / "a.ply")
+    assert torch.equal(again.means, scene.means)
+    assert torch.equal(again.sh, scene.sh)
+    raw = np.frombuffer((tmp_path / "a.ply").read_bytes(), np.uint8)[-40_000 * 4 * len(splat_names(1)) :]
+    rows = raw.view([(name, "<f4") for name in splat_names(1)])
+    np.testing.assert_array_equal(columns(rows, "x", "y", "z"), scene.means.double())
+
+
+def test_float64_and_grad_scenes_save_as_their_float32_values(tmp_path: Path) -> None:
+    scene = random_scene(30, 2)
+    save_splat(scene, tmp_path / "a.ply")
+    wide = scene.to(dtype=torch.float64)
+    save_splat(wide.replace(sh=wide.sh.clone().requires_grad_()), tmp_path / "b.ply")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_saving_is_deterministic(tmp_path: Path) -> None:
+    scene, digests = random_scene(30_000, 3), set()
+    for _ in range(3):
+        save_splat(scene, tmp_path / "a.ply")
+        digests.add(hashlib.sha256((tmp_path / "a.ply").read_bytes()).hexdigest())
+    assert len(digests) == 1
+
+
+@hypothesis.given(scene=scenes())
+def test_file_space_there_and_back(scene: GaussianScene) -> None:
+    values = to_file_space(scene)
+    assert tuple(values) == ATTRIBUTES
+    assert all(bool(torch.isfinite(value).all()) for value in values.values())
+    again = from_file_space(values)
+    assert bits(again.means) == bits(scene.means)
+    close(again.scales, scene.scales)
+    close(again.opacities, scene.opacities)
+    twice = to_file_space(again)
+    assert all(bits(twice[name]) == bits(values[name]) for name in ATTRIBUTES)
