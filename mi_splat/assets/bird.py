@@ -238,7 +238,7 @@ def _face(bird: _Bird, colours: Floats, place: Floats, noise: Noise) -> Floats:
     colours = mix(colours, np.asarray(kind.head) * bird.tint, reach)
     eye = (0.42 * s, 0.86 * s, 0.22 * s)
     if "ring" in kind.marks:
-        colours = mix(colours, (0.92, 0.92, 0.9), spot(side, eye, (0.36 * s,) * 3, 0.2))
+        colours = mix(colours, (0.92, 0.92, 0.9), spot(side, eye, (0.31 * s,) * 3, 0.2))
     if "face" in kind.marks:
         mask = spot(place, (0.95 * s, 0, -0.35 * s), (0.95 * s, 1.1 * s, 0.95 * s), 0.15)
         colours = mix(colours, kind.breast, mask)

@@ -27,6 +27,7 @@ from mi_splat.assets.organic import (
 GREYS = ((0.43, 0.42, 0.41), (0.48, 0.46, 0.44), (0.37, 0.37, 0.38), (0.52, 0.50, 0.48), (0.46, 0.41, 0.37))
 CELL = 0.068
 HEAD = np.array([1.52, 0.0, 2.38])  # joint about which the head turns, metres, for an elephant of 3 m
+DUSTS = ((0.58, 0.47, 0.36), (0.58, 0.38, 0.27), (0.55, 0.52, 0.47))
 TRUNKS = {  # pitch of each of the trunk's pieces below the horizontal, degrees
     "down": (42, 62, 76, 84, 88, 92, 88, 72, 45),
     "curl": (42, 62, 76, 84, 96, 112, 140, 170, 200),
@@ -42,6 +43,7 @@ class _Look:
 
     skin: Floats
     dust: Floats
+    dusty: float
     bulk: float
     steps: Doubles
     trunk: str
@@ -66,12 +68,13 @@ def build(seed: int) -> Asset:
 
 
 def _look(rng: np.random.Generator) -> _Look:
-    grey = np.asarray(GREYS[int(rng.integers(len(GREYS)))]) * rng.uniform(0.85, 1.1) + rng.uniform(-0.015, 0.015, 3)
+    grey = np.asarray(GREYS[int(rng.integers(len(GREYS)))]) * rng.uniform(0.74, 1.12) + rng.uniform(-0.015, 0.015, 3)
     gait = float(rng.choice((0.0, 9.0, 16.0)))
     african = bool(rng.random() < 0.75)
     return _Look(
         skin=grey.astype(np.float32),
-        dust=np.array((0.58, 0.47, 0.36), np.float32) * np.float32(rng.uniform(0.8, 1.1)),
+        dust=np.asarray(DUSTS[int(rng.integers(len(DUSTS)))], np.float32) * np.float32(rng.uniform(0.8, 1.1)),
+        dusty=float(rng.uniform(0.5, 1.9)),
         bulk=float(rng.uniform(0.92, 1.06)),
         steps=gait * np.array([1, -1, -0.7, 0.8]) * float(rng.choice((-1, 1))) + rng.uniform(-3, 3, 4),
         trunk=str(rng.choice(tuple(TRUNKS))),
@@ -194,8 +197,8 @@ def _hide(look: _Look, points: Floats, noise: Noise) -> Floats:
     z = points[:, 2]
     broad, middle = noise(points, 0.55), noise(points, (0.16, 0.16, 0.07))
     colours = (look.skin * (1 + 0.11 * broad + 0.10 * middle)[:, None]).astype(np.float32)
-    colours = mix(colours, look.dust, 0.22 * np.clip(broad + 0.2, 0, 1) + 0.22 * np.clip((z - 2.5) * 1.5, 0, 1))
-    colours = mix(colours, look.dust, 0.35 * np.clip((0.55 - z) * 2, 0, 1))
+    patches = np.clip(broad + 0.2, 0, 1) + np.clip((z - 2.5) * 1.5, 0, 1) + 1.4 * np.clip((0.55 - z) * 2, 0, 1)
+    colours = mix(colours, look.dust, 0.22 * look.dusty * patches)
     wrinkles = np.abs(noise(points + 3.1, (0.14, 0.14, 0.055))) < 0.12
     return mix(colours, look.skin * 0.6, 0.38 * wrinkles)
 
@@ -255,7 +258,7 @@ def _tusks(look: _Look) -> list[Mesh]:
 def _eyes() -> list[Mesh]:
     """Two dark, shiny eyes in the frame of the head."""
     colour, size = (0.06, 0.04, 0.03), (0.06, 0.05, 0.05)
-    return [ball(size, colour, centre=(0.345, side * 0.315, 0.10), segments=10, roughness=0.1) for side in (1, -1)]
+    return [ball(size, colour, centre=(0.350, side * 0.332, 0.10), segments=10, roughness=0.1) for side in (1, -1)]
 
 
 def _tail(look: _Look) -> list[Mesh]:

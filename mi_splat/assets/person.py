@@ -273,7 +273,7 @@ def _paint_top(look: _Look, points: Floats, noise: Noise) -> Floats:
         bands = (np.abs(z - 1.14) < 0.028) | (np.abs(z - 1.27) < 0.028) | (np.abs(np.abs(y) - 0.1) < 0.022) & (z > 1.27)
         colours = mix(colours, (0.85, 0.85, 0.86), bands & (np.abs(y) < 0.17))
     collar = spot(points, (-0.01, 0, 1.515), (0.085, 0.085, 0.035), 0.3)
-    return mix(colours, look.shirt * 0.7, collar * 0.8 + 0.25 * (noise(points, 0.05) > 0.55))
+    return mix(colours, look.shirt * 0.7, collar * 0.8 + 0.12 * (noise(points, 0.05) > 0.5))
 
 
 def _paint_bottom(look: _Look, points: Floats, noise: Noise) -> Floats:
@@ -375,7 +375,7 @@ def _head(look: _Look, noise: Noise) -> Mesh:
         skin = mix(skin, look.skin * 0.7, 0.7 * spot(side, (0.08, 0.032, 0.004), (0.04, 0.024, 0.016), 0.8))
         skin = mix(skin, (0.93, 0.92, 0.90), spot(side, (0.08, 0.032, 0.001), (0.04, 0.018, 0.009), 0.25))
         skin = mix(skin, (0.10, 0.07, 0.05), spot(side, (0.08, 0.031, 0.001), (0.04, 0.009, 0.0095), 0.25))
-        skin = mix(skin, look.hair * 0.8, spot(side, (0.08, 0.033, 0.023), (0.04, 0.023, 0.0058), 0.4))
+        skin = mix(skin, look.hair * 0.8, spot(side, (0.08, 0.035, 0.0255), (0.04, 0.022, 0.0052), 0.4))
         skin = mix(skin, look.skin * 0.4, spot(side, (0.105, 0.008, -0.042), (0.02, 0.005, 0.004), 0.5))
         strands = look.hair * (1 + 0.35 * noise(points, (0.02, 0.006, 0.03)) + 0.2 * noise(points, 0.006))[:, None]
         cap = look.accent * (1 - 0.25 * (np.abs(np.sin(np.arctan2(y, x + 0.012) * 3)) < 0.08))[:, None]
