@@ -360,6 +360,13 @@ def first_hits(scene: mi.Scene, camera: Camera, *, seed: int = 0) -> Floats:
     return np.array(film, dtype=np.float32)[..., 0]
 
 
+def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
+    """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
+    with scalar_variant():
+        loaded = _load(scene)
+        return [torch.from_numpy(first_hits(loaded, camera, seed=seed)) for camera in cameras]
+
+
 def _in_frame(asset: Asset, camera: Camera) -> float:
     pixels, depth = project_points(torch.from_numpy(asset.vertices), camera)
     size = torch.tensor([camera.width, camera.height])

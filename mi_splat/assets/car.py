@@ -14,7 +14,6 @@ from mi_splat.assets.mesh import (
     Mesh,
     box,
     ellipsoid,
-    join,
     lathe,
     loft,
     rotation,
@@ -130,7 +129,7 @@ def _body(s: _Shape, paint: Sequence[float]) -> list[Mesh]:
         height = np.concatenate([z, top + crown])
         right = np.stack([np.full_like(y, position), -y, height], -1)
         left = np.stack([np.full_like(y, position), y, height], -1)[::-1][1:]
-        rings.append(np.concatenate([right, left]))
+        rings.append(np.concatenate([right, left])[::-1])
     shell = loft(np.array(rings), paint, roughness=0.08)
     floor = box((s.length * 0.9, s.half * 1.42, 0.3), BLACK, centre=(0, 0, s.clearance + 0.2))
     return [shell, floor]

@@ -1,0 +1,307 @@
+"""The splat scenes that the project ships, made from its meshes: `python -m mi_splat.showcase car_street --out scenes`.
+
+Each recipe is fixed, seeds included; asset seeds from 900000 on are kept out of the training of detectors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mi_splat.assets import build
+from mi_splat.assets.mesh import Asset, ellipsoid, rotation, translation
+from mi_splat.assets.street import build as build_street
+from mi_splat.cameras import Camera, View, look_at
+from mi_splat.capture import Light, capture, depth_maps, mesh_scene
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat, save_splat
+from mi_splat.meshsplat import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
+from mi_splat.metrics import psnr
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene, merge
+
+Point = tuple[float, float, float]
+SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """One scene: a target object in surroundings.
+
+    Attributes:
+        target: Id of the target's shape in the scene file.
+        surroundings: Id of the other shape.
+        assets: Builds target and surroundings, both placed in the world.
+        light: Daylight.
+        centre: Point that cameras look at, metres.
+        sensors: Camera positions by sensor id, relative to `centre`.
+        distance: Shortest and longest distance of the pictures' cameras from `centre`.
+        elevation: Lowest and highest elevation of them, degrees.
+        azimuth: Lowest and highest azimuth of them, degrees.
+        counts: Number of samples on target, surroundings and sky before hidden ones are dropped.
+    """
+
+    target: str
+    surroundings: str
+    assets: Callable[[], tuple[Asset, Asset]]
+    light: Light
+    centre: Point
+    sensors: dict[str, Point]
+    distance: tuple[float, float]
+    elevation: tuple[float, float]
+    azimuth: tuple[float, float]
+    counts: tuple[int, int, int]
+
+
+def _around(azimuth: float, elevation: float, distance: float) -> Point:
+    a, e = math.radians(azimuth), math.radians(elevation)
+    x, y, z = math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)
+    return round(distance * x, 3), round(distance * y, 3), round(distance * z, 3)
+
+
+def _car_street() -> tuple[Asset, Asset]:
+    return build("car", 900004), build_street(900005, clear=9.0)
+
+
+def _stop_sign() -> tuple[Asset, Asset]:
+    street = build_street(900001, clear=8.0)
+    placed = street.transformed(translation(0, -2.9, 0) @ rotation("z", 180))
+    return build("stop sign", 900003).transformed(translation(0, 0, 0.115)), placed
+
+
+RECIPES = {
+    "car_street": Recipe(
+        target="car",
+        surroundings="street",
+        assets=_car_street,
+        light=Light(sun_azimuth=-50, sun_elevation=52, seed=900000),
+        centre=(0.0, 0.0, 0.7),
+        sensors={
+            "front": _around(5, 8, 6.6),
+            "three_quarter": _around(-38, 14, 6.6),
+            "side": _around(-92, 9, 6.4),
+            "rear": _around(152, 16, 6.6),
+            "high": _around(55, 42, 7.2),
+            "top": _around(20, 80, 7.6),
+        },
+        distance=(5.4, 8.6),
+        elevation=(2, 85),
+        azimuth=(0, 360),
+        counts=(16_000, 60_000, 1_500),
+    ),
+    "stop_sign": Recipe(
+        target="stop_sign",
+        surroundings="roadside",
+        assets=_stop_sign,
+        light=Light(sun_azimuth=35, sun_elevation=48, seed=900001),
+        centre=(0.0, 0.0, 1.9),
+        sensors={
+            "front": _around(0, 2, 2.6),
+            "left": _around(38, 4, 2.7),
+            "right": _around(-35, 0, 2.7),
+            "low": _around(12, -22, 2.8),
+            "high": _around(-15, 35, 2.8),
+            "far": _around(8, 3, 4.2),
+        },
+        distance=(2.2, 4.8),
+        elevation=(-20, 55),
+        azimuth=(-62, 62),
+        counts=(10_000, 60_000, 1_500),
+    ),
+}
+
+
+def _camera(origin: Sequence[float], target: Sequence[float]) -> Camera:
+    return Camera(to_world=look_at(origin, target), focal=FOCAL, width=SIZE, height=SIZE)
+
+
+def sensors(recipe: Recipe) -> dict[str, Camera]:
+    """The named cameras of a scene file."""
+    centre = np.array(recipe.centre)
+    return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
+
+
+def cameras(recipe: Recipe, count: int, *, seed: int) -> list[Camera]:
+    """Cameras by chance in the recipe's range, evenly spread in area, that look at about the centre."""
+    rng = np.random.default_rng([seed, 0xCA3])
+    low, high = np.sin(np.radians(recipe.elevation))
+    found = []
+    for i in range(count):
+        elevation = math.degrees(math.asin(low + (high - low) * ((i + 0.5) / count)))
+        share = (i * 0.6180339887498949 + rng.random() / count) % 1
+        azimuth = recipe.azimuth[0] + share * (recipe.azimuth[1] - recipe.azimuth[0])
+        offset = np.array(_around(azimuth, elevation, rng.uniform(*recipe.distance)))
+        origin = np.array(recipe.centre) + offset
+        origin[2] = max(origin[2], 0.3)
+        target = np.array(recipe.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
+        found.append(_camera(origin, target))
+    return found
+
+
+def _dome() -> Asset:
+    """The sky as a surface: the upper half of a sphere far behind everything."""
+    whole = ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48)
+    upper = whole.faces[whole.vertices[whole.faces][..., 2].min(1) > -30]
+    return Asset("sky", (type(whole)(whole.vertices, upper, whole.uvs, whole.texture),))
+
+
+def start_splat(
+    recipe: Recipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
+) -> tuple[GaussianScene, GaussianScene]:
+    """Unrefined splats of the target and of its surroundings, sky included."""
+    target, surroundings = recipe.assets()
+    spots = [view.camera for view in views][:: max(1, len(views) // 24)]
+    density = nearness(spots)
+    parts = []
+    for asset, count, overlap in zip((target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True):
+        even = asset is target or asset.name == "sky"
+        samples = surface_samples(asset, count, density=None if even else density, seed=seed)
+        parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+    return parts[0], merge(parts[1], parts[2])
+
+
+def scene_xml(name: str, recipe: Recipe) -> str:
+    """The scene file in Mitsuba's XML."""
+    lines = ['<scene version="3.0.0">', '    <integrator type="splat_tile"/>', ""]
+    for shape in (recipe.surroundings, recipe.target):
+        lines += [
+            f'    <shape type="gaussians" id="{shape}">',
+            f'        <string name="filename" value="{name}_{shape}.ply"/>',
+            "    </shape>",
+        ]
+    centre = np.array(recipe.centre)
+    fov = math.degrees(2 * math.atan(SIZE / 2 / FOCAL))
+    for sensor, offset in recipe.sensors.items():
+        origin = ", ".join(f"{v:.6g}" for v in centre + offset)
+        target = ", ".join(f"{v:.6g}" for v in centre)
+        lines += [
+            "",
+            f'    <sensor type="perspective" id="{sensor}">',
+            '        <string name="fov_axis" value="x"/>',
+            f'        <float name="fov" value="{fov:.10g}"/>',
+            '        <transform name="to_world">',
+            f'            <lookat origin="{origin}" target="{target}" up="0, 0, 1"/>',
+            "        </transform>",
+            '        <film type="hdrfilm">',
+            f'            <integer name="width" value="{SIZE}"/>',
+            f'            <integer name="height" value="{SIZE}"/>',
+            '            <rfilter type="box"/>',
+            "        </film>",
+            "    </sensor>",
+        ]
+    return "\n".join([*lines, "</scene>", ""])
+
+
+def make(
+    name: str,
+    folder: Path,
+    *,
+    views: int = 96,
+    samples: int = 24,
+    steps: int = 1500,
+    seed: int = 0,
+    on_step: Callable[[str, int, int], None] | None = None,
+) -> dict[str, object]:
+    """Make one scene: two splat files, the scene file and a record of how it was made and how good it is.
+
+    Args:
+        name: One of `RECIPES`.
+        folder: Where the files go.
+        views: Pictures to fit to.
+        samples: Paths a pixel in them.
+        steps: Steps of the refinement.
+        seed: Seed of everything but the assets.
+        on_step: Called with the stage's name, the number done and the number wanted.
+
+    Returns:
+        The record, as it is written to `<name>.json`: counts, seeds and PSNR over pictures that took no part.
+
+    Raises:
+        InvalidValueError: There is no such recipe.
+    """
+    if name not in RECIPES:
+        raise InvalidValueError(message("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these"))
+    recipe, start, tell = RECIPES[name], time.time(), on_step or (lambda *_: None)
+    target, surroundings = recipe.assets()
+    description = mesh_scene([target], light=recipe.light, backdrop=surroundings)
+    spots = cameras(recipe, views, seed=seed)
+    pictures = capture(description, spots, samples=samples, seed=seed, on_step=lambda i, n: tell("pictures", i, n))
+    depths = depth_maps(description, spots, seed=seed)
+    parts = start_splat(recipe, pictures, depths, seed=seed)
+    render = Renderer(RenderSettings())
+    whole = refine(
+        merge(*parts),
+        pictures,
+        render=render,
+        config=RefineConfig(steps=steps),
+        seed=seed,
+        on_step=lambda i, _: tell("refinement", i, steps),
+    )
+    size = len(parts[0])
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {recipe.target: whole.select(slice(0, size)), recipe.surroundings: whole.select(slice(size, None))}
+    for shape, splat in files.items():
+        save_splat(splat, folder / f"{name}_{shape}.ply")
+    (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
+    saved = merge(*(load_splat(folder / f"{name}_{shape}.ply") for shape in files))
+    held_out = {f"random_{i}": c for i, c in enumerate(cameras(recipe, HELD_OUT, seed=seed + 7919))} | sensors(recipe)
+    truth = capture(description, list(held_out.values()), samples=2 * samples, seed=seed + 7919)
+    record: dict[str, object] = {
+        "name": name,
+        "gaussians": {shape: len(splat) for shape, splat in files.items()},
+        "views": views,
+        "samples": samples,
+        "steps": steps,
+        "seed": seed,
+        "psnr_fitted": _mean_psnr(saved, pictures, render),
+        "psnr_held_out": _mean_psnr(saved, truth[:HELD_OUT], render),
+        "psnr_sensors": {
+            n: round(_mean_psnr(saved, [view], render), 2)
+            for n, view in zip(recipe.sensors, truth[HELD_OUT:], strict=True)
+        },
+        "seconds": round(time.time() - start),
+    }
+    (folder / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
+    return record
+
+
+def _mean_psnr(scene: GaussianScene, views: Sequence[View], render: Renderer) -> float:
+    with torch.no_grad():
+        values = [float(psnr(render(scene, view.camera).clamp(0, 1), view.image)) for view in views]
+    return round(sum(values) / len(values), 2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line: make one of the scenes."""
+    parser = argparse.ArgumentParser(prog="python -m mi_splat.showcase", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("name", choices=sorted(RECIPES))
+    parser.add_argument("--out", type=Path, default=Path("scenes"))
+    parser.add_argument("--views", type=int, default=96)
+    parser.add_argument("--samples", type=int, default=24)
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+
+    def tell(stage: str, done: int, wanted: int) -> None:
+        if sys.stderr.isatty() or done == wanted:
+            sys.stderr.write(f"\r{stage}: {done} of {wanted}" + ("\n" if done == wanted else ""))
+
+    settings = {key: getattr(options, key) for key in ("views", "samples", "steps", "seed")}
+    record = make(options.name, options.out, **settings, on_step=tell)
+    sys.stdout.write(json.dumps(record, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
