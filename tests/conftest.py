@@ -10,6 +10,7 @@ import torch
 
 # Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
 torch.set_num_threads(1)
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that tests start
 
 hypothesis.settings.register_profile(
     "mi-splat",

@@ -84,7 +84,11 @@ def _dispatch(words: list[str]) -> int:
         _say(f"command: expected one of {', '.join(COMMANDS)}, got {name}; {hint}")
         return MISUSED
     options = _parse(name, rest)
-    return int(importlib.import_module(COMMANDS[name].module).run(options))
+    from attacks.cli.console import progress
+
+    with progress("starting"):
+        module = importlib.import_module(COMMANDS[name].module)
+    return int(module.run(options))
 
 
 def _parse(name: str, rest: list[str]) -> object:
