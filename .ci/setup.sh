@@ -10,6 +10,8 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 venv=${VENV:-.venv}
 python=$venv/bin/python
 oldest_llvm=17
+quiet=--quiet
+[ -t 2 ] && quiet= # someone watches: let pip and uv show what they do
 
 say() { printf '%s\n' "$*" >&2; }
 die() { say "setup: $*"; exit 1; }
@@ -49,11 +51,11 @@ install_project() {
     say "setup: installing mi-splat and what it needs into $venv (torch alone is some gigabytes; minutes, once)"
     # uv does not count the packages of --system-site-packages as installed, pip does.
     if [ -z "${SYSTEM_SITE:-}" ] && have uv; then
-        uv pip install --quiet --python "$python" -e '.[dev]' && return
+        uv pip install ${quiet:+--quiet} --python "$python" -e '.[dev]' && return
         say "setup: uv could not install it; trying pip"
     fi
     "$python" -m pip --version >/dev/null 2>&1 || "$python" -m ensurepip >/dev/null 2>&1 || die "$python has no pip"
-    "$python" -m pip install --quiet --disable-pip-version-check --no-input -e '.[dev]'
+    "$python" -m pip install ${quiet:+-qq} --disable-pip-version-check --no-input -e '.[dev]'
 }
 
 llvm_there() { "$python" -c 'from mi_splat.variant import prepare_llvm; prepare_llvm()' >/dev/null 2>&1; }
