@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mi_splat.assets import bird, elephant, person
+from mi_splat.assets import bird, elephant, person, plumage
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.organic import Layer, Noise, above, blade, body, cone, ellipsoid, normals, surface
 
@@ -82,9 +82,9 @@ def test_elephants_carry_the_head_in_front() -> None:
         assert left.vertices[:, 0].mean() > -0.5
 
 
-@pytest.mark.parametrize("kind", sorted(bird.SPECIES))
+@pytest.mark.parametrize("kind", sorted(plumage.SPECIES))
 def test_every_species_occurs(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bird, "SPECIES", {kind: bird.SPECIES[kind]})
+    monkeypatch.setattr("mi_splat.assets.bird.SPECIES", {kind: plumage.SPECIES[kind]})
     asset = bird.build(3)
     assert 0.1 < asset.bounds[1, 2] < 0.5
 
