@@ -5,22 +5,17 @@ The names below are imported when they are first used, so that importing this pa
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
+
+from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
-    from attacks.dagger import DaggerConfig, Result, attack
+    from attacks.config import DaggerConfig
+    from attacks.dagger import attack
     from attacks.detectors import DETECTORS, Candidates, Detections, Detector, load_detector
     from attacks.objectives import Objective, Target, hide, relabel, untargeted
-
-_HOMES = {
-    "attacks.budgets": ("Budget",),
-    "attacks.dagger": ("DaggerConfig", "Result", "attack"),
-    "attacks.detectors": ("DETECTORS", "Candidates", "Detections", "Detector", "load_detector"),
-    "attacks.objectives": ("Objective", "Target", "hide", "relabel", "untargeted"),
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+    from attacks.result import Result
 
 __all__ = [
     "DETECTORS",
@@ -39,14 +34,14 @@ __all__ = [
     "untargeted",
 ]
 
-
-def __getattr__(name: str) -> object:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'attacks' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOME_OF[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = _lazy.attach(
+    __name__,
+    {
+        "attacks.budgets": ("Budget",),
+        "attacks.config": ("DaggerConfig",),
+        "attacks.dagger": ("attack",),
+        "attacks.detectors": ("DETECTORS", "Candidates", "Detections", "Detector", "load_detector"),
+        "attacks.objectives": ("Objective", "Target", "hide", "relabel", "untargeted"),
+        "attacks.result": ("Result",),
+    },
+)

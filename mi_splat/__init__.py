@@ -1,1 +1,49 @@
-"""3D Gaussian splats in Mitsuba: scenes, files, rendering, capture."""
+"""3D Gaussian splats in Mitsuba: scenes, files, rendering, capture.
+
+The names below are imported when they are first used, so that importing this package is light.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mi_splat import _lazy
+
+if TYPE_CHECKING:
+    from mi_splat.cameras import Camera, RenderFn, View, hemisphere, look_at, orbit
+    from mi_splat.errors import InvalidValueError, MiSplatError
+    from mi_splat.io import SplatFileError, load_splat, save_splat
+    from mi_splat.rendering import Renderer, RenderSettings, Stage, read_stage
+    from mi_splat.scene import GaussianScene, Similarity, merge
+
+__all__ = [
+    "Camera",
+    "GaussianScene",
+    "InvalidValueError",
+    "MiSplatError",
+    "RenderFn",
+    "RenderSettings",
+    "Renderer",
+    "Similarity",
+    "SplatFileError",
+    "Stage",
+    "View",
+    "hemisphere",
+    "load_splat",
+    "look_at",
+    "merge",
+    "orbit",
+    "read_stage",
+    "save_splat",
+]
+
+__getattr__, __dir__ = _lazy.attach(
+    __name__,
+    {
+        "mi_splat.cameras": ("Camera", "RenderFn", "View", "hemisphere", "look_at", "orbit"),
+        "mi_splat.errors": ("InvalidValueError", "MiSplatError"),
+        "mi_splat.io": ("SplatFileError", "load_splat", "save_splat"),
+        "mi_splat.rendering": ("Renderer", "RenderSettings", "Stage", "read_stage"),
+        "mi_splat.scene": ("GaussianScene", "Similarity", "merge"),
+    },
+)

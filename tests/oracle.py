@@ -35,7 +35,7 @@ def sh_colour(sh: Array, directions: Array) -> Array:
         -0.5900435899266435 * x * (x * x - 3 * y * y),
     ]
     basis = np.stack(terms[: sh.shape[1]], axis=1)
-    return np.maximum(0.0, 0.5 + np.einsum("nk,nkc->nc", basis, sh))
+    return np.maximum(0.0, 0.5 + np.asarray(np.einsum("nk,nkc->nc", basis, sh), dtype=np.float64))
 
 
 def quaternion_matrix(q: Array) -> Array:
