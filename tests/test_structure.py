@@ -42,6 +42,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "assets": CORE,
     "capture": (*CORE, "assets", "variant"),
     "meshsplat": (*CORE, "assets", "capture"),
+    "showcase": (*CORE, "assets", "capture", "meshsplat", "variant", "rendering"),
 }
 RENDERERS = {"rasterization", "plugins", "variant", "rendering", "capture"}
 
@@ -49,7 +50,8 @@ RENDERERS = {"rasterization", "plugins", "variant", "rendering", "capture"}
 ATTACK_LAYERS = (
     ("detectors.base",),
     ("detectors", "pgd", "budgets", "objectives", "filespace", "provenance", "scoring"),
-    ("staging",),
+    ("staging", "config"),
+    ("result",),
     ("dagger",),
     ("evaluation",),
     ("reports",),
@@ -278,7 +280,7 @@ SCENES = sorted((ROOT / "scenes").glob("*.xml"))
 
 
 def test_scenes_are_shipped_and_small() -> None:
-    assert {"car_street.xml", "stop_sign_roadside.xml"} <= {path.name for path in SCENES}
+    assert {"car_street.xml", "stop_sign.xml"} <= {path.name for path in SCENES}
     assert sum(path.stat().st_size for path in (ROOT / "scenes").rglob("*") if path.is_file()) <= 8_000_000
 
 

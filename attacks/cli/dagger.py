@@ -11,11 +11,13 @@ import torch
 from attacks.cli.console import progress, show, show_json
 from attacks.cli.options import DaggerOptions
 from attacks.cli.scenes import choose_camera, open_stage
-from attacks.dagger import DaggerConfig, Result, attack
+from attacks.config import DaggerConfig
+from attacks.dagger import attack
 from attacks.detectors import load_detector
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
 from attacks.reports import summary, write_report
+from attacks.result import Result
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import Renderer, Stage
 
