@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
+import sys
 from dataclasses import dataclass
 
 import torch
@@ -203,26 +205,35 @@ def _check_form(scene: GaussianScene) -> None:
     degree_of(bands)
 
 
+_MAX = sys.float_info.max
+_RANGES = {
+    "means": (-_MAX, _MAX, "finite values", "remove those Gaussians"),
+    "scales": (math.ulp(0.0), _MAX, "finite values > 0", "pass standard deviations"),
+    "rotations": (1 - UNIT_TOLERANCE, 1 + UNIT_TOLERANCE, "unit quaternions", "use mi_splat.rotation.normalise"),
+    "opacities": (0.0, 1.0, "values in [0, 1]", "apply a sigmoid to logits"),
+    "sh": (-_MAX, _MAX, "finite values", "remove those Gaussians"),
+}
+"""Lowest and highest value of each tensor (of the norm for rotations), its name, and what to do about other values."""
+
+
 def _check_values(scene: GaussianScene) -> None:
     """Raise unless all values are finite and in range."""
-    means, scales, rotations, opacities, sh = (value.detach() for value in scene.tensors())
-    norms = torch.linalg.vector_norm(rotations, dim=1)
-    checks = [
-        ("means", means, torch.isfinite(means), "finite values", "remove those Gaussians"),
-        ("scales", scales, (scales > 0) & torch.isfinite(scales), "finite values > 0", "pass standard deviations"),
-        ("rotations", rotations, (norms - 1).abs() <= UNIT_TOLERANCE, "unit quaternions", "use rotation.normalise"),
-        ("opacities", opacities, (opacities >= 0) & (opacities <= 1), "values in [0, 1]", "apply a sigmoid to logits"),
-        ("sh", sh, torch.isfinite(sh), "finite values", "remove those Gaussians"),
-    ]
-    if bool(torch.stack([good.all() for _, _, good, _, _ in checks]).all()):
-        return
-    for name, value, good, expected, do in checks:
-        bad = (~good).flatten(1).any(1) if good.ndim > 1 else ~good
-        rows = bad.nonzero().flatten()
-        if len(rows):
-            first = int(rows[0])
-            got = f"{value[first].flatten().tolist()[:4]} in row {first} ({len(rows)} of {len(value)} rows are wrong)"
-            raise InvalidValueError(message(name, expected, got, do))
+    for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True):
+        low, high, expected, do = _RANGES[name]
+        value = value.detach()
+        judged = torch.linalg.vector_norm(value, dim=1) if name == "rotations" else value
+        if not judged.numel():
+            continue
+        smallest, largest = torch.aminmax(judged)  # both NaN if one value is
+        if low <= smallest.item() and largest.item() <= high:
+            continue
+        wide = judged.double().reshape(len(value), -1)
+        bad = ~((wide >= low) & (wide <= high))
+        rows = bad.any(1).nonzero().flatten()
+        first = int(rows[0])
+        found = f"{'norm ' if name == 'rotations' else ''}{wide[first][bad[first]][0].item():.6g}"
+        got = f"{found} in row {first} ({len(rows)} of {len(value)} rows are wrong)"
+        raise InvalidValueError(message(name, expected, got, do))
 
 
 def _check_rows(rows: Tensor, count: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import tracemalloc
 from pathlib import Path
 
 import hypothesis
@@ -210,3 +211,17 @@ def test_file_space_there_and_back(scene: GaussianScene) -> None:
     close(again.opacities, scene.opacities)
     twice = to_file_space(again)
     assert all(bits(twice[name]) == bits(values[name]) for name in ATTRIBUTES)
+
+
+def test_memory_stays_near_the_size_of_the_scene(tmp_path: Path) -> None:
+    scene = random_scene(100_000, 3)
+    size = sum(value.numel() * 4 for value in scene.tensors())
+    for work, most in (
+        (lambda: save_splat(scene, tmp_path / "a.ply"), 0.8),
+        (lambda: load_splat(tmp_path / "a.ply"), 1.8),
+    ):
+        tracemalloc.start()
+        work()
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < most * size  # in blocks, one for each thread, whatever the size of the scene

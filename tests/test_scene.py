@@ -88,7 +88,9 @@ def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
 )  # fmt: skip
 def test_wrong_values_are_refused_and_named(name: str, place: tuple[int, ...], to: float) -> None:
     scene = random_scene(6, 1)
-    with pytest.raises(InvalidValueError, match=rf"^{name}: expected .* in row 4 \(1 of 6 rows are wrong\); "):
+    with pytest.raises(
+        InvalidValueError, match=rf"^{name}: expected .*got (norm )?\S+ in row 4 \(1 of 6 rows are wrong\); "
+    ):
         scene.replace(**{name: changed(parts(scene)[name], place, to)})
 
 

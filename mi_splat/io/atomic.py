@@ -48,7 +48,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except OSError as error:
         raise from_os_error(os.fspath(path), expected, error) from error
     finally:
-        with contextlib.suppress(FileNotFoundError):
+        with contextlib.suppress(OSError):  # the error that led here is the one to report
             os.unlink(temporary)
     _sync_folder(os.path.dirname(target))
 

@@ -1,6 +1,6 @@
 """How fast are splat files? Loading and saving, side by side with NumPy on the same bytes, as ratios.
 
-    python benchmarks/io.py [--count 1000000] [--degree 3] [--rounds 9] [--folder DIR] [--json]
+    python benchmarks/files.py [--count 1000000] [--degree 3] [--rounds 9] [--folder DIR] [--json]
 
 The runs of one round follow each other, since a shared machine changes its speed within minutes, and the median over
 the rounds of the ratio within a round is reported. NumPy reads with `fromfile` from a warm cache. `save_splat` brings
