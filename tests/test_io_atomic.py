@@ -100,9 +100,10 @@ def test_a_kill_leaves_the_old_file_or_the_new_one(old: Path) -> None:
     hashes = {scene_hash(load_splat(old))}
     save_splat(random_scene(60_000, 1), old.with_name("new.ply"))
     hashes.add(scene_hash(load_splat(old.with_name("new.ply"))))
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(old)], stdout=subprocess.PIPE)
+    root = Path(__file__).resolve().parent.parent
+    process = subprocess.Popen([sys.executable, "-c", KILLED, str(old)], stdout=subprocess.PIPE, cwd=root)
     assert process.stdout is not None
-    process.stdout.readline()
+    assert process.stdout.readline() == b"ready\n"
     time.sleep(0.05)
     process.send_signal(signal.SIGKILL)
     process.wait()
