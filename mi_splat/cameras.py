@@ -95,7 +95,8 @@ class Camera:
     @property
     def to_camera(self) -> Tensor:
         """(4, 4) float64 transform from world to camera space."""
-        return torch.linalg.inv(self.to_world)
+        inverse: Tensor = torch.linalg.inv(self.to_world)
+        return inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
