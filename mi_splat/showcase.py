@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.assets import build
@@ -121,8 +122,8 @@ RECIPES = {
 }
 
 
-def _camera(origin: Sequence[float], target: Sequence[float]) -> Camera:
-    return Camera(to_world=look_at(origin, target), focal=FOCAL, width=SIZE, height=SIZE)
+def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
+    return Camera(to_world=look_at(origin.tolist(), target.tolist()), focal=FOCAL, width=SIZE, height=SIZE)
 
 
 def sensors(recipe: Recipe) -> dict[str, Camera]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import (
@@ -81,7 +82,7 @@ def _shape(kind: str, rng: np.random.Generator) -> _Shape:
     )
 
 
-def _top(s: _Shape, x: Points) -> Points:
+def _top(s: _Shape, x: ArrayLike) -> Points:
     """Height of bonnet, window line and boot along the car."""
     knots = np.array([-0.5, -0.47, s.base[0] / s.length + 0.02, s.base[1] / s.length, 0.4, 0.475, 0.5]) * s.length
     knots[2] = max(knots[2], -0.46 * s.length)
@@ -105,14 +106,14 @@ def _bottom(s: _Shape, x: float) -> float:
     return low
 
 
-def _body(s: _Shape, paint: Sequence[float]) -> list[Mesh]:
+def _body(s: _Shape, paint: ArrayLike) -> list[Mesh]:
     """The painted shell below the windows, with open wheel arches, over a black floor."""
     arch = s.wheel * 1.17
     stations = [np.linspace(-s.length / 2, s.length / 2, 61)]
     for axle in s.axles:
         stations += [
             axle + arch * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 17)),
-            [axle - arch - 1e-3, axle + arch + 1e-3],
+            np.array([axle - arch - 1e-3, axle + arch + 1e-3]),
         ]
     x = np.unique(np.round(np.concatenate(stations), 4))
     tops = _top(s, x)
@@ -135,7 +136,7 @@ def _body(s: _Shape, paint: Sequence[float]) -> list[Mesh]:
     return [shell, floor]
 
 
-def _cabin(s: _Shape, paint: Sequence[float], roof_paint: Sequence[float], glass_roof: bool) -> list[Mesh]:
+def _cabin(s: _Shape, paint: ArrayLike, roof_paint: ArrayLike, glass_roof: bool) -> list[Mesh]:
     """Windows as one dark glass body with painted pillars and roof."""
     levels = np.array([-0.12, 0.0, 0.3, 0.6, 0.85, 0.95, 1.0])
     height = s.belt + levels * (s.roof - 0.07 - s.belt)
@@ -175,19 +176,19 @@ def _cabin(s: _Shape, paint: Sequence[float], roof_paint: Sequence[float], glass
         parts.append(sweep(path, np.full(len(path), 0.045), paint, segments=8, roughness=0.08))
     for fraction in (0.44, 0.62) if s.base[0] < -0.42 * s.length else (0.42,):
         for side in (1, -1):
-            path = []
+            pillar = []
             for i, loop in enumerate(outside[1:]):
                 x = (
                     s.top[0] * 0.6
                     + s.base[0] * 0.4
                     + fraction * (s.base[1] * 0.5 + s.top[1] * 0.5 - s.top[0] * 0.6 - s.base[0] * 0.4)
                 )
-                path.append([x, side * (np.abs(loop[:, 1]).max() - 0.012), height[i + 1]])
-            parts.append(sweep(path, np.tile([0.035, 0.022], (6, 1)), BLACK, segments=6))
+                pillar.append([x, side * (np.abs(loop[:, 1]).max() - 0.012), height[i + 1]])
+            parts.append(sweep(pillar, np.tile([0.035, 0.022], (6, 1)), BLACK, segments=6))
     return parts
 
 
-def _wheel(s: _Shape, rng: np.random.Generator) -> Mesh | list[Mesh]:
+def _wheel(s: _Shape, rng: np.random.Generator) -> list[Mesh]:
     """One wheel around the origin, its outside towards +y."""
     r, w = s.wheel, 0.105
     tyre = lathe(
@@ -269,7 +270,7 @@ def _front(s: _Shape, rng: np.random.Generator) -> list[Mesh]:
 
 def _bulge(place: tuple[float, float], size: tuple[float, float, float], colour: Sequence[float]) -> Mesh:
     """A rounded bar across the car at (x, z)."""
-    outline = rounded_rectangle(size[0], size[1], size[0] * 0.45, corner=4) + (place[0], 0)
+    outline = rounded_rectangle(size[0], size[1], size[0] * 0.45, corner=4) + np.array((place[0], 0.0))
     rings = [
         np.concatenate([outline, np.full((len(outline), 1), z)], 1)
         for z in (place[1] - size[2] / 2, place[1] + size[2] / 2)
@@ -303,7 +304,7 @@ def _rear(s: _Shape, rng: np.random.Generator, kind: str) -> list[Mesh]:
     return parts
 
 
-def _trim(s: _Shape, paint: Sequence[float]) -> list[Mesh]:
+def _trim(s: _Shape, paint: ArrayLike) -> list[Mesh]:
     """Door lines, handles, sills, mirrors, the bonnet's edges."""
     parts = []
     line = np.asarray(paint) * 0.25

@@ -1,4 +1,4 @@
-"""Plane outlines from which meshes are extruded and textures are drawn: rounded rectangles, polygons, vector letters."""
+"""Plane outlines for meshes and textures: rounded rectangles, polygons, vector letters, smooth curves."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def build(seed: int = 0) -> Asset:
         [STEEL, (0.38, 0.39, 0.4), (0.3, 0.36, 0.32), (0.75, 0.75, 0.74), (0.4, 0.3, 0.22)][rng.integers(5)]
     )
     if rng.random() < 0.5:
-        parts.append(sweep([[0, 0, 0], [0, 0, top - 0.05]], [0.032, 0.032], pole, segments=14, roughness=0.3))
+        parts.append(sweep([[0.0, 0.0, 0.0], [0.0, 0.0, top - 0.05]], [0.032, 0.032], pole, segments=14, roughness=0.3))
         parts.append(ellipsoid((0.066, 0.066, 0.03), pole, centre=(0, 0, top - 0.05)))
     else:
         post = extrude(rounded_rectangle(0.05, 0.075, 0.008, corner=2), top, pole)

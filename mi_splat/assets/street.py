@@ -23,9 +23,15 @@ from mi_splat.assets.mesh import (
 )
 
 WALLS = (
-    (0.82, 0.76, 0.64), (0.88, 0.86, 0.82), (0.62, 0.36, 0.28), (0.75, 0.62, 0.45), (0.6, 0.68, 0.72), (0.8, 0.55, 0.42),
-    (0.7, 0.72, 0.62), (0.5, 0.27, 0.22),
-)  # fmt: skip
+    (0.82, 0.76, 0.64),
+    (0.88, 0.86, 0.82),
+    (0.62, 0.36, 0.28),
+    (0.75, 0.62, 0.45),
+    (0.6, 0.68, 0.72),
+    (0.8, 0.55, 0.42),
+    (0.7, 0.72, 0.62),
+    (0.5, 0.27, 0.22),
+)
 ROOFS = ((0.5, 0.2, 0.14), (0.28, 0.27, 0.29), (0.42, 0.27, 0.2), (0.35, 0.37, 0.4))
 REACH = 45.0
 """Half of the length of a street, metres."""
@@ -79,7 +85,7 @@ def facade(rng: np.random.Generator, *, floors: int, bays: int) -> Floats:
                 picture[y0 + 12 : y0 + 43, x0 + 6 : x0 + 13] = colour
                 picture[y0 + 12 : y0 + 43, x0 + 44 : x0 + 51] = colour
     picture[-5:] = picture[-5:] * 0.25 + 0.25
-    return np.clip(picture, 0, 1).astype(np.float32)
+    return np.asarray(np.clip(picture, 0, 1), np.float32)
 
 
 def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
@@ -106,7 +112,7 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
                 ]
             )
             parts.append(sheet(grid, tiles, repeat=(width / 2.2, 2.0), smooth=False))
-        gable = extrude([[0, 0], [deep, 0], [deep / 2, rise]], width, plain)
+        gable = extrude([[0.0, 0.0], [deep, 0.0], [deep / 2, rise]], width, plain)
         parts.append(transform(gable, translation(-w, 0, tall) @ rotation("x", 90) @ rotation("y", 90)))
         parts.append(box((0.6, 0.6, 1.5), (0.45, 0.25, 0.2), centre=(w * 0.5, deep * 0.45, tall + rise)))
     else:
@@ -119,7 +125,7 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
                 ]
             )
             parts.append(sheet(grid, tiles, repeat=(deep / 2.2, 2.0), smooth=False))
-        gable = extrude([[-w, 0], [w, 0], [0, rise]], 0.1, plain)
+        gable = extrude([[-w, 0.0], [w, 0.0], [0.0, rise]], 0.1, plain)
         parts.append(transform(gable, translation(0, 0.1, tall) @ rotation("x", 90)))
         parts.append(box((0.6, 0.6, 1.4), (0.45, 0.25, 0.2), centre=(w * 0.45, deep * 0.6, tall + rise * 0.7)))
     return parts
@@ -163,7 +169,7 @@ def tree(rng: np.random.Generator) -> list[Mesh]:
 def lamp(rng: np.random.Generator) -> list[Mesh]:
     """A street lamp at the origin whose arm reaches along +y."""
     iron = np.array((0.22, 0.24, 0.24)) * rng.uniform(0.7, 1.8)
-    path = [[0, 0, 0], [0, 0, 4.6], [0, 0.25, 5.2], [0, 1.1, 5.4]]
+    path = [[0.0, 0.0, 0.0], [0.0, 0.0, 4.6], [0.0, 0.25, 5.2], [0.0, 1.1, 5.4]]
     return [
         sweep(path, [0.08, 0.055, 0.045, 0.04], iron, segments=10, up=(1, 0, 0)),
         ellipsoid((0.26, 0.7, 0.16), (0.85, 0.85, 0.8), centre=(0, 1.35, 5.38)),

@@ -84,14 +84,14 @@ def _trolley(rng: np.random.Generator) -> list[Mesh]:
             segments=8,
         )
     )
-    side = width / 2
+    edge = width / 2
     parts.append(
         sweep(
             [
-                [0, side - 0.01, low + height * 0.4],
-                [0, side + 0.022, low + height * 0.43],
-                [0, side + 0.022, low + height * 0.57],
-                [0, side - 0.01, low + height * 0.6],
+                [0, edge - 0.01, low + height * 0.4],
+                [0, edge + 0.022, low + height * 0.43],
+                [0, edge + 0.022, low + height * 0.57],
+                [0, edge - 0.01, low + height * 0.6],
             ],
             np.full(4, 0.011),
             BLACK,
@@ -99,16 +99,18 @@ def _trolley(rng: np.random.Generator) -> list[Mesh]:
         )
     )
     reach = rng.uniform(0.2, 0.42) if rng.random() < 0.65 else 0.03
-    x = -depth / 2 + 0.035
+    back = -depth / 2 + 0.035
     for y in (0.1, -0.1):
-        parts.append(sweep([[x, y, top - 0.03], [x, y, top + reach]], [0.011, 0.009], METAL, segments=8, roughness=0.2))
+        parts.append(
+            sweep([[back, y, top - 0.03], [back, y, top + reach]], [0.011, 0.009], METAL, segments=8, roughness=0.2)
+        )
     parts.append(
         sweep(
             [
-                [x, -0.13, top + reach],
-                [x, -0.1, top + reach + 0.015],
-                [x, 0.1, top + reach + 0.015],
-                [x, 0.13, top + reach],
+                [back, -0.13, top + reach],
+                [back, -0.1, top + reach + 0.015],
+                [back, 0.1, top + reach + 0.015],
+                [back, 0.13, top + reach],
             ],
             np.full(4, 0.016),
             BLACK,

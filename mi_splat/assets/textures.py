@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,12 +32,12 @@ def fractal_noise(size: tuple[int, int], rng: np.random.Generator, *, cells: int
         bottom = grid[low][:, j] * (1 - fx) + grid[low][:, (j + 1) % count] * fx
         total += (top * (1 - fy) + bottom * fy) / 2**octave
     span = float(np.ptp(total))
-    return (total - total.min()) / (span if span > 0 else 1.0)
+    return np.asarray((total - total.min()) / (span if span > 0 else 1.0), np.float64)
 
 
 def canvas(size: tuple[int, int], colour: ArrayLike) -> Floats:
     """(h, w, 3) picture of one colour."""
-    return np.broadcast_to(np.asarray(colour, np.float32), (*size, 3)).copy()
+    return np.array(np.broadcast_to(np.asarray(colour, np.float32), (*size, 3)))
 
 
 def grid(size: tuple[int, int]) -> tuple[Field, Field]:
@@ -61,7 +62,7 @@ def paint(picture: Floats, mask: Field, colour: ArrayLike) -> None:
 def line_distance(x: Field, y: Field, line: Points) -> Field:
     """(h, w) distance to a polyline of (P, 2) points."""
     best = np.full(x.shape, np.inf)
-    for (ax, ay), (bx, by) in zip(line[:-1], line[1:], strict=True):
+    for (ax, ay), (bx, by) in itertools.pairwise(line):
         dx, dy = bx - ax, by - ay
         t = np.clip(((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1)
         best = np.minimum(best, np.hypot(x - ax - t * dx, y - ay - t * dy))
@@ -133,7 +134,7 @@ def grass(size: int = 256, seed: int = 0) -> Floats:
         r = (rows[on] - step) % size
         c = np.round(columns[on] + lean[on] * step).astype(int) % size
         picture[r, c] = np.clip(tint[on], 0, 1) * (0.7 + 0.06 * step)
-    return np.clip(picture, 0, 1)
+    return np.asarray(np.clip(picture, 0, 1), np.float32)
 
 
 def tiles(
@@ -160,7 +161,7 @@ def tiles(
     edge = np.minimum(np.minimum(u % 1, 1 - u % 1) / columns * rows, np.minimum(v % 1, 1 - v % 1))
     mortar = cover(edge - joint, rows / size)
     paint(picture, mortar * 0.85, np.asarray(colour) * 0.45 + 0.22)
-    return np.clip(picture, 0, 1)
+    return np.asarray(np.clip(picture, 0, 1), np.float32)
 
 
 def stop_sign(size: int = 256, seed: int = 0) -> Floats:
@@ -194,8 +195,8 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
             text, (cx, cy) = str(minute // 5 or 12), 0.5 + direction * 0.325
             half = 0.021 * len(text) + 0.007 * (len(text) - 1)
             write(picture, text, ink, box=(cx - half, cy - 0.04, cx + half, cy + 0.04), weight=0.26)
-    hour, minute = rng.uniform(0, 12), rng.uniform(0, 60)
-    for turn, reach, width in ((hour / 12, 0.21, 0.014), (minute / 60, 0.32, 0.009)):
+    hour, minutes = rng.uniform(0, 12), rng.uniform(0, 60)
+    for turn, reach, width in ((hour / 12, 0.21, 0.014), (minutes / 60, 0.32, 0.009)):
         direction = np.array([np.sin(2 * np.pi * turn), np.cos(2 * np.pi * turn)])
         line = np.stack([0.5 - direction * 0.05, 0.5 + direction * reach])
         paint(picture, cover(line_distance(x, y, line) - width, 1 / size), ink)
@@ -234,4 +235,4 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     ball = ball * (1 - 0.75 * seam[..., None])
     shade = 0.45 + 0.55 * np.clip(normal @ np.array([-0.35, 0.5, 0.79]), 0, 1)
     paint(picture, cover(radius - 1, 2 / size), (ball * shade[..., None]).astype(np.float32))
-    return np.clip(picture, 0, 1)
+    return np.asarray(np.clip(picture, 0, 1), np.float32)

@@ -1,7 +1,8 @@
-"""Trains: box-cab locomotives and streamlined railcars with windows, stripes, bogies, roof equipment, or with a carriage."""
+"""Trains: box-cab locomotives, streamlined railcars, and short locomotives with a carriage."""
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,10 +23,16 @@ from mi_splat.assets.mesh import (
 from mi_splat.assets.outlines import Points, smooth_interpolate
 
 LIVERIES = (
-    ((0.7, 0.07, 0.08), (0.93, 0.92, 0.88)), ((0.08, 0.22, 0.5), (0.92, 0.8, 0.2)), ((0.9, 0.9, 0.9), (0.75, 0.08, 0.1)),
-    ((0.1, 0.36, 0.24), (0.9, 0.85, 0.6)), ((0.92, 0.55, 0.1), (0.2, 0.22, 0.26)), ((0.75, 0.77, 0.8), (0.1, 0.35, 0.65)),
-    ((0.92, 0.78, 0.12), (0.12, 0.14, 0.2)), ((0.35, 0.1, 0.14), (0.88, 0.82, 0.66)), ((0.45, 0.7, 0.85), (0.95, 0.95, 0.95)),
-)  # fmt: skip
+    ((0.7, 0.07, 0.08), (0.93, 0.92, 0.88)),
+    ((0.08, 0.22, 0.5), (0.92, 0.8, 0.2)),
+    ((0.9, 0.9, 0.9), (0.75, 0.08, 0.1)),
+    ((0.1, 0.36, 0.24), (0.9, 0.85, 0.6)),
+    ((0.92, 0.55, 0.1), (0.2, 0.22, 0.26)),
+    ((0.75, 0.77, 0.8), (0.1, 0.35, 0.65)),
+    ((0.92, 0.78, 0.12), (0.12, 0.14, 0.2)),
+    ((0.35, 0.1, 0.14), (0.88, 0.82, 0.66)),
+    ((0.45, 0.7, 0.85), (0.95, 0.95, 0.95)),
+)
 GLASS, BLACK, STEEL, GREY = (0.05, 0.06, 0.075), (0.05, 0.05, 0.055), (0.45, 0.45, 0.46), (0.4, 0.41, 0.42)
 
 
@@ -216,19 +223,20 @@ def build(seed: int = 0) -> Asset:
     kind = str(rng.choice(["locomotive", "railcar", "pair"], p=[0.45, 0.25, 0.3]))
     length = rng.uniform(12.5, 17.5)
     lean = {"locomotive": rng.uniform(0.15, 0.7), "railcar": rng.uniform(0.9, 1.6), "pair": rng.uniform(0.2, 1.0)}[kind]
-    common = dict(half=rng.uniform(1.38, 1.5), floor=1.08, lean=lean, body=body, stripe=stripe, roof_colour=roof_colour)
+    half = rng.uniform(1.38, 1.5)
     height = rng.uniform(3.75, 4.1)
     electric = bool(rng.random() < 0.5)
+    car = functools.partial(_Car, half=half, floor=1.08, lean=lean, body=body, stripe=stripe, roof_colour=roof_colour)
     if kind == "pair":
         first = length * rng.uniform(0.48, 0.56)
-        engine = _Car(x=(length - first) / 2, length=first, roof=height, **common)
-        coach = _Car(x=-(first + 0.5) / 2, length=length - first - 0.5, roof=height * 0.98, **common)
+        engine = car(x=(length - first) / 2, length=first, roof=height)
+        coach = car(x=-(first + 0.5) / 2, length=length - first - 0.5, roof=height * 0.98)
         bellows = box((0.7, 1.6, 2.2), BLACK, centre=(length / 2 - first - 0.25, 0, 2.2))
         parts = [*_body(coach, (False, False)), *_sides(coach, rng, cab=(False, False), passengers=True), bellows]
         parts += [*_bogies(coach, axles=2), *_roof(coach, rng, electric=False)]
         cab = (False, True)
     else:
-        engine = _Car(x=0.0, length=length, roof=height, **common)
+        engine = car(x=0.0, length=length, roof=height)
         parts, cab = [], (True, True)
     parts += [
         *_body(engine, cab),

@@ -29,7 +29,7 @@ def _match(rng: np.random.Generator) -> Floats:
     """A football pitch with stripes, lines and players as small dots."""
     picture = textures.canvas((144, 256), (0.12, 0.45, 0.16))
     x, y = textures.grid((144, 256))
-    textures.paint(picture, ((x * 10) % 1 < 0.5) * 0.3, (0.2, 0.6, 0.2))
+    textures.paint(picture, np.where((x * 10) % 1 < 0.5, 0.3, 0.0), (0.2, 0.6, 0.2))
     for line in (
         np.abs(x - 0.5),
         np.abs(np.hypot((x - 0.5) * 16 / 9, y - 0.5) - 0.2),

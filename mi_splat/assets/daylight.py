@@ -1,0 +1,96 @@
+"""Daylight: a sun, a sky with clouds, and plausible ones of them by chance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mi_splat.assets.mesh import Floats
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Light:
+    """Daylight: a sun far away and a sky with clouds.
+
+    Attributes:
+        sun_azimuth: Degrees from world +x towards +y, where the sun stands.
+        sun_elevation: Degrees above the horizon.
+        sun_strength: Irradiance of the sun on a surface that faces it.
+        sun_colour: Linear RGB factor.
+        sky_strength: Radiance of the sky's zenith.
+        zenith: Linear RGB of the sky overhead.
+        horizon: Linear RGB of the sky at the horizon.
+        clouds: Share of the sky covered with clouds, 0 to 1.
+        seed: Which clouds.
+    """
+
+    sun_azimuth: float = 40.0
+    sun_elevation: float = 45.0
+    sun_strength: float = 2.6
+    sun_colour: Colour = (1.0, 0.95, 0.87)
+    sky_strength: float = 0.6
+    zenith: Colour = (0.45, 0.68, 1.0)
+    horizon: Colour = (0.85, 0.93, 1.0)
+    clouds: float = 0.3
+    seed: int = 0
+
+
+def daylight(seed: int) -> Light:
+    """A plausible light for `seed`: bright sun at any time of the day, haze, or an overcast sky."""
+    rng = np.random.default_rng([seed, 0x11647])
+    overcast = float(np.clip(rng.normal(0.35, 0.4), 0, 1))
+    elevation = float(rng.uniform(12, 75))
+    warm = math.exp(-elevation / 22)
+    exposure = float(rng.uniform(0.75, 1.15))
+    grey = np.array([0.86, 0.9, 0.95])
+    zenith = np.array([0.32, 0.55, 1.0]) * (1 - overcast) + grey * overcast
+    horizon = np.array([0.85 + 0.15 * warm, 0.92 - 0.05 * warm, 1.0 - 0.3 * warm]) * (1 - overcast) + grey * overcast
+    return Light(
+        sun_azimuth=float(rng.uniform(0, 360)),
+        sun_elevation=elevation,
+        sun_strength=exposure * 2.8 * (1 - overcast) ** 1.5 * (1 - 0.4 * warm),
+        sun_colour=(1.0, 0.96 - 0.25 * warm, 0.9 - 0.5 * warm),
+        sky_strength=exposure * (0.55 + 0.7 * overcast),
+        zenith=(float(zenith[0]), float(zenith[1]), float(zenith[2])),
+        horizon=(float(horizon[0]), float(horizon[1]), float(horizon[2])),
+        clouds=float(rng.uniform(0, 0.8)),
+        seed=seed,
+    )
+
+
+def sky_map(light: Light) -> Floats:
+    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground below the horizon."""
+    height, width = 96, 192
+    elevation = np.linspace(90, -90, height, dtype=np.float64)[:, None, None]
+    blend = np.exp(-np.maximum(elevation, 0) / 22)
+    sky = np.array(light.zenith) * (1 - blend) + np.array(light.horizon) * blend * 1.15
+    rng = np.random.default_rng([light.seed, 0xC10D])
+    noise = np.zeros((height, width))
+    for octave in range(5):
+        cells = rng.random((3 << octave, 6 << octave))
+        noise += _stretch(cells, height, width) / 1.7**octave
+    noise = (noise - noise.min()) / max(float(np.ptp(noise)), 1e-9)
+    cover = np.clip((noise - (1 - light.clouds)) * 4, 0, 1)[..., None] * np.clip(elevation / 12, 0, 1)
+    white = max(light.horizon) * 1.25
+    sky = sky * (1 - cover) + cover * white * (0.75 + 0.25 * noise[..., None])
+    ground = np.array([0.2, 0.19, 0.17]) * (0.5 + light.sun_strength / 5)
+    return (light.sky_strength * np.where(elevation < 0, ground, sky)).astype(np.float32)
+
+
+def _stretch(cells: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:
+    """Smooth enlargement of a small grid, periodic in the horizontal direction."""
+    rows, columns = cells.shape
+    y = np.linspace(0, rows - 1, height)
+    x = np.arange(width) * columns / width
+    i, j = np.minimum(y.astype(int), rows - 2), x.astype(int)
+    fy, fx = (y - i)[:, None], (x - j)[None]
+    fy, fx = fy * fy * (3 - 2 * fy), fx * fx * (3 - 2 * fx)
+    a, b = cells[i][:, j], cells[i][:, (j + 1) % columns]
+    c, d = cells[i + 1][:, j], cells[i + 1][:, (j + 1) % columns]
+    result: NDArray[np.float64] = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+    return result
