@@ -303,7 +303,7 @@ def backdrop(seed: int = 0, *, clear: float = 8.0) -> Asset:
 
     Args:
         seed: Which surroundings.
-        clear: Nothing but ground within this many metres of the origin, so that a camera in this circle sees an object
+        clear: No wall or trunk within this many metres of the origin, so that a camera in this circle sees an object
             at its centre; a street is only chosen up to 7.5 metres, where its houses begin.
     """
     rng = np.random.default_rng([seed, 0xBAC])

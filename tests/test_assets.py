@@ -1,0 +1,231 @@
+"""Meshes, textures and the procedural assets: valid, outward, of real size, the same for the same seed."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mi_splat.assets import ASSETS, Asset, Mesh, build, street, textures
+from mi_splat.assets.daylight import daylight, sky_map
+from mi_splat.assets.mesh import (
+    box,
+    ellipsoid,
+    extrude,
+    join,
+    lathe,
+    loft,
+    rotation,
+    scaling,
+    sweep,
+    transform,
+    translation,
+    triangulate,
+)
+from mi_splat.assets.outlines import regular_polygon, rounded_rectangle, smooth_interpolate
+from mi_splat.errors import InvalidValueError
+
+GREY = (0.5, 0.5, 0.5)
+MINE = ("car", "stop sign", "tv", "train", "suitcase")
+# Length, width and height in metres, lowest and highest over all seeds.
+SIZES = {
+    "car": ((3.7, 5.0), (1.7, 2.3), (1.3, 1.95)),
+    "stop sign": ((0.1, 0.4), (0.65, 1.0), (2.1, 2.8)),
+    "tv": ((0.1, 0.4), (0.85, 1.2), (0.5, 0.85)),
+    "train": ((11.5, 19.0), (2.7, 3.2), (3.7, 5.4)),
+    "suitcase": ((0.15, 1.2), (0.35, 0.85), (0.2, 1.3)),
+}
+
+
+def volume(mesh: Mesh) -> float:
+    """Signed volume, positive when faces look outward."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64) - mesh.vertices.mean(0)
+    return float((np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum() / 6)
+
+
+def is_closed(mesh: Mesh) -> bool:
+    """Whether every edge between places has a partner in the other direction."""
+    _, place = np.unique(np.round(mesh.vertices * 1e4).astype(np.int64), axis=0, return_inverse=True)
+    faces = place.ravel()[mesh.faces.astype(np.int64)]
+    faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
+    edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)])
+    keys, back = edges[:, 0] * len(place) + edges[:, 1], edges[:, 1] * len(place) + edges[:, 0]
+    return bool(np.array_equal(np.sort(keys), np.sort(back)))
+
+
+def digest(asset: Asset) -> str:
+    state = hashlib.sha256()
+    for mesh in asset.meshes:
+        for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.texture):
+            state.update(array.tobytes())
+    return state.hexdigest()
+
+
+SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
+PRIMITIVES = {
+    "box": (box((1, 2, 3), GREY), 6.0, 1e-5),
+    "ellipsoid": (ellipsoid((2, 2, 2), GREY, segments=64), 4 * np.pi / 3, 0.02),
+    "lathe": (lathe([[1, 0], [1, 1]], GREY, segments=64), np.pi, 0.01),
+    "extrude": (extrude([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], 1, GREY), 3.0, 1e-5),
+    "sweep": (sweep([[0, 0, 0], [0, 0, 2]], [0.5, 0.5], GREY, segments=64), np.pi / 2, 0.01),
+    "loft": (loft([[[x, y, z] for x, y in SQUARE] for z in (0, 2)], GREY), 2.0, 1e-5),
+    "mirrored": (transform(box((1, 1, 1), GREY), scaling(-2, 1, 1)), 2.0, 1e-5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_primitive_is_closed_and_outward(name: str) -> None:
+    mesh, expected, tolerance = PRIMITIVES[name]
+    assert volume(mesh) == pytest.approx(expected, rel=tolerance)
+    assert is_closed(mesh)
+
+
+def test_sweep_bends_and_flattens() -> None:
+    arc = [[np.cos(a), np.sin(a), 0] for a in np.linspace(0, np.pi, 60)]
+    tube = sweep(arc, np.tile([0.1, 0.2], (60, 1)), GREY, segments=48)
+    assert volume(tube) == pytest.approx(
+        np.pi * 0.1 * 0.2 * np.pi, rel=0.01
+    )  # Pappus: section times path of its centre
+    assert np.abs(tube.vertices[:, 2]).max() == pytest.approx(0.2, abs=1e-3)  # the second radius is the one along up
+
+
+@given(degrees=st.floats(-360, 360), axis=st.sampled_from("xyz"), move=st.floats(-5, 5))
+@settings(max_examples=20, deadline=None)
+def test_rigid_motion_keeps_volume(degrees: float, axis: str, move: float) -> None:
+    mesh = transform(box((1, 2, 0.5), GREY), translation(move, 0, 1) @ rotation(axis, degrees))
+    assert volume(mesh) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_rotation_is_right_handed() -> None:
+    assert np.allclose(rotation("z", 90)[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-6)
+    assert np.allclose(rotation("x", 90)[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-6)
+    assert np.allclose(rotation("y", 90)[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-6)
+
+
+def test_join_shifts_faces() -> None:
+    both = join(box((1, 1, 1), GREY), box((1, 1, 1), GREY, centre=(3, 0, 0)))
+    assert volume(both) == pytest.approx(2.0)
+    assert both.faces.max() == len(both.vertices) - 1
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "uvs", "texture"),
+    [
+        (np.zeros((3, 2)), [[0, 1, 2]], np.zeros((3, 2)), np.zeros((1, 1, 3))),
+        (np.zeros((3, 3)), [[0, 1, 3]], np.zeros((3, 2)), np.zeros((1, 1, 3))),
+        (np.zeros((3, 3)), [[0, 1, 2]], np.zeros((2, 2)), np.zeros((1, 1, 3))),
+        (np.full((3, 3), np.nan), [[0, 1, 2]], np.zeros((3, 2)), np.zeros((1, 1, 3))),
+        (np.zeros((3, 3)), [[0, 1, 2]], np.zeros((3, 2)), np.zeros((1, 3))),
+    ],
+)
+def test_bad_mesh_is_refused(vertices: object, faces: object, uvs: object, texture: object) -> None:
+    with pytest.raises(InvalidValueError, match="mesh: expected"):
+        Mesh(np.asarray(vertices), np.asarray(faces), np.asarray(uvs), np.asarray(texture))  # type: ignore[arg-type]
+
+
+def test_crossed_outline_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="simple outline"):
+        triangulate([[0, 0], [1, 1], [1, 0], [0, 1], [0.5, -1]])
+
+
+def test_outlines() -> None:
+    shape = rounded_rectangle(4, 2, 0.3)
+    assert np.allclose(np.ptp(shape, axis=0), [4, 2])
+    assert len(triangulate(shape)) == len(shape) - 2
+    assert np.allclose(np.linalg.norm(regular_polygon(8, 2.0), axis=1), 2)
+    x = np.linspace(0, 3, 100)
+    y = smooth_interpolate(x, [0, 1, 2, 3], [0, 1, 1, 0])
+    assert y.max() <= 1 + 1e-12
+    assert smooth_interpolate(2.0, [0, 1, 2, 3], [0, 1, 1, 0]) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_asset_is_valid_and_of_real_size(name: str) -> None:
+    for seed in range(6):
+        asset = build(name, seed)
+        assert asset.name == name
+        low, high = asset.bounds
+        for size, (least, most) in zip(high - low, SIZES[name], strict=True):
+            assert least <= size <= most, f"seed {seed}: {high - low}"
+        assert abs(low[2]) < 0.03
+        assert np.abs((low + high)[:2] / 2).max() < 0.3
+        for number, mesh in enumerate(asset.meshes):
+            assert mesh.texture.min() >= 0
+            assert mesh.texture.max() <= 1
+            if len(mesh.faces) > 2:  # single quads have no inside
+                assert volume(mesh) > 0, f"seed {seed}, part {number}"
+
+
+def test_bodies_are_closed() -> None:
+    for name in MINE:
+        open_parts = [i for i, mesh in enumerate(build(name, 3).meshes) if len(mesh.faces) > 2 and not is_closed(mesh)]
+        assert not open_parts, f"{name}: parts {open_parts}"
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_seed_decides(name: str) -> None:
+    assert digest(build(name, 7)) == digest(build(name, 7))
+    assert len({digest(build(name, seed)) for seed in range(6)}) == 6
+
+
+def test_registry() -> None:
+    assert set(ASSETS) == {"car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase"}
+    with pytest.raises(InvalidValueError, match="name: expected one of"):
+        build("zebra")
+
+
+def test_transformed_asset_moves() -> None:
+    asset = Asset("thing", (box((2, 2, 2), GREY),)).transformed(translation(1, 2, 3) @ rotation("z", 45))
+    assert np.allclose(asset.bounds.mean(0), [1, 2, 3], atol=1e-6)
+    assert np.allclose(np.ptp(asset.bounds, axis=0), [2 * 2**0.5, 2 * 2**0.5, 2], atol=1e-5)
+
+
+@pytest.mark.parametrize("make", [textures.road, textures.grass, textures.clock, textures.football, textures.stop_sign])
+def test_texture(make: object) -> None:
+    assert callable(make)
+    picture = make(64, 3)
+    assert picture.shape == (64, 64, 3)
+    assert picture.dtype == np.float32
+    assert 0 <= picture.min() < picture.max() <= 1
+    assert np.array_equal(picture, make(64, 3))
+    assert not np.array_equal(picture, make(64, 4))
+
+
+def test_stop_sign_is_red_with_white_letters() -> None:
+    picture = textures.stop_sign(128, 0)
+    red = (picture[..., 0] > 0.5) & (picture[..., 1] < 0.3)
+    white = picture.min(-1) > 0.8
+    assert 0.35 < red.mean() < 0.75
+    middle = white[44:84, 16:112]
+    assert 0.2 < middle.mean() < 0.6  # the word
+    assert red[64, 4 + 4]
+    assert white[2, 2]
+
+
+def test_letters_are_upright() -> None:
+    picture = textures.canvas((64, 64), (0, 0, 0))
+    textures.write(picture, "T", (1, 1, 1), box=(0.1, 0.1, 0.9, 0.9))
+    assert picture[:20, :20].sum() > 10 * picture[-20:, :20].sum()  # the bar is at the top, in the first rows
+
+
+def test_surroundings_leave_the_middle_clear() -> None:
+    for seed in range(7):
+        points = street.backdrop(seed, clear=6.0).vertices
+        near = np.hypot(points[:, 0], points[:, 1]) < 4.5  # leaves reach in a little further than trunks
+        assert points[near, 2].max(initial=0) < 0.3, f"seed {seed}"
+    assert digest(street.backdrop(3)) == digest(street.backdrop(3))
+
+
+def test_daylight_is_plausible() -> None:
+    for seed in range(20):
+        light = daylight(seed)
+        assert 10 <= light.sun_elevation <= 80
+        assert light.sun_strength >= 0
+        sky = sky_map(light)
+        assert np.isfinite(sky).all()
+        assert sky.min() > 0
+        assert sky.max() < 3
+    assert np.array_equal(sky_map(daylight(5)), sky_map(daylight(5)))
