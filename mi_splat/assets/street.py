@@ -185,7 +185,7 @@ def build(seed: int = 0, *, clear: float = 6.0, centre: float = 0.0) -> Asset:
 
     Args:
         seed: Which street.
-        clear: No tree or lamp stands within this many metres of (centre, 0).
+        clear: No lamp stands within this many metres of (centre, 0); trees keep to the verge behind the pavement.
         centre: X of the place to keep clear.
     """
     rng = np.random.default_rng([seed, 0x57])
@@ -303,8 +303,8 @@ def backdrop(seed: int = 0, *, clear: float = 8.0) -> Asset:
 
     Args:
         seed: Which surroundings.
-        clear: No wall or trunk within this many metres of the origin, so that a camera in this circle sees an object
-            at its centre; a street is only chosen up to 7.5 metres, where its houses begin.
+        clear: No wall within this many metres of the origin, so that a camera in this circle sees an object at its
+            centre; a street, whose trees may stand nearer, is only chosen up to 7.5 metres, where its houses begin.
     """
     rng = np.random.default_rng([seed, 0xBAC])
     kind = rng.random()
