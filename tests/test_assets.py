@@ -123,12 +123,12 @@ def test_join_shifts_faces() -> None:
 )
 def test_bad_mesh_is_refused(vertices: object, faces: object, uvs: object, texture: object) -> None:
     with pytest.raises(InvalidValueError, match="mesh: expected"):
-        Mesh(np.asarray(vertices), np.asarray(faces), np.asarray(uvs), np.asarray(texture))  # type: ignore[arg-type]
+        Mesh(np.asarray(vertices), np.asarray(faces), np.asarray(uvs), np.asarray(texture))
 
 
 def test_crossed_outline_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="simple outline"):
-        triangulate([[0, 0], [1, 1], [1, 0], [0, 1], [0.5, -1]])
+        triangulate(np.array([[0, 0], [1, 1], [1, 0], [0, 1], [0.5, -1]]))
 
 
 def test_outlines() -> None:
