@@ -50,6 +50,8 @@ class Recipe:
         elevation: Lowest and highest elevation of them, degrees.
         azimuth: Lowest and highest azimuth of them, degrees.
         counts: Number of samples on target, surroundings and sky before hidden ones are dropped.
+        views: Pictures to fit to.
+        steps: Steps of the refinement.
     """
 
     target: str
@@ -62,6 +64,8 @@ class Recipe:
     elevation: tuple[float, float]
     azimuth: tuple[float, float]
     counts: tuple[int, int, int]
+    views: int
+    steps: int
 
 
 def _around(azimuth: float, elevation: float, distance: float) -> Point:
@@ -99,6 +103,8 @@ RECIPES = {
         elevation=(2, 85),
         azimuth=(0, 360),
         counts=(16_000, 60_000, 1_500),
+        views=96,
+        steps=1500,
     ),
     "stop_sign": Recipe(
         target="stop_sign",
@@ -118,6 +124,8 @@ RECIPES = {
         elevation=(-20, 55),
         azimuth=(-62, 62),
         counts=(10_000, 60_000, 1_500),
+        views=80,
+        steps=1200,
     ),
 }
 
@@ -207,9 +215,9 @@ def make(
     name: str,
     folder: Path,
     *,
-    views: int = 96,
-    samples: int = 24,
-    steps: int = 1500,
+    views: int | None = None,
+    samples: int = 16,
+    steps: int | None = None,
     seed: int = 0,
     on_step: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, object]:
@@ -218,9 +226,9 @@ def make(
     Args:
         name: One of `RECIPES`.
         folder: Where the files go.
-        views: Pictures to fit to.
-        samples: Paths a pixel in them.
-        steps: Steps of the refinement.
+        views: Pictures to fit to; the recipe's number if None.
+        samples: Paths a pixel in them; pictures to compare with have twice as many.
+        steps: Steps of the refinement; the recipe's number if None.
         seed: Seed of everything but the assets.
         on_step: Called with the stage's name, the number done and the number wanted.
 
@@ -233,6 +241,7 @@ def make(
     if name not in RECIPES:
         raise InvalidValueError(message("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these"))
     recipe, start, tell = RECIPES[name], time.time(), on_step or (lambda *_: None)
+    views, steps = views or recipe.views, recipe.steps if steps is None else steps
     target, surroundings = recipe.assets()
     description = mesh_scene([target], light=recipe.light, backdrop=surroundings)
     spots = cameras(recipe, views, seed=seed)
@@ -287,9 +296,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m mi_splat.showcase", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("name", choices=sorted(RECIPES))
     parser.add_argument("--out", type=Path, default=Path("scenes"))
-    parser.add_argument("--views", type=int, default=96)
-    parser.add_argument("--samples", type=int, default=24)
-    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--views", type=int)
+    parser.add_argument("--samples", type=int, default=16)
+    parser.add_argument("--steps", type=int)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)

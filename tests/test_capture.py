@@ -177,3 +177,11 @@ def test_normals_are_smooth_on_a_ball_and_sharp_on_a_box() -> None:
     assert np.allclose(
         sorted(set(np.round(corner_normals(ramp)[..., 2].ravel(), 4))), [np.cos(np.radians(bend)), 1], atol=1e-3
     )
+
+
+def test_shipped_mesh_scene() -> None:
+    file = Path(__file__).parent.parent / "scenes" / "meshes" / "still_life.xml"
+    view = Camera(to_world=look_at((5, 1, 2.2), (0, 0.2, 0.5)), focal=77.0, width=64, height=48)
+    picture = capture(file, [view], samples=8)[0].image
+    assert 0.2 < picture.mean() < 0.8
+    assert picture.std() > 0.08
