@@ -1,42 +1,34 @@
 """Training pictures for `fasterrcnn_small`: which objects, seen from where, in what light, in front of what.
 
 Scene n of a split, with all its pictures, is a pure function of (recipe, n): nothing depends on the order or the
-process in which pictures are made. A data set is a folder of 8-bit PNG files and one labels.json; making it again
-continues where it stopped.
+process in which pictures are made.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import multiprocessing
-import os
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import mitsuba as mi
 import numpy as np
 import torch
 from numpy.random import Generator
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 
 from attacks.detectors.small import CLASSES, SIZE
 from attacks.detectors.surroundings import backdrop, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
-from mi_splat.cameras import Camera, orbit_pose, project_points
+from mi_splat.cameras import Camera, View, orbit_pose, project_points
 from mi_splat.capture import Light, capture, daylight, first_hits, mesh_scene, scalar_variant
 from mi_splat.errors import InvalidValueError, message
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
 """Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""
 
-OnStep = Callable[[int, int], None]
 Mask = NDArray[np.bool_]
-Record = dict[str, list[list[float]] | list[int]]
 _TRIES, _WELL_VISIBLE = 4, 0.5
 _LEAST_PIXELS = 12
 _COARSE = 4
@@ -172,42 +164,57 @@ def _camera(points: Floats, rng: Generator, size: int) -> Camera:
 
 
 class Photographer:
-    """Takes the pictures of one scene."""
+    """Chooses cameras for one scene, takes its pictures and labels them.
+
+    Attributes:
+        place: What is there.
+        scene: The same as a Mitsuba scene for the `scalar_rgb` variant.
+    """
 
     def __init__(self, recipe: Recipe, number: int) -> None:
         """Build scene `number` and load it into Mitsuba."""
         self._recipe = recipe
-        self._place = place(recipe, number)
+        self.place = place(recipe, number)
         self._rng = np.random.default_rng([recipe.seed, SPLITS[recipe.split][0], number, 1])
-        self._dict = mesh_scene(self._place.assets, light=self._place.light, backdrop=self._place.surroundings)
+        self.scene = mesh_scene(self.place.assets, light=self.place.light, backdrop=self.place.surroundings)
         with scalar_variant():
-            self._scene = mi.load_dict(self._dict)
+            self._loaded = mi.load_dict(self.scene)
             self._alone = [
-                mi.load_dict({"type": "scene", **{k: v for k, v in self._dict.items() if k.startswith(f"object{i}_")}})
-                for i in range(len(self._place.assets))
+                mi.load_dict({"type": "scene", **{k: v for k, v in self.scene.items() if k.startswith(f"object{i}_")}})
+                for i in range(len(self.place.assets))
             ]
 
-    def take(self) -> Sample:
-        """The next picture; hidden or cut-off objects make it look for another camera, a few times."""
+    def aim(self) -> Camera:
+        """The next camera; hidden or cut-off objects make it look for another one, a few times."""
         for _ in range(_TRIES):
-            camera = self._aim()
+            camera = self._any_camera()
             visible = self._visible(camera)
             if not visible or max(visible) >= _WELL_VISIBLE:
                 break
-        seed = int(self._rng.integers(1 << 28))
-        (view,) = capture(self._dict, [camera], samples=self._recipe.samples, seed=seed)
-        boxes, labels = [], []
-        if visible:
-            for i, (seen, _) in enumerate(self._outlines(camera)):
-                rows, columns = np.nonzero(seen)
-                if len(rows) >= _LEAST_PIXELS and visible[i] >= self._recipe.least_visible:
-                    boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-                    labels.append(1 + CLASSES.index(self._place.assets[i].name))
-        image = (view.image * 255).round().to(torch.uint8)
-        return Sample(image, torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), torch.tensor(labels).long())
+        return camera
 
-    def _aim(self) -> Camera:
-        assets, rng = self._place.assets, self._rng
+    def take(self, camera: Camera) -> View:
+        """A path-traced picture."""
+        (view,) = capture(self.scene, [camera], samples=self._recipe.samples, seed=int(self._rng.integers(1 << 28)))
+        return view
+
+    def label(self, camera: Camera, image: Tensor) -> Sample:
+        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
+        boxes, labels = [], []
+        outlines, visible = self._outlines(camera), self._visible(camera)
+        for asset, (seen, _), share in zip(self.place.assets, outlines, visible, strict=True):
+            rows, columns = np.nonzero(seen)
+            if len(rows) >= _LEAST_PIXELS and share >= self._recipe.least_visible:
+                boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+                labels.append(1 + CLASSES.index(asset.name))
+        return Sample(
+            (image.clamp(0, 1) * 255).round().to(torch.uint8),
+            torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
+            torch.tensor(labels, dtype=torch.int64),
+        )
+
+    def _any_camera(self) -> Camera:
+        assets, rng = self.place.assets, self._rng
         if not assets:
             points: Floats = (rng.normal(0, 0.7, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.6]).astype(np.float32)
         elif rng.random() < 0.5:
@@ -219,7 +226,7 @@ class Photographer:
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
         with scalar_variant():
-            nearest = first_hits(self._scene, camera)
+            nearest = first_hits(self._loaded, camera)
             alone = [first_hits(scene, camera) for scene in self._alone]
         return [((own > 0) & (own <= nearest * (1 + 1e-5)), own > 0) for own in alone]
 
@@ -233,7 +240,7 @@ class Photographer:
             principal=(camera.cx / _COARSE, camera.cy / _COARSE),
         )
         shares = []
-        for asset, (seen, alone) in zip(self._place.assets, self._outlines(small), strict=True):
+        for asset, (seen, alone) in zip(self.place.assets, self._outlines(small), strict=True):
             pixels, depth = project_points(torch.from_numpy(asset.vertices), camera)
             inside = (pixels >= 0).all(1) & (pixels <= self._recipe.size).all(1) & (depth > 0)
             shares.append(float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean()))
@@ -243,85 +250,5 @@ class Photographer:
 def take(recipe: Recipe, number: int) -> list[Sample]:
     """The pictures of scene `number`."""
     photographer = Photographer(recipe, number)
-    return [photographer.take() for _ in range(recipe.shots)]
-
-
-def _take_to_disk(job: tuple[Recipe, int, Path]) -> dict[int, Record]:
-    recipe, number, folder = job
-    records: dict[int, Record] = {}
-    for i, sample in enumerate(take(recipe, number), start=number * recipe.shots):
-        temporary = folder / f".{i:05d}.{os.getpid()}.png"
-        Image.fromarray(sample.image.numpy()).save(temporary)
-        temporary.replace(folder / f"{i:05d}.png")
-        records[i] = {"boxes": sample.boxes.tolist(), "labels": sample.labels.tolist()}
-    return records
-
-
-def _single_thread() -> None:
-    import drjit as dr
-
-    torch.set_num_threads(1)
-    dr.set_thread_count(1)
-
-
-def make(recipe: Recipe, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
-    """Make the pictures of a recipe that `folder` does not hold yet.
-
-    Raises:
-        InvalidValueError: the folder holds pictures of another recipe.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    records = _records(folder, recipe)
-    scenes = math.ceil(recipe.count / recipe.shots)
-    missing = [n for n in range(scenes) if any(n * recipe.shots + i not in records for i in range(recipe.shots))]
-    if not missing:
-        return
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(processes, initializer=_single_thread) as pool:
-        for done, new in enumerate(pool.imap_unordered(_take_to_disk, [(recipe, n, folder) for n in missing])):
-            records |= new
-            if done % 20 == 19:
-                _write(folder, recipe, records)
-            if on_step is not None:
-                on_step(len(records), scenes * recipe.shots)
-    _write(folder, recipe, records)
-
-
-def _write(folder: Path, recipe: Recipe, records: dict[int, Record]) -> None:
-    content = {
-        "recipe": asdict(recipe),
-        "classes": list(CLASSES),
-        "pictures": {f"{i:05d}.png": records[i] for i in sorted(records)},
-    }
-    temporary = folder / "labels.json.partial"
-    temporary.write_text(json.dumps(content))
-    temporary.replace(folder / "labels.json")
-
-
-def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
-    path = folder / "labels.json"
-    if not path.is_file():
-        return {}
-    content = json.loads(path.read_text())
-    if replace(Recipe(**content["recipe"]), count=recipe.count) != recipe:
-        raise InvalidValueError(
-            message(f"folder {folder}", recipe, content["recipe"], "choose an empty folder or the same recipe")
-        )
-    return {int(Path(name).stem): record for name, record in content["pictures"].items()}
-
-
-def load(folder: Path, *, limit: int | None = None) -> list[Sample]:
-    """Read a data set into memory.
-
-    Raises:
-        InvalidValueError: there is no data set in the folder.
-    """
-    path = folder / "labels.json"
-    if not path.is_file():
-        raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
-    samples = []
-    for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
-        image = torch.from_numpy(np.array(Image.open(folder / name)))
-        boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-        samples.append(Sample(image, boxes, torch.tensor(record["labels"], dtype=torch.int64)))
-    return samples
+    cameras = [photographer.aim() for _ in range(recipe.shots)]
+    return [photographer.label(camera, photographer.take(camera).image) for camera in cameras]

@@ -12,7 +12,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from attacks.detectors.data import Recipe, Sample, load, make
+from attacks.detectors.data import Recipe, Sample
+from attacks.detectors.dataset import load, make
 from attacks.detectors.rcnn import RCNNDetector
 from attacks.detectors.scoring import Score, evaluate
 from attacks.detectors.small import CLASSES
@@ -32,6 +33,7 @@ class Run:
         processes: Processes that make pictures.
         threads: Threads that train.
         only_data: Stop when the pictures are made.
+        growing: Make no training pictures; use those that another run with --only-data has made before each epoch.
         config: The training itself.
     """
 
@@ -43,6 +45,7 @@ class Run:
     processes: int = 2
     threads: int = 2
     only_data: bool = False
+    growing: bool = False
     config: TrainConfig = field(default_factory=TrainConfig)
 
 
@@ -58,12 +61,16 @@ def main(run: Run) -> None:
         console=console,
         disable=not console.is_terminal,
     ) as bars:
-        train = _pictures(Recipe(split="train", count=run.pictures), run, bars)
+        # The few for validation first, so that a growing set can already be trained on.
         validation = _pictures(Recipe(split="validation", count=run.validation), run, bars)
+        train = [] if run.growing else _pictures(Recipe(split="train", count=run.pictures), run, bars)
         if run.only_data:
             return
         training = Training.resume(run.out, run.config)
+        known: dict[str, Sample] = {}
         while training.epoch < run.config.epochs:
+            if run.growing:
+                train = load(run.data / "train", limit=run.pictures, known=known)
             _epoch(training, train, validation, run, bars, console)
 
 
@@ -82,7 +89,12 @@ def _epoch(
     start = time.monotonic()
     bar = bars.add_task(f"epoch {training.epoch + 1} of {run.config.epochs}", total=len(train) // run.config.batch)
     losses = training.run_epoch(train, on_step=lambda done, _, __: bars.update(bar, completed=done))
-    record: dict[str, object] = {"epoch": training.epoch, "losses": losses, "seconds": time.monotonic() - start}
+    record: dict[str, object] = {
+        "epoch": training.epoch,
+        "pictures": len(train),
+        "losses": losses,
+        "seconds": time.monotonic() - start,
+    }
     if training.epoch % run.every == 0 or training.epoch == run.config.epochs:
         detector = RCNNDetector("fasterrcnn_small", training.snapshot(), ("__background__", *CLASSES))
         result = evaluate(detector, validation)
@@ -92,7 +104,7 @@ def _epoch(
             ship(training.averaged, run.out / "best.safetensors", notes=notes)
     training.history.append(record)
     training.save(run.out)
-    curves = {"config": asdict(run.config), "pictures": len(train), "history": training.history}
+    curves = {"config": asdict(run.config), "history": training.history}
     (run.out / "curves.json").write_text(json.dumps(curves, indent=1))
     console.print(_line(record, result if "map" in record else None))
 

@@ -33,17 +33,21 @@ class TrainConfig:
         average: How much of the averaged weights each step keeps.
         clip: Largest norm of the gradient.
         mixed: Convolutions and matrix products in bfloat16.
+        coarse_side: Shorter image side in the first epochs, which are cheaper for it.
+        coarse_share: Share of the epochs at that size.
         seed: Seed of the weights, of the order and of every random change of the pictures.
     """
 
-    epochs: int = 18
+    epochs: int = 24
     batch: int = 8
-    rate: float = 1.5e-3
+    rate: float = 2e-3
     warm_up: float = 0.06
     decay: float = 0.02
     average: float = 0.998
     clip: float = 5.0
     mixed: bool = True
+    coarse_side: int = 160
+    coarse_share: float = 0.54
     seed: int = 0
 
 
@@ -79,10 +83,12 @@ class Training:
         config = self.config
         torch.manual_seed(hash((config.seed, self.epoch)) % (1 << 31))
         self.model.train()
+        coarse = self.epoch < round(config.coarse_share * config.epochs)
+        self.model.transform.min_size = (config.coarse_side if coarse else small.SIZE,)
         steps = len(samples) // config.batch
         total: dict[str, float] = {}
         for step, (pictures, targets) in enumerate(self._batches(samples)):
-            self._set_rate((self.epoch * steps + step) / max(config.epochs * steps, 1))
+            self._set_rate((self.epoch + step / steps) / config.epochs)
             losses = self._step(pictures, targets)
             for name, value in losses.items():
                 total[name] = total.get(name, 0.0) + value / steps
@@ -114,7 +120,7 @@ class Training:
         for name, value in self.model.state_dict().items():
             if value.is_floating_point():
                 self.averaged[name].lerp_(value, 1 - keep)
-        return {name: float(value) for name, value in losses.items()}
+        return {name: float(value.detach()) for name, value in losses.items()}
 
     def _set_rate(self, done: float) -> None:
         """The learning rate after a share `done` of all steps."""

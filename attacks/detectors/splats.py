@@ -1,0 +1,67 @@
+"""Labelled renders of splats of held-out objects: what the detector is for, and has never been trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from attacks.detectors.data import Photographer, Recipe, Sample
+from mi_splat.assets.mesh import Asset, ellipsoid
+from mi_splat.cameras import RenderFn, View
+from mi_splat.capture import depth_maps
+from mi_splat.meshsplat import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
+from mi_splat.scene import GaussianScene, merge
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SplatConfig:
+    """How a splat is made of a scene, and how many pictures are taken of it.
+
+    Attributes:
+        views: Path-traced pictures that the splat is fitted to.
+        samples: Paths a pixel in them.
+        objects: Gaussians for each object.
+        surroundings: Gaussians for all around it.
+        sky: Gaussians for the sky.
+        steps: Steps of refinement; 0 leaves the discs as they are laid.
+        pictures: Renders of each splat, from cameras that none of the views used.
+    """
+
+    views: int = 16
+    samples: int = 12
+    objects: int = 12_000
+    surroundings: int = 30_000
+    sky: int = 1_500
+    steps: int = 150
+    pictures: int = 4
+
+
+def splat_samples(recipe: Recipe, number: int, config: SplatConfig, *, render: RenderFn) -> list[Sample]:
+    """Labelled renders of a splat of scene `number`; the labels are those of the meshes it was made from."""
+    photographer = Photographer(replace(recipe, samples=config.samples), number)
+    tests = [photographer.aim() for _ in range(config.pictures)]
+    views = [photographer.take(photographer.aim()) for _ in range(config.views)]
+    splat = splat_of(photographer, views, config, render)
+    with torch.no_grad():
+        return [photographer.label(camera, render(splat, camera)) for camera in tests]
+
+
+def splat_of(photographer: Photographer, views: Sequence[View], config: SplatConfig, render: RenderFn) -> GaussianScene:
+    """A splat of a photographed scene: objects, surroundings and sky."""
+    cameras = [view.camera for view in views]
+    depths = depth_maps(photographer.scene, cameras)
+    place = photographer.place
+    dome = Asset("sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),))
+    wanted = [(asset, config.objects, 0.62) for asset in place.assets]
+    wanted += [(place.surroundings, config.surroundings, 0.62), (dome, config.sky, 0.9)]
+    parts = []
+    for asset, count, overlap in wanted:
+        density = nearness(cameras, closest=0.3) if asset is place.surroundings else None
+        samples = surface_samples(asset, count, density=density)
+        parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+    whole = merge(*parts)
+    if config.steps == 0:
+        return whole
+    return refine(whole, views, render=render, config=RefineConfig(steps=config.steps))
