@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -258,15 +259,13 @@ def make(
         on_step=lambda i, _: tell("refinement", i, steps),
     )
     size = len(parts[0])
-    folder.mkdir(parents=True, exist_ok=True)
     files = {recipe.target: whole.select(slice(0, size)), recipe.surroundings: whole.select(slice(size, None))}
+    folder.mkdir(parents=True, exist_ok=True)
     for shape, splat in files.items():
         save_splat(splat, folder / f"{name}_{shape}.ply")
     (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
     saved = merge(*(load_splat(folder / f"{name}_{shape}.ply") for shape in files))
-    held_out = {f"random_{i}": c for i, c in enumerate(cameras(recipe, HELD_OUT, seed=seed + 7919))} | sensors(recipe)
-    truth = capture(description, list(held_out.values()), samples=2 * samples, seed=seed + 7919)
-    record: dict[str, object] = {
+    record = {
         "name": name,
         "gaussians": {shape: len(splat) for shape, splat in files.items()},
         "views": views,
@@ -274,15 +273,24 @@ def make(
         "steps": steps,
         "seed": seed,
         "psnr_fitted": _mean_psnr(saved, pictures, render),
-        "psnr_held_out": _mean_psnr(saved, truth[:HELD_OUT], render),
-        "psnr_sensors": {
-            n: round(_mean_psnr(saved, [view], render), 2)
-            for n, view in zip(recipe.sensors, truth[HELD_OUT:], strict=True)
-        },
+        **_score(saved, recipe, description, samples=2 * samples, seed=seed + 7919),
         "seconds": round(time.time() - start),
     }
     (folder / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
     return record
+
+
+def _score(
+    scene: GaussianScene, recipe: Recipe, description: dict[str, Any], *, samples: int, seed: int
+) -> dict[str, object]:
+    """PSNR over pictures that took no part: cameras by chance, and the named sensors."""
+    render, named = Renderer(RenderSettings()), sensors(recipe)
+    views = capture(description, [*cameras(recipe, HELD_OUT, seed=seed), *named.values()], samples=samples, seed=seed)
+    at_sensors = zip(named, views[HELD_OUT:], strict=True)
+    return {
+        "psnr_held_out": _mean_psnr(scene, views[:HELD_OUT], render),
+        "psnr_sensors": {sensor: _mean_psnr(scene, [view], render) for sensor, view in at_sensors},
+    }
 
 
 def _mean_psnr(scene: GaussianScene, views: Sequence[View], render: Renderer) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import (
@@ -180,6 +181,47 @@ def _place(parts: Sequence[Mesh], x: float, y: float, turn: float = 0.0) -> list
     return [transform(part, translation(x, y, 0) @ rotation("z", turn)) for part in parts]
 
 
+def _markings(rng: np.random.Generator, right: float, left: float) -> list[Mesh]:
+    """A dashed line along the middle of the road, and often lines along its edges."""
+    white = np.array((0.88, 0.88, 0.85)) * rng.uniform(0.85, 1.05)
+    period = rng.uniform(4, 7)
+
+    def line(x0: float, x1: float, y: float, half: float) -> Mesh:
+        corners = ((x0, y - half), (x1, y - half), (x1, y + half), (x0, y + half))
+        return quad([(*corner, 0.004) for corner in corners], white)
+
+    middle = (right + left) / 2
+    parts = [line(x, x + period * 0.5, middle, 0.07) for x in np.arange(-REACH + 1, REACH - 1, period)]
+    if rng.random() < 0.6:
+        parts += [line(-REACH, REACH, y, 0.06) for y in (right + 0.25, left - 0.25)]
+    return parts
+
+
+def _kerb(edge: float, out: float, colour: NDArray[np.float64]) -> list[Mesh]:
+    """Kerb stones a metre long in two tones."""
+    stones = np.linspace(-REACH, REACH, 91)
+    return [
+        box((0.99, 0.16, 0.22), colour * 1.12 * tone, centre=(x + 0.5, edge + out * 0.08, 0.01))
+        for kerb, tone in ((stones[:-1:2], 1.0), (stones[1::2], 0.9))
+        for x in kerb
+    ]
+
+
+def _row(rng: np.random.Generator, out: float, front: float, verge: float) -> list[Mesh]:
+    """Houses side by side whose fronts are at y = `front`, with gaps, and trees at y = `verge`; `out` is -1 or 1."""
+    parts: list[Mesh] = []
+    x = -REACH * 0.8
+    while x < REACH * 0.8:
+        width = rng.uniform(6.5, 10)
+        if rng.random() < 0.85:
+            home = house(rng, width=width)
+            parts += _place(home, x + width / 2, front + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0)
+        if rng.random() < 0.5:
+            parts += _place(tree(rng), x + rng.uniform(0, 2), verge, rng.uniform(0, 360))
+        x += width + rng.uniform(0.0, 3.0)
+    return parts
+
+
 def build(seed: int = 0, *, clear: float = 6.0, centre: float = 0.0) -> Asset:
     """A street along x; the origin is the middle of its right-hand lane, houses stand on both sides.
 
@@ -191,56 +233,17 @@ def build(seed: int = 0, *, clear: float = 6.0, centre: float = 0.0) -> Asset:
     rng = np.random.default_rng([seed, 0x57])
     lane = rng.uniform(3.2, 3.8)
     right, left = -lane / 2, 1.5 * lane
-    paving_colour = np.array((0.62, 0.6, 0.57)) * rng.uniform(0.8, 1.15)
-    paving = textures.tiles(192, seed, colour=paving_colour, rows=6, columns=4, joint=0.03, spread=0.06)
+    colour = np.array((0.62, 0.6, 0.57)) * rng.uniform(0.8, 1.15)
+    paving = textures.tiles(192, seed, colour=colour, rows=6, columns=4, joint=0.03, spread=0.06)
     lawn, asphalt = textures.grass(256, seed), textures.road(256, seed, markings=False)
     parts = [ground(6 * REACH, lawn, tile=4.0, height=-0.03), strip((right, left), 0.0, asphalt, tile=3.0)]
-    white = np.array((0.88, 0.88, 0.85)) * rng.uniform(0.85, 1.05)
-    middle = (right + left) / 2
-    period = rng.uniform(4, 7)
-    for x in np.arange(-REACH + 1, REACH - 1, period):
-        dash = [
-            [x, middle - 0.07, 0.004],
-            [x + period * 0.5, middle - 0.07, 0.004],
-            [x + period * 0.5, middle + 0.07, 0.004],
-            [x, middle + 0.07, 0.004],
-        ]
-        parts.append(quad(dash, white))
-    if rng.random() < 0.6:
-        for y in (right + 0.25, left - 0.25):
-            parts.append(
-                quad(
-                    [
-                        [-REACH, y - 0.06, 0.004],
-                        [REACH, y - 0.06, 0.004],
-                        [REACH, y + 0.06, 0.004],
-                        [-REACH, y + 0.06, 0.004],
-                    ],
-                    white,
-                )
-            )
+    parts += _markings(rng, right, left)
     walk, verge = rng.uniform(1.6, 2.4), rng.uniform(1.0, 2.5)
     for edge, out in ((right, -1.0), (left, 1.0)):
-        stones = np.linspace(-REACH, REACH, 91)
-        for kerb, tone in ((stones[:-1:2], 1.0), (stones[1::2], 0.9)):
-            for x in kerb:
-                parts.append(
-                    box((0.99, 0.16, 0.22), paving_colour * 1.12 * tone, centre=(x + 0.5, edge + out * 0.08, 0.01))
-                )
-        parts.append(strip(tuple(sorted((edge + out * 0.16, edge + out * walk))), 0.115, paving, tile=1.8))  # type: ignore[arg-type]
-        y = edge + out * (walk + verge + 2.5)
-        x = -REACH * 0.8
-        while x < REACH * 0.8:
-            width = rng.uniform(6.5, 10)
-            if rng.random() < 0.85:
-                parts += _place(
-                    house(rng, width=width), x + width / 2, y + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0
-                )
-            if rng.random() < 0.5:
-                parts += _place(
-                    tree(rng), x + rng.uniform(0, 2), edge + out * (walk + verge * 0.6), rng.uniform(0, 360)
-                )
-            x += width + rng.uniform(0.0, 3.0)
+        parts += _kerb(edge, out, colour)
+        inner, outer = edge + out * 0.16, edge + out * walk
+        parts.append(strip((min(inner, outer), max(inner, outer)), 0.115, paving, tile=1.8))
+        parts += _row(rng, out, edge + out * (walk + verge + 2.5), edge + out * (walk + verge * 0.6))
         for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
             place = (x + rng.uniform(3, 8), edge + out * 0.5)
             if np.hypot(place[0] - centre, place[1]) > clear + 1.5:
