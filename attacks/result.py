@@ -15,7 +15,7 @@ from mi_splat.scene import GaussianScene
 _ZERO_DOUBT = 0.9
 """Share of zero gradients that raises a doubt; hidden Gaussians have none in any case, so it is high."""
 
-_CLAMP_DOUBT = 0.1
+_CLAMP_DOUBT = 0.25
 """Share of clamped colour channels that raises a doubt."""
 
 
