@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import FasterRCNN
 from torchvision.models.detection.anchor_utils import AnchorGenerator
-from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor
 from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
@@ -52,7 +52,12 @@ class Block(nn.Module):
 
 
 class Backbone(nn.Module):
-    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature pyramid over them."""
+    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature pyramid over them.
+
+    Attributes:
+        widths: Channels of each stage.
+        out_channels: Channels of every level of the pyramid.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -63,11 +68,12 @@ class Backbone(nn.Module):
             inputs = width
         self.stem = nn.Sequential(*layers)
         self.stages = nn.ModuleList()
+        self.widths = tuple(width for width, _ in _STAGES)
         for width, count in _STAGES:
             blocks = [Block(inputs if i == 0 else width, width, 2 if i == 0 else 1) for i in range(count)]
             self.stages.append(nn.Sequential(*blocks))
             inputs = width
-        self.pyramid = FeaturePyramidNetwork([w for w, _ in _STAGES], _PYRAMID, LastLevelMaxPool())
+        self.pyramid = FeaturePyramidNetwork(list(self.widths), _PYRAMID, LastLevelMaxPool())
         self.out_channels = _PYRAMID
 
     def forward(self, x: Tensor) -> OrderedDict[str, Tensor]:
@@ -78,6 +84,30 @@ class Backbone(nn.Module):
             x = stage(x)
             maps[str(i)] = x
         result: OrderedDict[str, Tensor] = self.pyramid(maps)
+        return result
+
+
+class Head(nn.Module):
+    """Two wide layers over a pooled box, as the library's TwoMLPHead, with normalised activations.
+
+    Without the norms, the steps of Adam that suit the backbone push most of these units below zero for good.
+    """
+
+    def __init__(self, inputs: int, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Flatten(),
+            nn.Linear(inputs, width),
+            nn.LayerNorm(width),
+            nn.ReLU(inplace=True),
+            nn.Linear(width, width),
+            nn.LayerNorm(width),
+            nn.ReLU(inplace=True),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(R, channels, h, w) pooled features to (R, width)."""
+        result: Tensor = self.layers(x)
         return result
 
 
@@ -95,7 +125,8 @@ def build() -> FasterRCNN:
         rpn_post_nms_top_n_test=150,
         rpn_batch_size_per_image=128,
         box_roi_pool=MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
-        box_head=TwoMLPHead(_PYRAMID * _POOL**2, _HEAD),
+        box_head=Head(_PYRAMID * _POOL**2, _HEAD),
         box_predictor=FastRCNNPredictor(_HEAD, len(CLASSES) + 1),
-        box_batch_size_per_image=64,
+        box_batch_size_per_image=32,
+        box_positive_fraction=0.5,
     )

@@ -71,6 +71,8 @@ def main(run: Run) -> None:
         while training.epoch < run.config.epochs:
             if run.growing:
                 train = load(run.data / "train", limit=run.pictures, known=known)
+            if not training.history and run.config.pretraining:
+                _pretrain(training, train, run, bars, console)
             _epoch(training, train, validation, run, bars, console)
 
 
@@ -80,6 +82,13 @@ def _pictures(recipe: Recipe, run: Run, bars: Progress) -> list[Sample]:
     make(recipe, folder, processes=run.processes, on_step=lambda done, _: bars.update(bar, completed=done))
     bars.update(bar, completed=recipe.count)
     return load(folder, limit=recipe.count)
+
+
+def _pretrain(training: Training, train: list[Sample], run: Run, bars: Progress, console: Console) -> None:
+    bar = bars.add_task("pretraining", total=run.config.pretraining)
+    right = training.pretrain(train, on_step=lambda done, _, __: bars.update(bar, completed=done))
+    training.save(run.out)
+    console.print(f"pretraining: {right:.1%} of the cut-outs named right")
 
 
 def _epoch(
