@@ -1,8 +1,9 @@
 """The rasteriser as two calls: a picture with what its derivative needs, and the derivative.
 
 Tracing the kernels in Python costs several times their run time, so each stage is a frozen function that Dr.Jit
-replays. The number of (tile, Gaussian) pairs is only known after the first stage and has to be read on the host;
-buffers whose size can change are made outside and passed in, since a frozen function keeps the sizes it first saw.
+replays. Three rules keep a replay right when sizes change (README.md says how we know): every kernel reads at least
+one array of its own length element by element, since the replay takes the kernel's length from it and would otherwise
+guess; buffers that are scattered into are made outside and passed in; and `dr.argsort` stays outside.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class Frame:
 
     size: Any  # Int32, width and height
     tiles: Any  # UInt32, 0, 1, 2, ...
+    pixels: Any  # UInt32, 0, 1, 2, ...
     background: Any  # Float, 3 values
     colour: Any  # Float, row-major, 3 a pixel
     opacity: Any  # Float, row-major
@@ -67,31 +69,21 @@ class Picture:
     state: State | None
 
 
-def _span(first: Any, last: Any, rows: Any) -> tuple[Any, Any]:
-    return dr.gather(mi.UInt32, first, rows), dr.gather(mi.UInt32, last, rows)
-
-
 def _size(size: Any) -> tuple[Any, Any]:
     # At least 1: the idle lanes of the last packet read 0, and an integer division by that stops the process.
     width, height = (dr.gather(mi.Int32, size, mi.UInt32(i)) for i in range(2))
     return dr.maximum(width, 1), dr.maximum(height, 1)
 
 
-def _lanes(array: Any) -> Any:
-    """0, 1, 2, ... as long as an input array; keeps following its length when the stage is replayed."""
-    return dr.arange(mi.UInt32, dr.width(array))
-
-
 def _project(
-    layout: Layout, terms: int, arrays: tuple[Any, ...], view: Any, size: Any, records: tuple[Any, Any]
+    layout: Layout, terms: int, arrays: tuple[Any, ...], index: Any, frame: Frame, view: Any, records: tuple[Any, Any]
 ) -> tuple[Any, Any]:
     """Stage 1: fill the Gaussians' records; return their sort keys and the number of tiles that each touches."""
-    index = _lanes(arrays[-2])
     camera = pinhole.unpack(view)
     splat, extent, depth = project(layout.read(arrays, index, terms), camera)
     visible = (depth >= camera.near) & (extent.x >= 0.0)
     visible &= dr.isfinite(splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y)
-    width, height = _size(size)
+    width, height = _size(frame.size)
     count = binning.count_tiles(splat, extent, visible, width, height)
     components = splat.components()
     dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), index)
@@ -114,10 +106,7 @@ def _splat_of(records: Any, index: Any) -> Splat:
 
 def _emit(records: Any, order: Any, first: Any, last: Any, size: Any, pairs: tuple[Any, Any]) -> None:
     """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far."""
-    rank = _lanes(order)
-    gaussian = dr.gather(mi.UInt32, order, rank)
-    slots = _span(first, last, rank)
-    binning.emit_pairs(_splat_of(records, gaussian), gaussian, slots, _size(size), *pairs)
+    binning.emit_pairs(_splat_of(records, order), order, (first, last), _size(size), *pairs)
 
 
 def _columns(width: Any) -> Any:
@@ -142,7 +131,7 @@ def _blend(
     """Stage 4: blend every tile into `canvas`, then develop that to a row-major picture."""
     gaussians, keys = dr.gather(mi.UInt32, pairs[1], rows), dr.gather(mi.UInt32, pairs[0], rows)
     dr.eval(gaussians, keys)
-    tile = dr.gather(mi.UInt32, frame.tiles, _lanes(frame.tiles))
+    tile = frame.tiles
     start = binning.lower_bound(keys, total, tile)
     stop = binning.lower_bound(keys, total, tile + 1)
     dr.eval(start, stop)
@@ -151,10 +140,10 @@ def _blend(
     colours, transmittances = blending.forward(records, gaussians, (start, stop), place)
     n = TILE * TILE
     values = [v for p in range(n) for v in (colours[p], colours[n + p], colours[2 * n + p], transmittances[p])]
-    dr.scatter(canvas, mi.ArrayXf(values), _lanes(frame.tiles))
+    dr.scatter(canvas, mi.ArrayXf(values), tile)
     dr.eval(canvas)
 
-    pixel = _lanes(frame.opacity)
+    pixel = frame.pixels
     cell = _cell(mi.Int32(pixel), width)
     value = dr.gather(mi.ArrayXf, canvas, cell, shape=(4, dr.width(cell)))
     rgb = [dr.fma(value[3], dr.gather(mi.Float, frame.background, mi.UInt32(c)), value[c]) for c in range(3)]
@@ -167,7 +156,7 @@ def _blend(
 def _spread(frame: Frame, slopes: tuple[Any, ...], cells: tuple[Any, ...]) -> None:
     """Stage 5: the gradient of the picture, tile by tile: dL/dcolour and its product with what reached the pixel."""
     width, _ = _size(frame.size)
-    pixel = _lanes(frame.opacity)
+    pixel = frame.pixels
     cell = _cell(mi.Int32(pixel), width)
     slope = dr.gather(mi.ArrayXf, slopes[0], pixel, shape=(3, dr.width(pixel)))
     value = dr.gather(mi.ArrayXf, frame.colour, pixel, shape=(3, dr.width(pixel)))
@@ -190,7 +179,7 @@ def _blend_backward(
 ) -> None:
     """Stage 6: each pair's moments of the gradient."""
     width, _ = _size(frame.size)
-    lane = _lanes(frame.tiles)
+    lane = frame.tiles
     n = TILE * TILE
     c = dr.gather(mi.ArrayXf, cells[0], lane, shape=(4 * n, dr.width(lane)))
     veil = list(dr.gather(mi.ArrayXf, cells[1], lane, shape=(n, dr.width(lane)))) if len(cells) > 1 else []
@@ -198,7 +187,7 @@ def _blend_backward(
     blending.backward(
         records,
         pairs,
-        _span(*span, lane),
+        span,
         blending.origin(mi.Int32(lane), _columns(width)),
         (slopes, veil, [c[4 * p + 3] for p in range(n)]),
         moments,
@@ -262,10 +251,8 @@ def _project_backward(
     gradients: tuple[Any, ...],
 ) -> None:
     """Stage 7: sum every Gaussian's moments and take them back through the projection."""
-    order, first, last = places
-    rank = _lanes(order)
-    index = dr.gather(mi.UInt32, order, rank)
-    span = _span(first, last, rank)
+    index, first, last = places
+    span = (first, last)
     sums = _sum_rows(span, moments)
     camera = pinhole.unpack(view)
     gaussians = _benign(layout.read(arrays, index, terms), span[1] > span[0], camera)
@@ -307,10 +294,11 @@ def _buffer(size: int, dtype: Any = None, value: float | None = None) -> Any:
 
 
 @functools.lru_cache(maxsize=16)
-def _tiles(variant: str, width: int, height: int) -> Any:
-    tiles = dr.arange(mi.UInt32, -(-width // TILE) * -(-height // TILE))
-    dr.make_opaque(tiles)
-    return tiles
+def _numbers(variant: str, count: int) -> Any:
+    """0, 1, 2, ... in memory."""
+    numbers = dr.arange(mi.UInt32, count)
+    dr.make_opaque(numbers)
+    return numbers
 
 
 def rasterize(
@@ -331,7 +319,8 @@ def rasterize(
     pixels = width * height
     frame = Frame(
         size=mi.Int32([width, height]),
-        tiles=_tiles(mi.variant(), width, height),
+        tiles=_numbers(mi.variant(), -(-width // TILE) * -(-height // TILE)),
+        pixels=_numbers(mi.variant(), pixels),
         background=mi.Float(background),
         colour=_buffer(3 * pixels),
         opacity=_buffer(pixels, value=0.0),
@@ -341,7 +330,8 @@ def rasterize(
         return Picture(_empty(frame), frame.opacity, None)
     terms, view = len(arrays[-1]) // (3 * count), camera.numbers()
     records = (_buffer(RECORD * count), _buffer(count))
-    key, touched = _run(_project, layout, terms, arrays, view, frame.size, records)
+    index = _numbers(mi.variant(), count)
+    key, touched = _run(_project, layout, terms, arrays, index, frame, view, records)
     # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
     order = dr.argsort(key)
     first, last, total = _run(_place, touched, order)
