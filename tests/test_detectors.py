@@ -7,11 +7,15 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 from torchvision.models import detection
-from torchvision.ops import FrozenBatchNorm2d, batched_nms
+from torchvision.ops import FrozenBatchNorm2d, batched_nms, box_iou
 from torchvision.ops.boxes import remove_small_boxes
 
 from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
-from attacks.detectors.rcnn import RCNNDetector, random_detector
+from attacks.detectors.rcnn import SHIPPED, RCNNDetector, random_detector
+from mi_splat.assets import build
+from mi_splat.assets.street import plain
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.capture import daylight, photograph
 from mi_splat.errors import InvalidValueError
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
@@ -239,3 +243,19 @@ def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.Monke
     monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", unreachable)
     with pytest.raises(DetectorError, match="got no route to host; download the file elsewhere and pass its path"):
         load_detector("fasterrcnn_mobilenet_v3_large_320_fpn")
+
+
+def test_the_shipped_detector_finds_a_car_that_it_was_not_trained_on() -> None:
+    asset = build("car", 512_345)
+    camera = Camera(
+        to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0), focal=300, width=256, height=256
+    )
+    photo = photograph([asset], camera, light=daylight(512_345), backdrop=plain(512_345), samples=8)
+    (found,) = load_detector("fasterrcnn_small").detect(photo.view.image[None])
+    assert found.labels[0] == "car"
+    assert float(found.scores[0]) > 0.5
+    assert float(box_iou(found.boxes[:1], photo.boxes)) > 0.6
+
+
+def test_the_shipped_weights_are_small() -> None:
+    assert SHIPPED.stat().st_size <= 12_000_000

@@ -104,7 +104,7 @@ def place(recipe: Recipe, number: int) -> Place:
     radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
     light = daylight(int(rng.integers(1 << 30)))
-    if assets and rng.random() < recipe.street:
+    if rng.random() < recipe.street:
         around = street.backdrop(int(rng.integers(low, high)))
         around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
     else:
@@ -216,7 +216,8 @@ class Photographer:
     def _any_camera(self) -> Camera:
         assets, rng = self.place.assets, self._rng
         if not assets:
-            points: Floats = (rng.normal(0, 0.7, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.6]).astype(np.float32)
+            scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
+            points: Floats = (scale * (rng.normal(0, 1, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.9])).astype(np.float32)
         elif rng.random() < 0.5:
             points = assets[int(rng.integers(len(assets)))].vertices
         else:

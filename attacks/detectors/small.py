@@ -127,6 +127,4 @@ def build() -> FasterRCNN:
         box_roi_pool=MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
         box_head=Head(_PYRAMID * _POOL**2, _HEAD),
         box_predictor=FastRCNNPredictor(_HEAD, len(CLASSES) + 1),
-        box_batch_size_per_image=32,
-        box_positive_fraction=0.5,
     )

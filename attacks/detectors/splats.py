@@ -34,7 +34,7 @@ class SplatConfig:
     objects: int = 12_000
     surroundings: int = 30_000
     sky: int = 1_500
-    steps: int = 150
+    steps: int = 100
     pictures: int = 4
 
 

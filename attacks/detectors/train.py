@@ -28,6 +28,7 @@ class Run:
         data: Folder of the pictures; what is missing in it is made first.
         out: Folder of checkpoint, curves.json and the best weights so far.
         pictures: Number of training pictures.
+        places: Number of further ones of the project's streets, parks and rooms, many of them without any object.
         validation: Number of pictures by which the best epoch is chosen.
         every: Epochs between two validations.
         processes: Processes that make pictures.
@@ -40,6 +41,7 @@ class Run:
     data: Path = Path("out/detector-data")
     out: Path = Path("out/detector")
     pictures: int = 2400
+    places: int = 240
     validation: int = 120
     every: int = 2
     processes: int = 2
@@ -63,22 +65,31 @@ def main(run: Run) -> None:
     ) as bars:
         # The few for validation first, so that a growing set can already be trained on.
         validation = _pictures(Recipe(split="validation", count=run.validation), run, bars)
-        train = [] if run.growing else _pictures(Recipe(split="train", count=run.pictures), run, bars)
+        train = [] if run.growing else _made(run, bars)
         if run.only_data:
             return
         training = Training.resume(run.out, run.config)
         known: dict[str, Sample] = {}
+        more: dict[str, Sample] = {}
         while training.epoch < run.config.epochs:
             if run.growing:
                 train = load(run.data / "train", limit=run.pictures, known=known)
+                train += load(run.data / "places", limit=run.places, known=more)
             if not training.history and run.config.pretraining:
                 _pretrain(training, train, run, bars, console)
             _epoch(training, train, validation, run, bars, console)
 
 
-def _pictures(recipe: Recipe, run: Run, bars: Progress) -> list[Sample]:
-    folder = run.data / recipe.split
-    bar = bars.add_task(f"{recipe.split} pictures", total=recipe.count)
+def _made(run: Run, bars: Progress) -> list[Sample]:
+    """All training pictures."""
+    places = Recipe(split="train", seed=1, count=run.places, empty=0.4, street=1.0)
+    return _pictures(Recipe(split="train", count=run.pictures), run, bars) + _pictures(places, run, bars, name="places")
+
+
+def _pictures(recipe: Recipe, run: Run, bars: Progress, *, name: str = "") -> list[Sample]:
+    name = name or recipe.split
+    folder = run.data / name
+    bar = bars.add_task(f"{name} pictures", total=recipe.count)
     make(recipe, folder, processes=run.processes, on_step=lambda done, _: bars.update(bar, completed=done))
     bars.update(bar, completed=recipe.count)
     return load(folder, limit=recipe.count)
