@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mitsuba as mi
 import numpy as np
 import torch
 from numpy.random import Generator
@@ -22,7 +21,7 @@ from attacks.detectors.surroundings import backdrop, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.cameras import Camera, View, orbit_pose, project_points
-from mi_splat.capture import Light, capture, daylight, first_hits, mesh_scene, scalar_variant
+from mi_splat.capture import Light, capture, daylight, depth_maps, mesh_scene
 from mi_splat.errors import InvalidValueError, message
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
@@ -172,17 +171,15 @@ class Photographer:
     """
 
     def __init__(self, recipe: Recipe, number: int) -> None:
-        """Build scene `number` and load it into Mitsuba."""
+        """Build scene `number`."""
         self._recipe = recipe
         self.place = place(recipe, number)
         self._rng = np.random.default_rng([recipe.seed, SPLITS[recipe.split][0], number, 1])
         self.scene = mesh_scene(self.place.assets, light=self.place.light, backdrop=self.place.surroundings)
-        with scalar_variant():
-            self._loaded = mi.load_dict(self.scene)
-            self._alone = [
-                mi.load_dict({"type": "scene", **{k: v for k, v in self.scene.items() if k.startswith(f"object{i}_")}})
-                for i in range(len(self.place.assets))
-            ]
+        self._alone = [
+            {"type": "scene", **{k: v for k, v in self.scene.items() if k.startswith(f"object{i}_")}}
+            for i in range(len(self.place.assets))
+        ]
 
     def aim(self) -> Camera:
         """The next camera; hidden or cut-off objects make it look for another one, a few times."""
@@ -226,9 +223,7 @@ class Photographer:
 
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
-        with scalar_variant():
-            nearest = first_hits(self._loaded, camera)
-            alone = [first_hits(scene, camera) for scene in self._alone]
+        nearest, *alone = (depth_maps(scene, [camera])[0].numpy() for scene in (self.scene, *self._alone))
         return [((own > 0) & (own <= nearest * (1 + 1e-5)), own > 0) for own in alone]
 
     def _visible(self, camera: Camera) -> list[float]:

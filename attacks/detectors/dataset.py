@@ -45,10 +45,7 @@ def save_samples(samples: Sequence[Sample], folder: Path, recipe: dict[str, obje
 
 
 def _single_thread() -> None:
-    import drjit as dr
-
     torch.set_num_threads(1)
-    dr.set_thread_count(1)
 
 
 def make(recipe: Recipe, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
@@ -81,7 +78,7 @@ def make(recipe: Recipe, folder: Path, *, processes: int = 2, on_step: OnStep | 
 
 @contextlib.contextmanager
 def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]]]]:
-    """A `map` over fresh processes of one thread each, or over this one if `processes` is 0."""
+    """A `map` over fresh processes, or over this one if `processes` is 0."""
     if processes == 0:
         yield map
         return
