@@ -125,7 +125,7 @@ class Stage:
         for shot in shots:
             leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
             picture = _bounded(self.render(self.part.scene_with(leaves), shot.camera))
-            candidates = self.detector.candidates(picture[None], extra=[shot.target.box[None].to(picture)])[0]
+            candidates = self.detector.candidates(picture[None])[0]
             here = self.objective(candidates, shot.target) / len(shots)
             found = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
             for name, gradient in zip(leaves, found, strict=True):

@@ -9,6 +9,7 @@ guess; buffers that are scattered into are made outside and passed in; and `dr.a
 from __future__ import annotations
 
 import functools
+import gc
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -278,11 +279,19 @@ def _project_backward(
 @functools.cache
 def _frozen(variant: str, stage: Callable[..., Any]) -> Callable[..., Any]:
     """A stage as a frozen function of one variant; recordings follow shapes, never values."""
-    return dr.freeze(stage, warn_after=1 << 20, limit=32)  # type: ignore[no-any-return]
+    return dr.freeze(stage, warn_after=1 << 20)  # type: ignore[no-any-return]
 
 
 def _run(stage: Callable[..., Any], *arguments: Any) -> Any:
-    return _frozen(mi.variant(), stage)(*arguments)
+    # A garbage collection in the middle of a recording may free arrays of torch or Mitsuba, which Dr.Jit cannot record:
+    # it stops the process.
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        return _frozen(mi.variant(), stage)(*arguments)
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def _buffer(size: int, dtype: Any = None, value: float | None = None) -> Any:
