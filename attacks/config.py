@@ -27,8 +27,8 @@ class DaggerConfig:
         early_stop: Stop at the first success instead of spending every step.
         share: Share of the views in which the attack has to succeed.
         noise_draws: Number of draws of the random-noise control.
-        degree: SH degree of the attacked file, at least the scene's; coefficients that the scene lacks start at 0. The
-            scene's own if None.
+        degree: SH degree that the attacked file has at least, if SH is attacked at all; coefficients that the scene
+            lacks start at 0. 3 is what 3DGS writes and what the paper attacked; the scene's own if None.
         seed: Seed of restarts and noise; with one run the attack itself is deterministic.
     """
 
@@ -42,7 +42,7 @@ class DaggerConfig:
     early_stop: bool = True
     share: float = 1.0
     noise_draws: int = 5
-    degree: int | None = None
+    degree: int | None = 3
     seed: int = 0
 
     def __post_init__(self) -> None:

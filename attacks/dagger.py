@@ -69,7 +69,10 @@ def attack(
         )
     if not cameras:
         raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the victim looks from"))
-    part = Part.of(_raised(scene, config.degree), mask)
+    clean_hash = scene_hash(scene)
+    if config.degree is not None and "sh" in config.attributes and scene.degree < config.degree:
+        scene = scene.with_degree(config.degree)
+    part = Part.of(scene, mask)
     stage = Stage(part=part, detector=detector, objective=objective, render=render, share=config.share)
     shots = [stage.shot(camera) for camera in cameras]
     reference = part.parameters(config.attributes)
@@ -77,11 +80,10 @@ def attack(
     attacked = part.sealed(outcome.parameters)
     saved = _through_file(attacked)
     views = stage.look(saved, shots)
-    success, score = together([view.verdict for view in views], config.share)
+    verdict = together([view.verdict for view in views], config.share)
     result = Result(
         scene=attacked,
-        success=success,
-        score=score,
+        verdict=verdict,
         views=views,
         trace=outcome.trace,
         best=outcome.best,
@@ -95,20 +97,10 @@ def attack(
         doubts=(),
         objective=objective,
         config=config,
-        origin=_origin(scene, detector),
+        origin=_origin(clean_hash, detector),
         seconds=time.perf_counter() - begun,
     )
     return dataclasses.replace(result, doubts=doubts(result))
-
-
-def _raised(scene: GaussianScene, degree: int | None) -> GaussianScene:
-    if degree is None:
-        return scene
-    if degree < scene.degree:
-        raise InvalidValueError(
-            message("degree", f"at least the scene's {scene.degree}", degree, "ask for more or None")
-        )
-    return scene.with_degree(degree)
 
 
 def _search(
@@ -155,7 +147,10 @@ def _noise_control(stage: Stage, shots: Sequence[Shot], parameters: Parameters, 
         noisy = config.budget.noise(parameters, reference, generator)
         views = stage.look(stage.part.sealed(noisy), shots)
         verdicts.append(together([view.verdict for view in views], config.share))
-    return NoiseControl(scores=tuple(score for _, score in verdicts), successes=sum(success for success, _ in verdicts))
+    return NoiseControl(
+        scores=tuple(verdict.score for verdict in verdicts),
+        successes=sum(verdict.success for verdict in verdicts),
+    )
 
 
 def _through_file(scene: GaussianScene) -> GaussianScene:
@@ -166,10 +161,10 @@ def _through_file(scene: GaussianScene) -> GaussianScene:
         return load_splat(path).to(scene.means.device)
 
 
-def _origin(scene: GaussianScene, detector: Detector) -> dict[str, Any]:
+def _origin(clean_hash: str, detector: Detector) -> dict[str, Any]:
     return {
         "detector": detector.name,
-        "scene_hash": scene_hash(scene),
+        "scene_hash": clean_hash,
         "versions": provenance.versions(),
         "variant": provenance.variant(),
         "commit": provenance.commit(),

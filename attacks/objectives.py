@@ -40,10 +40,18 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Judgement of one view: success, and how near it is in [0, 1]."""
+    """Judgement of one view.
+
+    Attributes:
+        success: The aim is reached.
+        score: How near it is, in [0, 1].
+        clear: The aim is reached and nothing speaks against it: no other class is reported on the object with more
+            confidence than the one wanted.
+    """
 
     success: bool
     score: float
+    clear: bool
 
 
 class Objective(Protocol):
@@ -137,7 +145,6 @@ class Relabel:
         label: The class wanted.
         confidence: Score that the detection needs.
         iou: Overlap with the object's box that the detection needs.
-        dominant: Whether it must also score at least as high as every detection of another class on the object.
         near: Overlap from which a candidate is worth pushing.
         top: Number of candidates pushed.
         suppression: Weight of the suppression of the original class.
@@ -147,9 +154,8 @@ class Relabel:
     label: str
     confidence: float = 0.7
     iou: float = 0.5
-    dominant: bool = True
-    near: float = 0.4
-    top: int = 8
+    near: float = 0.5
+    top: int = 3
     suppression: float = 0.5
     tightness: float = 0.5
 
@@ -165,12 +171,12 @@ class Relabel:
         if not len(candidates):
             return candidates.scores.sum() * 0.0
         overlaps = overlap(candidates.boxes[:, column], target.box)
-        # With nothing near the object, the boxes nearest to it still show the way.
         with torch.no_grad():
+            # With nothing near the object, the boxes nearest to it still show the way.
             order = torch.where(overlaps >= self.near, scores.clamp(min=_TINY).log(), overlaps - 1e3)
             chosen = order.topk(min(self.top, len(order))).indices
-            # Weighted towards the front runners, of which one is enough.
-            weights = torch.softmax(order[chosen].clamp(min=-20.0) / 2, dim=0)
+            # By their scores: one detection is enough, and the front runner is the cheapest to push.
+            weights = torch.softmax(order[chosen], dim=0)
         entropy = -scores[chosen].clamp(min=_TINY).log()
         loss = (weights * (entropy + self.tightness * (1 - overlaps[chosen]))).sum()
         if self.suppression and target.original in target.classes and target.original != self.label:
@@ -180,11 +186,12 @@ class Relabel:
         return loss
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
-        """The label is reported on the object with enough confidence, and nothing else there with more."""
+        """The label is reported on the object with enough confidence; clearly so, if nothing else there has more."""
         score = confidence(detections, target.box, labels=[self.label], iou=self.iou)
         others = [label for label in detections.labels if label != self.label]
-        beaten = self.dominant and confidence(detections, target.box, labels=others, iou=self.iou) > score
-        return Verdict(success=score >= self.confidence and not beaten, score=score)
+        beaten = confidence(detections, target.box, labels=others, iou=self.iou) > score
+        success = score >= self.confidence
+        return Verdict(success=success, score=score, clear=success and not beaten)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,7 +227,7 @@ class Hide:
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """Nothing is reported on the object."""
         left = confidence(detections, target.box, iou=self.iou)
-        return Verdict(success=left < self.confidence, score=1.0 - left)
+        return Verdict(success=left < self.confidence, score=1.0 - left, clear=left < self.confidence)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,9 +265,9 @@ class Untargeted:
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """The original class is not reported on the object."""
         if target.original is None:
-            return Verdict(success=False, score=0.0)
+            return Verdict(success=False, score=0.0, clear=False)
         left = confidence(detections, target.box, labels=[target.original], iou=self.iou)
-        return Verdict(success=left < self.confidence, score=1.0 - left)
+        return Verdict(success=left < self.confidence, score=1.0 - left, clear=left < self.confidence)
 
 
 def relabel(to: str, *, confidence: float = 0.7, iou: float = 0.5) -> Relabel:

@@ -62,6 +62,7 @@ def summary(result: Result) -> dict[str, Any]:
         "attack": "dagger",
         "objective": result.objective.name,
         "success": result.success,
+        "clear": result.verdict.clear,
         "target": result.objective.label,
         "target_confidence": result.target_confidence,
         "score": result.score,
@@ -97,6 +98,7 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
     original = target.original
     return {
         "success": view.verdict.success,
+        "clear": view.verdict.clear,
         "original": original,
         "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
         "original_confidence": view.confidence(original, attacked=True) if original else 0.0,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from attacks.config import DaggerConfig
-from attacks.objectives import Objective
+from attacks.objectives import Objective, Verdict
 from attacks.pgd import Step
 from attacks.scoring import ImageChange
 from attacks.staging import ViewResult, reached
@@ -38,8 +38,8 @@ class Result:
 
     Attributes:
         scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
-        success: Whether the aim was reached in enough views.
-        score: Score that enough views reach: the confidence in the wanted class, or 1 minus what is still detected.
+        verdict: Whether the aim was reached in enough views, whether clearly so, and the score that enough views reach:
+            the confidence in the wanted class, or 1 minus what is still detected.
         views: Every view before and after.
         trace: Every point that was visited, all runs, in order.
         best: The line of the trace whose point was kept.
@@ -58,8 +58,7 @@ class Result:
     """
 
     scene: GaussianScene
-    success: bool
-    score: float
+    verdict: Verdict
     views: tuple[ViewResult, ...]
     trace: tuple[Step, ...]
     best: Step
@@ -75,6 +74,16 @@ class Result:
     config: DaggerConfig
     origin: dict[str, Any]
     seconds: float
+
+    @property
+    def success(self) -> bool:
+        """Whether the aim was reached in enough views."""
+        return self.verdict.success
+
+    @property
+    def score(self) -> float:
+        """Score that enough views reach, in [0, 1]."""
+        return self.verdict.score
 
     @property
     def target_confidence(self) -> float | None:
@@ -103,6 +112,8 @@ def doubts(result: Result) -> tuple[str, ...]:
         found.append(f"{result.clamped:.0%} of the object's colour channels are clamped at 0, where SH has no gradient")
     if result.best.success and not result.success:
         found.append("success in the search did not survive the saved file and 8-bit pictures")
+    if result.success and not result.verdict.clear:
+        found.append("another class is still detected on the object with more confidence")
     if result.noise.scores and (
         (result.success and result.noise.successes) or max(result.noise.scores) >= result.score > 0
     ):

@@ -133,8 +133,8 @@ class Stage:
             loss += float(here.detach())
             detections = self._detect(quantise(picture))
             verdicts.append(self.objective.verdict(detections, shot.target))
-        success, score = together(verdicts, self.share)
-        return Evaluation(loss=loss, gradients=gradients, success=success, score=score)
+        whole = together(verdicts, self.share)
+        return Evaluation(loss=loss, gradients=gradients, success=whole.success, score=whole.score, clear=whole.clear)
 
     def _judge(self, scene: GaussianScene, camera: Camera) -> tuple[Tensor, Detections]:
         with torch.no_grad():
@@ -146,10 +146,14 @@ class Stage:
             return self.detector.detect(picture[None])[0]
 
 
-def together(verdicts: Sequence[Verdict], share: float) -> tuple[bool, float]:
+def together(verdicts: Sequence[Verdict], share: float) -> Verdict:
     """Success in at least `share` of the views, and the score that so many views reach."""
     needed = math.ceil(share * len(verdicts) - 1e-9)
-    return sum(v.success for v in verdicts) >= needed, reached([v.score for v in verdicts], share)
+    return Verdict(
+        success=sum(verdict.success for verdict in verdicts) >= needed,
+        score=reached([verdict.score for verdict in verdicts], share),
+        clear=sum(verdict.clear for verdict in verdicts) >= needed,
+    )
 
 
 def reached(values: Sequence[float], share: float) -> float:

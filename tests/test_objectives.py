@@ -141,8 +141,7 @@ def test_without_any_candidate_the_loss_is_zero_and_differentiable(objective: Ob
         (relabel("person"), found(("person", 0.69, BOX)), False, 0.69),
         (relabel("person"), found(("person", 0.99, shifted(30.0))), False, 0.0),
         (relabel("person"), found(("bird", 0.99, BOX)), False, 0.0),
-        (relabel("person"), found(("car", 0.9, BOX), ("person", 0.8, BOX)), False, 0.8),
-        (Relabel(label="person", dominant=False), found(("car", 0.9, BOX), ("person", 0.8, BOX)), True, 0.8),
+        (relabel("person"), found(("car", 0.9, BOX), ("person", 0.8, BOX)), True, 0.8),
         (relabel("person"), found(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True, 0.8),
         (relabel("person", confidence=0.9), found(("person", 0.8, BOX)), False, 0.8),
         (hide(), found(), True, 1.0),
@@ -158,6 +157,22 @@ def test_verdicts(objective: Objective, seen: Detections, success: bool, score: 
     verdict = objective.verdict(seen, TARGET)
     assert verdict.success is success
     assert verdict.score == pytest.approx(score)
+
+
+@pytest.mark.parametrize(
+    ("seen", "clear"),
+    [
+        (found(("person", 0.8, BOX)), True),
+        (found(("person", 0.8, BOX), ("car", 0.75, BOX)), True),
+        (found(("car", 0.9, BOX), ("person", 0.8, BOX)), False),
+        (found(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True),
+        (found(("person", 0.6, BOX)), False),
+    ],
+)
+def test_a_relabelling_is_clear_when_nothing_else_is_seen_there_with_more_confidence(
+    seen: Detections, clear: bool
+) -> None:
+    assert relabel("person").verdict(seen, TARGET).clear is clear
 
 
 def test_untargeted_cannot_succeed_on_what_was_never_seen() -> None:

@@ -26,7 +26,7 @@ def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -
         (gradient,) = torch.autograd.grad(loss, [leaf])
         value = float(loss.detach())
         mark = 1 / (1 + value) if score is None else score(leaf.detach())
-        return Evaluation(loss=value, gradients={"sh": gradient}, success=value <= aim, score=mark)
+        return Evaluation(loss=value, gradients={"sh": gradient}, success=value <= aim, score=mark, clear=True)
 
     return evaluate
 
@@ -85,12 +85,32 @@ def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
 
     def scripted(point: Parameters) -> Evaluation:
         loss, success, score = next(calls)
-        return Evaluation(loss=loss, gradients={"sh": torch.ones_like(point["sh"])}, success=success, score=score)
+        return Evaluation(
+            loss=loss,
+            gradients={"sh": torch.ones_like(point["sh"])},
+            success=success,
+            score=score,
+            clear=success and score > 0.75,
+        )
 
     budget = Budget(radius={"sh": 10.0})
     found = pgd(scripted, REFERENCE, budget, step={"sh": 1.0}, steps=4, early_stop=False)
     assert found.best.index == 4
     assert budget.measure(found.parameters, REFERENCE)["sh"] == pytest.approx(4.0)
+
+
+def test_early_stop_waits_for_a_clear_success() -> None:
+    calls = iter([(False, False), (True, False), (True, False), (True, True), (True, True)])
+
+    def scripted(point: Parameters) -> Evaluation:
+        success, clear = next(calls)
+        return Evaluation(
+            loss=1.0, gradients={"sh": torch.ones_like(point["sh"])}, success=success, score=0.8, clear=clear
+        )
+
+    found = pgd(scripted, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
+    assert len(found.trace) == 4
+    assert found.best.index == 3
 
 
 def test_nothing_moves_without_steps_and_the_arguments_stay_as_they_are() -> None:
@@ -124,7 +144,7 @@ def test_what_is_not_finite_is_an_error(bad: float) -> None:
         def evaluate(point: Parameters) -> Evaluation:
             gradient = torch.full_like(point["sh"], bad if where == "gradient" else 1.0)
             loss = bad if where == "loss" else 1.0
-            return Evaluation(loss=loss, gradients={"sh": gradient}, success=False, score=0.0)
+            return Evaluation(loss=loss, gradients={"sh": gradient}, success=False, score=0.0, clear=False)
 
         return evaluate
 

@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from attacks.dagger import DaggerConfig, Result, attack
-from attacks.objectives import Objective, hide, relabel
+from attacks.objectives import Objective, Verdict, hide, relabel
 from attacks.reports import save_json, summary, write_report
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat
@@ -116,7 +116,7 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
 
 def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
     write_report(result, tmp_path)
-    write_report(dataclasses.replace(result, success=False), tmp_path)
+    write_report(dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, clear=False)), tmp_path)
     assert json.loads((tmp_path / "result.json").read_text())["success"] is False
     assert len(list(tmp_path.iterdir())) == 6
 
