@@ -57,7 +57,11 @@ class Photograph:
 
 @contextlib.contextmanager
 def scalar_variant() -> Iterator[None]:
-    """Switch Mitsuba to `scalar_rgb` and back to what was set before, also after an error."""
+    """Switch Mitsuba to `scalar_rgb` and back to what was set before, also after an error.
+
+    Mitsuba loads its Python modules again for an LLVM variant, 0.2 s each time. Every function here switches by itself;
+    around many calls, one more switch outside makes theirs free.
+    """
     previous = mi.variant()
     mi.set_variant(VARIANT)
     try:
@@ -145,8 +149,11 @@ def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
     return shape
 
 
-def _shapes(asset: Asset, prefix: str) -> dict[str, Any]:
-    """Mitsuba meshes of an asset, its parts gathered by material; ids are prefix_0, prefix_1, ..."""
+def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
+    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by material.
+
+    They belong to the variant that is set, which has to be that of the scene they go into.
+    """
     groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
     for mesh in asset.meshes:
         texture = None if _is_plain(mesh) else mesh.texture.tobytes()
@@ -172,9 +179,9 @@ def mesh_scene(assets: Sequence[Asset], *, light: Light | None = None, backdrop:
     with scalar_variant():
         scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_DEPTH}}
         for number, asset in enumerate(assets):
-            scene |= _shapes(asset, f"object{number}")
+            scene |= shapes(asset, f"object{number}")
         if backdrop is not None:
-            scene |= _shapes(backdrop, "backdrop")
+            scene |= shapes(backdrop, "backdrop")
         upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
         scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky_map(light)), "to_world": upright}
         if light.sun_strength > 0:
@@ -287,7 +294,7 @@ def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed:
 
 
 def _in_frame(asset: Asset, camera: Camera) -> float:
-    pixels, depth = project_points(torch.from_numpy(asset.vertices), camera)
+    pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
     size = torch.tensor([camera.width, camera.height])
     return float((((pixels >= 0) & (pixels <= size)).all(1) & (depth > 0)).float().mean())
 
@@ -320,8 +327,7 @@ def photograph(
         view = _picture(scene, camera, samples=samples, seed=seed)
         nearest = first_hits(scene, camera, seed=seed)
         for number, asset in enumerate(assets):
-            shapes = {k: v for k, v in description.items() if k.startswith(f"object{number}_")}
-            alone = first_hits(mi.load_dict({"type": "scene", **shapes}), camera, seed=seed)
+            alone = first_hits(mi.load_dict({"type": "scene", **shapes(asset.body, "body")}), camera, seed=seed)
             rows, columns = np.nonzero((alone > 0) & (alone <= nearest * (1 + 1e-5)))
             if len(rows) < max(min_pixels, 1):
                 continue

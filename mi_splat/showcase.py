@@ -82,7 +82,8 @@ def _car_street() -> tuple[Asset, Asset]:
 def _stop_sign() -> tuple[Asset, Asset]:
     street = build_street(900001, clear=8.0)
     placed = street.transformed(translation(0, -2.9, 0) @ rotation("z", 180))
-    return build("stop sign", 900003).transformed(translation(0, 0, 0.115)), placed
+    sign = build("stop sign", 900003).transformed(translation(0, 0, 0.115))
+    return sign.body, Asset(placed.name, (*placed.meshes, *sign.support))
 
 
 RECIPES = {
@@ -93,14 +94,14 @@ RECIPES = {
         light=Light(sun_azimuth=-50, sun_elevation=52, seed=900000),
         centre=(0.0, 0.0, 0.7),
         sensors={
-            "front": _around(5, 8, 6.6),
-            "three_quarter": _around(-38, 14, 6.6),
-            "side": _around(-92, 9, 6.4),
-            "rear": _around(152, 16, 6.6),
-            "high": _around(55, 42, 7.2),
-            "top": _around(20, 80, 7.6),
+            "front": _around(5, 8, 5.4),
+            "three_quarter": _around(-38, 14, 5.6),
+            "side": _around(-92, 9, 6.0),
+            "rear": _around(152, 16, 5.6),
+            "high": _around(55, 42, 6.0),
+            "top": _around(20, 80, 6.2),
         },
-        distance=(5.4, 8.6),
+        distance=(4.8, 8.0),
         elevation=(2, 85),
         azimuth=(0, 360),
         counts=(16_000, 60_000, 1_500),
@@ -112,19 +113,19 @@ RECIPES = {
         surroundings="roadside",
         assets=_stop_sign,
         light=Light(sun_azimuth=35, sun_elevation=48, seed=900001),
-        centre=(0.0, 0.0, 1.9),
+        centre=(0.0, 0.0, 1.94),
         sensors={
-            "front": _around(0, 2, 2.6),
-            "left": _around(38, 4, 2.7),
-            "right": _around(-35, 0, 2.7),
-            "low": _around(12, -22, 2.8),
-            "high": _around(-15, 35, 2.8),
-            "far": _around(8, 3, 4.2),
+            "front": _around(0, 2, 1.7),
+            "left": _around(38, 4, 1.7),
+            "right": _around(-35, 0, 1.7),
+            "low": _around(12, -22, 1.8),
+            "high": _around(-15, 35, 1.8),
+            "far": _around(8, 3, 2.8),
         },
-        distance=(2.2, 4.8),
+        distance=(1.4, 3.4),
         elevation=(-20, 55),
         azimuth=(-62, 62),
-        counts=(10_000, 60_000, 1_500),
+        counts=(6_000, 60_000, 1_500),
         views=80,
         steps=1200,
     ),

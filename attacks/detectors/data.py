@@ -21,7 +21,7 @@ from attacks.detectors.surroundings import backdrop, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.cameras import Camera, View, orbit_pose, project_points
-from mi_splat.capture import Light, capture, daylight, depth_maps, mesh_scene
+from mi_splat.capture import Light, capture, daylight, depth_maps, mesh_scene, scalar_variant, shapes
 from mi_splat.errors import InvalidValueError, message
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
@@ -176,10 +176,8 @@ class Photographer:
         self.place = place(recipe, number)
         self._rng = np.random.default_rng([recipe.seed, SPLITS[recipe.split][0], number, 1])
         self.scene = mesh_scene(self.place.assets, light=self.place.light, backdrop=self.place.surroundings)
-        self._alone = [
-            {"type": "scene", **{k: v for k, v in self.scene.items() if k.startswith(f"object{i}_")}}
-            for i in range(len(self.place.assets))
-        ]
+        with scalar_variant():
+            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in self.place.assets]
 
     def aim(self) -> Camera:
         """The next camera; hidden or cut-off objects make it look for another one, a few times."""
@@ -216,9 +214,9 @@ class Photographer:
             scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
             points: Floats = (scale * (rng.normal(0, 1, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.9])).astype(np.float32)
         elif rng.random() < 0.5:
-            points = assets[int(rng.integers(len(assets)))].vertices
+            points = assets[int(rng.integers(len(assets)))].body.vertices
         else:
-            points = np.concatenate([asset.vertices for asset in assets])
+            points = np.concatenate([asset.body.vertices for asset in assets])
         return _camera(points, rng, self._recipe.size)
 
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
@@ -237,7 +235,7 @@ class Photographer:
         )
         shares = []
         for asset, (seen, alone) in zip(self.place.assets, self._outlines(small), strict=True):
-            pixels, depth = project_points(torch.from_numpy(asset.vertices), camera)
+            pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
             inside = (pixels >= 0).all(1) & (pixels <= self._recipe.size).all(1) & (depth > 0)
             shares.append(float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean()))
         return shares

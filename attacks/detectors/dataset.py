@@ -109,13 +109,12 @@ def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
     return {int(Path(name).stem): record for name, record in content["pictures"].items()}
 
 
-def load(folder: Path, *, limit: int | None = None, known: dict[str, Sample] | None = None) -> list[Sample]:
+def load(folder: Path, *, limit: int | None = None) -> list[Sample]:
     """Read a data set into memory.
 
     Args:
         folder: Where it is.
         limit: Read so many pictures only, in the order of their numbers.
-        known: Pictures by file name that need not be read again; new ones are added to it.
 
     Raises:
         InvalidValueError: there is no data set in the folder.
@@ -123,11 +122,9 @@ def load(folder: Path, *, limit: int | None = None, known: dict[str, Sample] | N
     path = folder / "labels.json"
     if not path.is_file():
         raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
-    known = {} if known is None else known
-    records = list(json.loads(path.read_text())["pictures"].items())[:limit]
-    for name, record in records:
-        if name not in known:
-            image = torch.from_numpy(np.array(Image.open(folder / name)))
-            boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-            known[name] = Sample(image, boxes, torch.tensor(record["labels"], dtype=torch.int64))
-    return [known[name] for name, _ in records]
+    samples = []
+    for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
+        image = torch.from_numpy(np.array(Image.open(folder / name)))
+        boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
+        samples.append(Sample(image, boxes, torch.tensor(record["labels"], dtype=torch.int64)))
+    return samples

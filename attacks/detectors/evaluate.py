@@ -9,15 +9,14 @@ from pathlib import Path
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import Progress, track
+from rich.progress import Progress
 from rich.table import Table
 
 from attacks.detectors import load_detector
 from attacks.detectors.data import Recipe, Sample
-from attacks.detectors.dataset import load, make, save_samples
+from attacks.detectors.dataset import load, make
 from attacks.detectors.scoring import Score, evaluate
-from attacks.detectors.splats import SplatConfig, splat_samples
-from mi_splat.rendering import Renderer
+from attacks.detectors.splats import SplatConfig, splat_set
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,15 +73,12 @@ def _photographs(recipe: Recipe, run: Evaluation, console: Console) -> list[Samp
 
 
 def _renders(recipe: Recipe, run: Evaluation, console: Console) -> list[Sample]:
-    render = Renderer()
-    samples: list[Sample] = []
     numbers = range(10_000, 10_000 + run.scenes)  # none of the path-traced scenes
-    for number in track(numbers, "splats", console=console, disable=not console.is_terminal):
-        folder = run.data / "splats" / f"{number}"
-        if not (folder / "labels.json").is_file():
-            save_samples(splat_samples(recipe, number, run.splat, render=render), folder, asdict(run.splat))
-        samples += load(folder)
-    return samples
+    with Progress(console=console, disable=not console.is_terminal) as bars:
+        bar = bars.add_task("splats", total=run.scenes)
+        return splat_set(
+            recipe, numbers, run.data / "splats", run.splat, on_step=lambda done, _: bars.update(bar, completed=done)
+        )
 
 
 def _table(scores: dict[str, Score]) -> Table:

@@ -1,17 +1,20 @@
-"""Labelled renders of splats of held-out objects: what the detector is for, and has never been trained on."""
+"""Labelled renders of splats: what the detector is for."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import torch
 
 from attacks.detectors.data import Photographer, Recipe, Sample
+from attacks.detectors.dataset import load, save_samples
 from mi_splat.assets.mesh import Asset, ellipsoid
 from mi_splat.cameras import RenderFn, View
-from mi_splat.capture import depth_maps
+from mi_splat.capture import depth_maps, scalar_variant
 from mi_splat.meshsplat import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 
 
@@ -41,11 +44,42 @@ class SplatConfig:
 def splat_samples(recipe: Recipe, number: int, config: SplatConfig, *, render: RenderFn) -> list[Sample]:
     """Labelled renders of a splat of scene `number`; the labels are those of the meshes it was made from."""
     photographer = Photographer(replace(recipe, samples=config.samples), number)
-    tests = [photographer.aim() for _ in range(config.pictures)]
-    views = [photographer.take(photographer.aim()) for _ in range(config.views)]
+    with scalar_variant():
+        tests = [photographer.aim() for _ in range(config.pictures)]
+        views = [photographer.take(photographer.aim()) for _ in range(config.views)]
     splat = splat_of(photographer, views, config, render)
     with torch.no_grad():
-        return [photographer.label(camera, render(splat, camera)) for camera in tests]
+        pictures = [render(splat, camera) for camera in tests]
+    with scalar_variant():
+        return [photographer.label(camera, picture) for camera, picture in zip(tests, pictures, strict=True)]
+
+
+def splat_set(
+    recipe: Recipe,
+    numbers: Sequence[int],
+    folder: Path,
+    config: SplatConfig,
+    *,
+    on_step: Callable[[int, int], None] | None = None,
+) -> list[Sample]:
+    """Labelled renders of splats of many scenes, each kept in a folder of its own; what is missing is made.
+
+    Args:
+        recipe: What the scenes are made of.
+        numbers: Scenes of the recipe.
+        folder: Where the pictures are kept.
+        config: How splats are made.
+        on_step: Called with the number of scenes done and the number wanted.
+    """
+    render, samples = Renderer(), []
+    for done, number in enumerate(numbers, start=1):
+        own = folder / f"{number}"
+        if not (own / "labels.json").is_file():
+            save_samples(splat_samples(recipe, number, config, render=render), own, asdict(config))
+        samples += load(own)
+        if on_step is not None:
+            on_step(done, len(numbers))
+    return samples
 
 
 def splat_of(photographer: Photographer, views: Sequence[View], config: SplatConfig, render: RenderFn) -> GaussianScene:

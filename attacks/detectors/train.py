@@ -17,6 +17,7 @@ from attacks.detectors.dataset import load, make
 from attacks.detectors.rcnn import RCNNDetector
 from attacks.detectors.scoring import Score, evaluate
 from attacks.detectors.small import CLASSES
+from attacks.detectors.splats import SplatConfig, splat_set
 from attacks.detectors.training import TrainConfig, Training, ship
 
 
@@ -29,25 +30,27 @@ class Run:
         out: Folder of checkpoint, curves.json and the best weights so far.
         pictures: Number of training pictures.
         places: Number of further ones of the project's streets, parks and rooms, many of them without any object.
+        splats: Number of further scenes that are made into splats, eight renders of each.
         validation: Number of pictures by which the best epoch is chosen.
         every: Epochs between two validations.
         processes: Processes that make pictures.
         threads: Threads that train.
         only_data: Stop when the pictures are made.
-        growing: Make no training pictures; use those that another run with --only-data has made before each epoch.
+        start: Weights to begin from instead of pretraining.
         config: The training itself.
     """
 
     data: Path = Path("out/detector-data")
     out: Path = Path("out/detector")
-    pictures: int = 2400
-    places: int = 240
+    pictures: int = 3600
+    places: int = 720
+    splats: int = 60
     validation: int = 120
     every: int = 2
     processes: int = 2
     threads: int = 2
     only_data: bool = False
-    growing: bool = False
+    start: Path | None = None
     config: TrainConfig = field(default_factory=TrainConfig)
 
 
@@ -63,19 +66,15 @@ def main(run: Run) -> None:
         console=console,
         disable=not console.is_terminal,
     ) as bars:
-        # The few for validation first, so that a growing set can already be trained on.
         validation = _pictures(Recipe(split="validation", count=run.validation), run, bars)
-        train = [] if run.growing else _made(run, bars)
+        train = _made(run, bars)
         if run.only_data:
             return
         training = Training.resume(run.out, run.config)
-        known: dict[str, Sample] = {}
-        more: dict[str, Sample] = {}
         while training.epoch < run.config.epochs:
-            if run.growing:
-                train = load(run.data / "train", limit=run.pictures, known=known)
-                train += load(run.data / "places", limit=run.places, known=more)
-            if not training.history and run.config.pretraining:
+            if not training.history and run.start is not None:
+                training.begin_from(run.start)
+            elif not training.history and run.config.pretraining:
                 _pretrain(training, train, run, bars, console)
             _epoch(training, train, validation, run, bars, console)
 
@@ -83,7 +82,19 @@ def main(run: Run) -> None:
 def _made(run: Run, bars: Progress) -> list[Sample]:
     """All training pictures."""
     places = Recipe(split="train", seed=1, count=run.places, empty=0.4, street=1.0)
-    return _pictures(Recipe(split="train", count=run.pictures), run, bars) + _pictures(places, run, bars, name="places")
+    bar = bars.add_task("splats", total=run.splats)
+    config = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
+    return [
+        *_pictures(Recipe(split="train", count=run.pictures), run, bars),
+        *_pictures(places, run, bars, name="places"),
+        *splat_set(
+            Recipe(split="train", seed=2),
+            range(run.splats),
+            run.data / "train-splats",
+            config,
+            on_step=lambda done, _: bars.update(bar, completed=done),
+        ),
+    ]
 
 
 def _pictures(recipe: Recipe, run: Run, bars: Progress, *, name: str = "") -> list[Sample]:

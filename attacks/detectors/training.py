@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +19,7 @@ from attacks.detectors import small
 from attacks.detectors.augment import augment
 from attacks.detectors.data import Sample
 from attacks.detectors.pretraining import pretrain
-from attacks.detectors.weights import DetectorError
+from attacks.detectors.weights import DetectorError, apply_weights, read_weights
 from mi_splat.errors import message
 
 _EAGER, _SETTLED = (32, 0.5), (96, 0.25)  # boxes a picture, largest share of them with an object
@@ -97,6 +98,17 @@ class Training:
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
         return right
+
+    def begin_from(self, weights: Path) -> None:
+        """Start from the weights of an earlier run.
+
+        Raises:
+            DetectorError: the file is missing or does not fit.
+        """
+        apply_weights(self.model, read_weights(weights), weights)
+        self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+        self.history.append({"epoch": 0, "start": weights.name, "sha256": digest})
 
     def run_epoch(self, samples: Sequence[Sample], *, on_step: OnStep | None = None) -> dict[str, float]:
         """Train on every sample once; returns the mean of each loss."""

@@ -65,10 +65,23 @@ class Asset:
     Attributes:
         name: COCO name of the object, or any other word for surroundings.
         meshes: The parts.
+        supports: How many of the last parts only hold the object up. COCO's boxes leave them out: a stop sign is its
+            plate, not its post.
     """
 
     name: str
     meshes: tuple[Mesh, ...]
+    supports: int = 0
+
+    @property
+    def body(self) -> Asset:
+        """The asset without what holds it up: what a box is drawn around."""
+        return replace(self, meshes=self.meshes[: len(self.meshes) - self.supports], supports=0)
+
+    @property
+    def support(self) -> tuple[Mesh, ...]:
+        """What holds it up."""
+        return self.meshes[len(self.meshes) - self.supports :]
 
     @property
     def vertices(self) -> Floats:

@@ -12,7 +12,7 @@ STEEL = (0.55, 0.56, 0.57)
 
 
 def build(seed: int = 0) -> Asset:
-    """A stop sign about 2.4 m tall whose face, 0.75 m across, looks along +x."""
+    """A stop sign about 2.4 m tall whose face, 0.75 m across, looks along +x; the post counts as its support."""
     rng = np.random.default_rng([seed, 0x570B])
     width = 0.75 * rng.uniform(0.93, 1.1)
     top = 2.4 * rng.uniform(0.92, 1.08)
@@ -21,7 +21,8 @@ def build(seed: int = 0) -> Asset:
     back = extrude(outline * 0.995, 0.01, np.array(STEEL) * rng.uniform(0.7, 1.2))
     upright = translation(0.045, 0, top - width / 2 - 0.02) @ rotation("z", 90) @ rotation("x", 90)
     tilt = rotation("x", float(rng.normal(0, 1.5)))
-    parts = [transform(face, upright), transform(back, translation(-0.011, 0, 0) @ upright)]
+    plate = [transform(face, upright), transform(back, translation(-0.011, 0, 0) @ upright)]
+    parts = []
     pole = np.array(
         [STEEL, (0.38, 0.39, 0.4), (0.3, 0.36, 0.32), (0.75, 0.75, 0.74), (0.4, 0.3, 0.22)][rng.integers(5)]
     )
@@ -36,4 +37,4 @@ def build(seed: int = 0) -> Asset:
         parts.append(box((0.05, 0.24, 0.03), np.array(STEEL) * 0.8, centre=(0.012, 0, z)))
     base = lathe([[0.13, 0], [0.12, 0.03], [0.05, 0.045], [0.035, 0.08]], (0.45, 0.45, 0.44), segments=16)
     parts.append(base)
-    return Asset("stop sign", tuple(transform(part, tilt) for part in parts))
+    return Asset("stop sign", tuple(transform(part, tilt) for part in (*plate, *parts)), supports=len(parts))
