@@ -34,7 +34,8 @@ class Job:
         attribute: What may change.
         eps: Radius.
         norm: Norm of the budget.
-        views: Number of the scene's cameras that are attacked together, from the first on; 0 is all.
+        camera: Position of the first camera that is attacked, in the order of the scene file.
+        views: Number of the scene's cameras that are attacked together, from that one on; 0 is all of them.
         seed: See `attacks.studies`.
     """
 
@@ -45,6 +46,7 @@ class Job:
     attribute: Attribute = "sh"
     eps: float = 5.0
     norm: NormName = "l2"
+    camera: int = 0
     views: int = 1
     seed: int = 0
 
@@ -58,6 +60,7 @@ class Job:
             self.attribute,
             self.norm,
             f"{self.eps:g}",
+            *([f"camera{self.camera}"] if self.camera else []),
             str(self.seed),
         )
         return "-".join(word.replace(" ", "_") for word in words)
@@ -112,7 +115,8 @@ class Laboratory:
             attributes=(job.attribute,), eps=(job.eps,), norm=job.norm, seed=job.seed, random_start=job.seed > 0
         )
         centre = setting.scene.means[rows].mean(0)
-        cameras = [jittered(camera, centre, seed=job.seed) for camera in setting.cameras[: job.views or None]]
+        chosen = setting.cameras[job.camera :][: job.views or None]
+        cameras = [jittered(camera, centre, seed=job.seed) for camera in chosen]
         objective: Objective = hide() if job.target is None else relabel(job.target)
         found = attack(setting.scene, rows, cameras, self._detector, objective, render=setting.render, config=config)
         return summary(found)

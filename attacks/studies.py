@@ -38,6 +38,9 @@ PAIRS = (
 )
 """The paper's six pairs: scene, id of the object in it, class wanted."""
 
+CAMERAS = 6
+"""Cameras of each of these scenes; the tables look through the first one unless they say otherwise."""
+
 OTHERS: dict[Attribute, tuple[float, ...]] = {
     "means": (0.01, 0.03),
     "scales": (0.3, 0.7),
@@ -48,7 +51,7 @@ OTHERS: dict[Attribute, tuple[float, ...]] = {
 
 
 def dagger_jobs(seeds: int) -> list[Job]:
-    """The paper's table, the curve over eps, linf, the ball per Gaussian, hiding, and every other attribute."""
+    """The paper's table, other cameras, smaller balls, linf, a ball per Gaussian, hiding, every other attribute."""
     grid: list[tuple[str, Attribute, NormName, Sequence[float]]] = [
         ("pairs", "sh", "l2", (5.0,)),
         ("curve", "sh", "l2", (0.5, 1.0, 2.0)),
@@ -69,13 +72,19 @@ def dagger_jobs(seeds: int) -> list[Job]:
         for scene, part in dict.fromkeys((scene, part) for scene, part, _ in PAIRS)
         for seed in range(seeds)
     ]
+    cameras = [
+        Job(group="cameras", scene=scene, part=part, target=target, camera=camera, seed=seed)
+        for scene, part, target in PAIRS
+        for camera in range(1, CAMERAS)
+        for seed in range(seeds)
+    ]
     views = [
         Job(group="views", scene=scene, part=part, target=target, views=0, eps=eps, seed=seed)
         for eps in (2.0, 5.0)
         for scene, part, target in PAIRS
         for seed in range(seeds)
     ]
-    return jobs + hiding + views
+    return jobs + cameras + hiding + views
 
 
 def run(

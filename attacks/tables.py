@@ -15,6 +15,7 @@ Record = Mapping[str, Any]
 
 TITLES = {
     "pairs": "The paper's six pairs: one l2 ball over the SH of the object, eps = 5",
+    "cameras": "Every other camera of the scene, one at a time",
     "curve": "Smaller balls",
     "linf": "The same in linf",
     "per_gaussian": "A ball for each Gaussian (what the paper's code does)",

@@ -229,3 +229,20 @@ def test_daylight_is_plausible() -> None:
         assert sky.min() > 0
         assert sky.max() < 3
     assert np.array_equal(sky_map(daylight(5)), sky_map(daylight(5)))
+
+
+def test_a_stop_sign_is_its_plate() -> None:
+    sign = build("stop sign", 3)
+    plate = sign.body
+    assert plate.supports == 0
+    assert len(plate.meshes) + len(sign.support) == len(sign.meshes)
+    size = np.ptp(plate.vertices, axis=0)
+    assert size[2] == pytest.approx(size[1], rel=0.05)  # an octagon
+    assert float(plate.bounds[0][2]) > 1.0  # which hangs in the air
+    moved = sign.transformed(translation(1, 2, 3)).body
+    assert np.allclose(moved.vertices, plate.vertices + np.array([1, 2, 3]), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", [name for name in ASSETS if name != "stop sign"])
+def test_other_objects_are_all_body(name: str) -> None:
+    assert build(name, 0).supports == 0

@@ -83,6 +83,20 @@ def test_boxes_are_tight_and_hidden_parts_count() -> None:
     assert area[0] <= (projected[2:] - projected[:2]).prod()
 
 
+def test_supports_are_photographed_but_not_boxed() -> None:
+    post = box((0.2, 0.2, 2), (0.1, 0.1, 0.8), centre=(0, 0, -1))
+    sign = Asset("stop sign", (*CUBE.meshes, post), supports=1)
+    view = camera()
+    projected = project_box(torch.from_numpy(sign.body.vertices), view)
+    shot = photograph([sign], view, samples=4)
+    assert projected is not None
+    assert (shot.boxes[0] - projected).abs().max() < 1.0
+    assert shot.visible[0] == pytest.approx(1.0)
+    bare = photograph([sign.body], view, samples=4)
+    below = int(projected[3]) + 3
+    assert (shot.view.image - bare.view.image)[below:].abs().max() > 0.1
+
+
 def test_objects_out_of_sight_have_no_box() -> None:
     behind = CUBE.transformed(translation(40, 20, 0))
     shot = photograph([behind, CUBE], camera(), samples=2)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from attacks.laboratory import Job, Laboratory, Setting, jittered
-from attacks.studies import OTHERS, PAIRS, dagger_jobs, main, run
+from attacks.studies import CAMERAS, OTHERS, PAIRS, dagger_jobs, main, run
 from attacks.tables import by_radius, markdown, rows, write_tables
 from mi_splat.cameras import project_points
 from mi_splat.errors import InvalidValueError
@@ -56,6 +56,14 @@ def test_the_study_holds_what_the_paper_leaves_open() -> None:
     assert {job.norm for job in jobs} == {"l2", "linf", "l2_per_gaussian"}
     assert any(job.target is None for job in jobs)
     assert len(dagger_jobs(1)) * 3 == len(jobs)
+
+
+@pytest.mark.parametrize("scene", sorted({scene for scene, _, _ in PAIRS}))
+def test_every_camera_of_the_scenes_is_studied(scene: str) -> None:
+    path = Path(__file__).parent.parent / "scenes" / f"{scene}.xml"
+    assert path.read_text().count("<sensor ") == CAMERAS
+    looked = {job.camera for job in dagger_jobs(1) if job.scene == scene and job.views == 1}
+    assert looked == set(range(CAMERAS))
 
 
 def test_records_are_complete(records: list[dict[str, Any]]) -> None:

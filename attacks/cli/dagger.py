@@ -72,6 +72,7 @@ def _config(options: DaggerOptions) -> DaggerConfig:
         early_stop=not options.all_steps,
         share=options.share,
         noise_draws=options.noise_draws,
+        degree=options.degree,
         seed=options.seed,
     )
 

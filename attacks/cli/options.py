@@ -48,6 +48,8 @@ class DaggerOptions:
     """Runs; the first from the clean object, the others from random points of the ball."""
     all_steps: bool = False
     """Take all steps instead of stopping at the first success."""
+    degree: int | None = 3
+    """SH degree of the attacked file, if it has less; coefficients that it lacks start at 0. None keeps its own."""
     share: float = 1.0
     """Share of the views in which the attack has to succeed."""
     noise_draws: int = 5

@@ -29,6 +29,8 @@ SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (
 
 Mask = NDArray[np.bool_]
 _TRIES, _WELL_VISIBLE = 4, 0.5
+_LEAST_SOLID = 0.12
+"""Share of a square around the object that its outline fills; below it, a flat thing is seen from its edge."""
 _LEAST_PIXELS = 12
 _COARSE = 4
 
@@ -180,11 +182,11 @@ class Photographer:
             self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in self.place.assets]
 
     def aim(self) -> Camera:
-        """The next camera; hidden or cut-off objects make it look for another one, a few times."""
+        """The next camera; objects that are hidden, cut off or seen edge-on make it look for another, a few times."""
         for _ in range(_TRIES):
             camera = self._any_camera()
-            visible = self._visible(camera)
-            if not visible or max(visible) >= _WELL_VISIBLE:
+            seen = self._visible(camera)
+            if not seen or any(share >= _WELL_VISIBLE and solid for share, solid in seen):
                 break
         return camera
 
@@ -197,7 +199,7 @@ class Photographer:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
         boxes, labels = [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
-        for asset, (seen, _), share in zip(self.place.assets, outlines, visible, strict=True):
+        for asset, (seen, _), (share, _) in zip(self.place.assets, outlines, visible, strict=True):
             rows, columns = np.nonzero(seen)
             if len(rows) >= _LEAST_PIXELS and share >= self._recipe.least_visible:
                 boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
@@ -224,8 +226,8 @@ class Photographer:
         nearest, *alone = (depth_maps(scene, [camera])[0].numpy() for scene in (self.scene, *self._alone))
         return [((own > 0) & (own <= nearest * (1 + 1e-5)), own > 0) for own in alone]
 
-    def _visible(self, camera: Camera) -> list[float]:
-        """Share of each object's outline that is inside the picture and not hidden, estimated with few rays."""
+    def _visible(self, camera: Camera) -> list[tuple[float, bool]]:
+        """For each object: the share of its outline that is seen, and whether that is more than an edge; few rays."""
         small = replace(
             camera,
             focal=camera.fx / _COARSE,
@@ -237,8 +239,15 @@ class Photographer:
         for asset, (seen, alone) in zip(self.place.assets, self._outlines(small), strict=True):
             pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
             inside = (pixels >= 0).all(1) & (pixels <= self._recipe.size).all(1) & (depth > 0)
-            shares.append(float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean()))
+            share = float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean())
+            shares.append((share, _solid(alone)))
         return shares
+
+
+def _solid(outline: Mask) -> bool:
+    rows, columns = np.nonzero(outline)
+    side = max(np.ptp(rows), np.ptp(columns)) + 1 if len(rows) else 1
+    return len(rows) >= _LEAST_SOLID * side**2
 
 
 def take(recipe: Recipe, number: int) -> list[Sample]:
