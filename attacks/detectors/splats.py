@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from attacks.detectors.dataset import load, save_samples
 from mi_splat.assets.mesh import Asset, ellipsoid
 from mi_splat.cameras import RenderFn, View
 from mi_splat.capture import depth_maps, scalar_variant
+from mi_splat.errors import InvalidValueError
 from mi_splat.meshsplat import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
@@ -94,7 +96,8 @@ def splat_of(photographer: Photographer, views: Sequence[View], config: SplatCon
     for asset, count, overlap in wanted:
         density = nearness(cameras, closest=0.3) if asset is place.surroundings else None
         samples = surface_samples(asset, count, density=density)
-        parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+        with contextlib.suppress(InvalidValueError):  # a part that no picture shows is left out
+            parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
     whole = merge(*parts)
     if config.steps == 0:
         return whole

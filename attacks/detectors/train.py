@@ -44,7 +44,7 @@ class Run:
     out: Path = Path("out/detector")
     pictures: int = 3600
     places: int = 720
-    splats: int = 60
+    splats: int = 40
     validation: int = 120
     every: int = 2
     processes: int = 2
