@@ -23,6 +23,7 @@ from mi_splat.assets.daylight import Light, daylight, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.plugins.sensor import sensor_dict
 
 VARIANT = "scalar_rgb"
 MAX_DEPTH = 3
@@ -195,32 +196,8 @@ def mesh_scene(assets: Sequence[Asset], *, light: Light | None = None, backdrop:
 
 
 def _sensor(camera: Camera, *, samples: int, seed: int) -> mi.Sensor:
-    if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
-        raise InvalidValueError(
-            message("camera.focal", "fx equal to fy", (camera.fx, camera.fy), "resample to square pixels first")
-        )
-    flip = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's camera space: x left, y up, z forward
-    return mi.load_dict(
-        {
-            "type": "perspective",
-            "fov_axis": "x",
-            "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),
-            "principal_point_offset_x": 0.5 - camera.cx / camera.width,
-            "principal_point_offset_y": 0.5 - camera.cy / camera.height,
-            "near_clip": 0.01,
-            "far_clip": 2000.0,
-            "to_world": mi.ScalarTransform4f(camera.to_world.numpy() @ flip),
-            "film": {
-                "type": "hdrfilm",
-                "width": camera.width,
-                "height": camera.height,
-                "pixel_format": "rgb",
-                "component_format": "float32",
-                "rfilter": {"type": "box"},
-            },
-            "sampler": {"type": "independent", "sample_count": samples, "seed": seed},
-        }
-    )
+    sampler = {"type": "independent", "sample_count": samples, "seed": seed}
+    return mi.load_dict({**sensor_dict(camera), "sampler": sampler})
 
 
 def _load(scene: dict[str, Any] | Path) -> mi.Scene:

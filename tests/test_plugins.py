@@ -170,6 +170,24 @@ def test_an_update_is_seen_by_the_next_picture() -> None:
     assert not np.allclose(before, np.array(mi.render(loaded)))
 
 
+@pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])
+def test_a_sensor_that_moves_is_looked_at_again(name: str) -> None:
+    scene = oracle.random_scene(60, degree=1, seed=4)
+    loaded = dict_scene(scene)
+    before = np.array(mi.render(loaded))
+    params = mi.traverse(loaded.sensors()[0])
+    if name == "to_world":
+        params[name] = mi.Transform4f().translate([0.2, 0.1, 0.0]) @ params[name]
+    else:
+        params[name] = params[name] * 0.9 + 0.05
+    params.update()
+    after = np.array(mi.render(loaded))
+    assert np.abs(after - before).max() > 0.01
+    camera = sensors.camera(loaded.sensors()[0])
+    reference, _ = oracle.render(scene, camera)
+    np.testing.assert_allclose(after, reference, atol=1e-4)
+
+
 def test_to_world_moves_and_turns_the_splat(tmp_path: Path) -> None:
     scene = oracle.random_scene(60, degree=3, seed=1)
     save_splat(scene, tmp_path / "a.ply")

@@ -40,7 +40,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "training": (*CORE, "densify"),
     "auditing": (*CORE, "densify"),
     "assets": CORE,
-    "capture": (*CORE, "assets", "variant"),
+    "capture": (*CORE, "assets", "variant", "plugins"),
     "meshsplat": (*CORE, "assets", "capture"),
     "showcase": (*CORE, "assets", "capture", "meshsplat", "variant", "rendering"),
 }

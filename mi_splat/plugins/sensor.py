@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rasterization.pinhole import Pinhole
 
+_LENS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -36,6 +38,24 @@ def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]
     offset = [float(np.array(params[f"principal_point_offset_{axis}"]).item()) for axis in "xy"]
     principal = ((0.5 - offset[0]) * width, (0.5 - offset[1]) * height)
     return pose, focal, principal, film.crop_offset(), film.crop_size()
+
+
+def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
+    """What `pinhole` depends on, without reading it: a key, and the arrays to hold for as long as the key is in use.
+
+    Reading a sensor's arrays waits for every kernel in flight. Dr.Jit's arrays never change under a given index while
+    someone holds them, so indices tell as well whether anything has changed.
+    """
+    params = mi.traverse(sensor)
+    held = [sensor.world_transform().matrix, *(params[key] for key in _LENS if key in params)]
+    film = sensor.film()
+    sizes = (tuple(film.size()), tuple(film.crop_offset()), tuple(film.crop_size()))
+    return (*(dr.detach(array).index for array in _leaves(held)), *sizes), held
+
+
+def _leaves(arrays: list[Any]) -> list[Any]:
+    matrix, *others = arrays
+    return [*(matrix[i, j] for i in range(4) for j in range(4)), *others]
 
 
 def pinhole(sensor: Any, *, near: float) -> Pinhole:

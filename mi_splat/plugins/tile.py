@@ -145,13 +145,21 @@ def integrator_class(variant: str) -> Any:
                     message("near", "a positive distance", self.near, "pass world units, such as 0.2")
                 )
             self.remembered: OrderedDict[Any, Remembered] = OrderedDict()
+            self.looked: tuple[Any, Any, Pinhole] | None = None
+
+        def _view(self, sensor: Any) -> Pinhole:
+            """The camera of a sensor; the last one is kept, since a gradient is asked for right after its picture."""
+            key, held = sensors.identity(sensor)
+            if self.looked is None or self.looked[0] != key:
+                self.looked = key, held, sensors.pinhole(sensor, near=self.near)
+            return self.looked[2]
 
         def _picture(self, splats: Splats, sensor: Any) -> Remembered:
             """The picture from a sensor; the last few are kept, since a gradient is asked for right after its picture.
 
             Dr.Jit's arrays never change under a given index while someone holds them, so the indices are a safe key.
             """
-            view = sensors.pinhole(sensor, near=self.near)
+            view = self._view(sensor)
             indices = tuple(dr.detach(array).index for arrays in splats.parts for array in arrays)
             key = (indices, view.to_camera.tobytes(), view.focal, view.principal, view.size, view.field)
             if key not in self.remembered:
@@ -167,6 +175,7 @@ def integrator_class(variant: str) -> Any:
         def forget(self) -> None:
             """Drop the pictures kept for their gradients."""
             self.remembered.clear()
+            self.looked = None
 
         def render(
             self,
