@@ -49,12 +49,35 @@ class RenderSettings:
             raise InvalidValueError(message("near", "a positive distance", self.near, "pass world units, such as 0.2"))
 
 
+class Watch:
+    """What the backward pass of a renderer saw of each Gaussian: the statistics that densification goes by.
+
+    Attributes:
+        lengths: (N,) length of the gradient of the centre on the screen, in normalised device coordinates (half
+            pictures), summed over the pictures of the last backward pass.
+        visible: (N,) in how many of them the Gaussian touched a tile.
+    """
+
+    def __init__(self) -> None:
+        self.lengths = torch.zeros(0)
+        self.visible = torch.zeros(0)
+
+    def _begin(self, count: int) -> None:
+        self.lengths, self.visible = torch.zeros(count), torch.zeros(count)
+
+    def _add(self, screen: Tensor, camera: Camera) -> None:
+        half = torch.tensor([camera.width / 2, camera.height / 2])
+        self.lengths += (screen[:, :2] * half).norm(dim=1)
+        self.visible += screen[:, 2]
+
+
 class _Job:
     """What a render call needs besides tensors; an opaque leaf to `dr.wrap`."""
 
-    def __init__(self, cameras: Sequence[Camera], settings: RenderSettings) -> None:
+    def __init__(self, cameras: Sequence[Camera], settings: RenderSettings, watch: Watch | None) -> None:
         self.cameras = tuple(cameras)
         self.settings = settings
+        self.watch = watch
 
 
 class Renderer:
@@ -65,10 +88,12 @@ class Renderer:
 
     Args:
         settings: How to render.
+        watch: Filled in every backward pass, if given.
     """
 
-    def __init__(self, settings: RenderSettings | None = None) -> None:
+    def __init__(self, settings: RenderSettings | None = None, *, watch: Watch | None = None) -> None:
         self.settings = settings or RenderSettings()
+        self.watch = watch
         self.variant = variant.use(self.settings.variant)
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
@@ -101,7 +126,7 @@ class Renderer:
         tensors = [_aligned(t.to(torch.float32).contiguous()) for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
-        return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings)))
+        return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings, self.watch)))
 
 
 def _aligned(tensor: Tensor) -> Tensor:
@@ -117,7 +142,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
     from mi_splat.rasterization import layouts, pinhole
     from mi_splat.rasterization.colour import develop, develop_backward
-    from mi_splat.rasterization.pipeline import Picture, rasterize, rasterize_backward
+    from mi_splat.rasterization.pipeline import Picture, buffer, rasterize, rasterize_backward
 
     class Rasterize(dr.CustomOp):  # type: ignore[misc]
         """Rasteriser as one node of Dr.Jit's AD graph."""
@@ -137,10 +162,15 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
         def backward(self) -> None:
             totals: list[Any] | None = None
-            for picture, slope in zip(self.pictures, self.grad_out(), strict=True):
-                settings = self.job.settings
+            settings, watch, count = self.job.settings, self.job.watch, self.shapes[0][0]
+            if watch is not None:
+                watch._begin(count)
+            for camera, picture, slope in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
                 slopes = develop_backward(picture, slope, alpha=settings.alpha, linear=settings.linear)
-                parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *slopes)
+                screen = None if watch is None else buffer(3 * count)
+                parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *slopes, screen=screen)
+                if watch is not None:
+                    watch._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
                 totals = list(parts) if totals is None else [a + b for a, b in zip(totals, parts, strict=True)]
             names = ("means", "scales", "rotations", "opacities", "sh")
             for key, shape, total in zip(names, self.shapes, totals or [], strict=True):

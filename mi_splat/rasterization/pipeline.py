@@ -250,6 +250,7 @@ def _project_backward(
     places: tuple[Any, Any, Any],
     moments: tuple[Any, Any],
     gradients: tuple[Any, ...],
+    screen: Any | None,
 ) -> None:
     """Stage 7: sum every Gaussian's moments and take them back through the projection."""
     index, first, last = places
@@ -261,6 +262,9 @@ def _project_backward(
     dr.enable_grad(leaves)
     splat, _, _ = project(gaussians, camera)
     slopes = _splat_gradient(splat, sums)
+    if screen is not None:
+        seen = dr.select(span[1] > span[0], mi.Float(1), mi.Float(0))
+        dr.scatter(screen, mi.ArrayXf([slopes[0], slopes[1], seen]), index)
     total = mi.Float(0)
     for value, slope in zip(splat.components(), slopes, strict=True):
         total += value * slope
@@ -273,7 +277,7 @@ def _project_backward(
         sh=[dr.grad(c) for c in gaussians.sh],
     )
     layout.write(gradients, index, gradient)
-    dr.eval(gradients)
+    dr.eval(gradients, screen)
 
 
 @functools.cache
@@ -308,6 +312,11 @@ def _numbers(variant: str, count: int) -> Any:
     numbers = dr.arange(mi.UInt32, count)
     dr.make_opaque(numbers)
     return numbers
+
+
+def buffer(size: int) -> Any:
+    """Zeros in memory, to be filled."""
+    return _buffer(size, value=0.0)
 
 
 def rasterize(
@@ -365,7 +374,13 @@ def _empty(frame: Frame) -> Any:
 
 
 def rasterize_backward(
-    layout: Layout, arrays: tuple[Any, ...], picture: Picture, colour: Any, opacity: Any | None = None
+    layout: Layout,
+    arrays: tuple[Any, ...],
+    picture: Picture,
+    colour: Any,
+    opacity: Any | None = None,
+    *,
+    screen: Any | None = None,
 ) -> tuple[Any, ...]:
     """Gradient of a scalar with respect to the Gaussians, from its gradient with respect to the picture.
 
@@ -375,6 +390,8 @@ def rasterize_backward(
         picture: What the forward call returned.
         colour: Float, dL/d(picture.colour).
         opacity: Float, dL/d(picture.opacity), if that output is used.
+        screen: Float of three zeros a Gaussian (see `buffer`), to be filled with dL/d(centre on the screen) in pixels
+            and 1 where the Gaussian touches a tile.
 
     Returns:
         One Float array for each of `arrays`. The same bits every time, on any number of threads.
@@ -392,5 +409,5 @@ def rasterize_backward(
     terms = len(arrays[-1]) // (3 * len(arrays[-2]))
     _run(_spread, state.frame, slopes, cells)
     _run(_blend_backward, state.records, state.pairs, state.span, state.frame, cells, moments)
-    _run(_project_backward, layout, terms, arrays, state.view, state.places, moments, gradients)
+    _run(_project_backward, layout, terms, arrays, state.view, state.places, moments, gradients, screen)
     return gradients
