@@ -142,7 +142,8 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
     from mi_splat.rasterization import layouts, pinhole
     from mi_splat.rasterization.colour import develop, develop_backward
-    from mi_splat.rasterization.pipeline import Picture, buffer, rasterize, rasterize_backward
+    from mi_splat.rasterization.frozen import buffer
+    from mi_splat.rasterization.pipeline import Picture, rasterize, rasterize_backward
 
     class Rasterize(dr.CustomOp):  # type: ignore[misc]
         """Rasteriser as one node of Dr.Jit's AD graph."""
@@ -167,9 +168,9 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 watch._begin(count)
             for camera, picture, slope in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
                 slopes = develop_backward(picture, slope, alpha=settings.alpha, linear=settings.linear)
-                screen = None if watch is None else buffer(3 * count)
+                screen = None if watch is None else buffer(3 * count, value=0.0)
                 parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *slopes, screen=screen)
-                if watch is not None:
+                if watch is not None and screen is not None:
                     watch._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
                 totals = list(parts) if totals is None else [a + b for a, b in zip(totals, parts, strict=True)]
             names = ("means", "scales", "rotations", "opacities", "sh")

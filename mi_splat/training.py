@@ -8,80 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import torch
-import torch.nn.functional as F  # noqa: N812
-from torch import Generator, Tensor
 
 from mi_splat import densify
 from mi_splat.cameras import RenderFn, View
-from mi_splat.densify import ClassicConfig, Edit, MCMCConfig
-from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io.file_space import from_file_space, to_file_space
+from mi_splat.densify import ClassicConfig, MCMCConfig
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fitting import FitConfig
 from mi_splat.metrics import psnr
 from mi_splat.photometric import photometric
+from mi_splat.runs import Run, TrainingError
 from mi_splat.scene import GaussianScene
-
-Attribute = Literal["means", "scales", "rotations", "opacities", "sh"]
-TRAINABLE: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
-
-
-class TrainingError(MiSplatError):
-    """Training that cannot go on: values that are not finite, or nothing left to train."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitConfig:
-    """How a splat is trained; the defaults are the published recipe, shortened.
-
-    Attributes:
-        iterations: Number of steps; each sees one view.
-        trainable: What may change; `("sh",)` trains the texture of a frozen geometry.
-        densification: Where Gaussians are added and removed; None keeps their number. Any but None needs means,
-            scales, rotations and opacities trainable.
-        degree: SH degree of the result.
-        degree_every: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
-        structure: Weight of D-SSIM in the loss; the rest is L1.
-        means: First learning rate of the means, in units of the scene's extent.
-        means_last: Last one; between them it decays exponentially.
-        scales: Learning rate of the log-scales.
-        rotations: Learning rate of the quaternions.
-        opacities: Learning rate of the logit opacities.
-        sh: Learning rate of the first SH coefficient; the others have a twentieth of it.
-        evaluate_every: Steps between two looks at the held-out views; 0 looks at the end only.
-    """
-
-    iterations: int = 7000
-    trainable: tuple[Attribute, ...] = TRAINABLE
-    densification: ClassicConfig | MCMCConfig | None = field(default_factory=ClassicConfig)
-    degree: int = 3
-    degree_every: int = 1000
-    structure: float = 0.2
-    means: float = 1.6e-4
-    means_last: float = 1.6e-6
-    scales: float = 5e-3
-    rotations: float = 1e-3
-    opacities: float = 5e-2
-    sh: float = 2.5e-3
-    evaluate_every: int = 1000
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in self.trainable if name not in TRAINABLE]
-        if unknown or not self.trainable:
-            raise InvalidValueError(
-                message("trainable", f"some of {', '.join(TRAINABLE)}", self.trainable, "name what may change")
-            )
-        if self.densification is not None and set(self.trainable) != set(TRAINABLE):
-            raise InvalidValueError(
-                message("densification", "None where not everything is trained", self.densification, "pass None")
-            )
-        for name, value, least in (("iterations", self.iterations, 1), ("degree_every", self.degree_every, 0)):
-            if value < least:
-                raise InvalidValueError(message(name, f"a number >= {least}", value, "ask for more"))
-        if self.degree not in (0, 1, 2, 3):
-            raise InvalidValueError(message("degree", "0, 1, 2 or 3", self.degree, "3 is what 3DGS writes"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,93 +57,7 @@ class Fit:
     seed: int
 
 
-class Run:
-    """Everything that the rest of a training run depends on.
-
-    Attributes:
-        parameters: Trained tensors as a splat file holds them, SH in two parts, `dc` (N, 1, 3) and `rest` (N, K - 1, 3).
-        iteration: Steps done.
-        generator: Source of everything random.
-        queue: Numbers of the views still to come in this pass.
-        gradient: (N,) sums of the length of the centres' gradients since the last densification.
-        visits: (N,) in how many pictures each Gaussian was visible since then.
-        was_reset: Whether opacities were ever reset.
-    """
-
-    def __init__(self, start: GaussianScene, config: FitConfig, *, extent: float, seed: int) -> None:
-        self.config, self.extent, self.seed = config, extent, seed
-        values = {k: v.detach().clone() for k, v in to_file_space(start.with_degree(config.degree)).items()}
-        sh = values.pop("sh")
-        values |= {"dc": sh[:, :1].contiguous(), "rest": sh[:, 1:].contiguous()}
-        self.parameters = {name: value.float() for name, value in values.items()}
-        self.iteration, self.queue, self.was_reset = 0, list[int](), False
-        self.generator = Generator().manual_seed(seed)
-        self.gradient, self.visits = torch.zeros(len(start)), torch.zeros(len(start))
-        trained = {"dc", "rest"} if "sh" in config.trainable else set[str]()
-        trained |= set(config.trainable) & set(self.parameters)
-        self.trained = tuple(name for name in self.parameters if name in trained)
-        for name in self.trained:
-            self.parameters[name].requires_grad_(True)
-        groups = [{"params": [self.parameters[name]], "name": name} for name in self.trained]
-        self.optimiser = torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
-
-    @property
-    def active(self) -> int:
-        """SH degree that is trained now."""
-        every = self.config.degree_every
-        return self.config.degree if every == 0 else min(self.config.degree, self.iteration // every)
-
-    def scene(self) -> GaussianScene:
-        """The splat as it is now, differentiable, with the SH that is trained so far."""
-        p = self.parameters
-        rest = p["rest"][:, : (self.active + 1) ** 2 - 1]
-        return GaussianScene._trusted(
-            p["means"],
-            p["scales"].exp(),
-            F.normalize(p["rotations"], dim=1),
-            p["opacities"].sigmoid(),
-            torch.cat([p["dc"], rest], dim=1),
-        )
-
-    def result(self) -> GaussianScene:
-        """The splat as it is now, checked."""
-        values = {name: value.detach() for name, value in self.parameters.items()}
-        sh = torch.cat([values.pop("dc"), values.pop("rest")], dim=1)
-        return from_file_space({**values, "sh": sh})
-
-    def rates(self) -> dict[str, float]:
-        """Learning rates at this step."""
-        config = self.config
-        share = min(self.iteration / config.iterations, 1.0)
-        means = math.exp((1 - share) * math.log(config.means) + share * math.log(config.means_last)) * self.extent
-        rates = {name: float(getattr(config, name)) for name in ("scales", "rotations", "opacities")}
-        return rates | {"means": means, "dc": config.sh, "rest": config.sh / 20}
-
-    def next_view(self, count: int) -> int:
-        """Number of the view to look at; all are seen once before any is seen again."""
-        if not self.queue:
-            self.queue = torch.randperm(count, generator=self.generator).tolist()
-        return self.queue.pop()
-
-    def apply(self, edit: Edit) -> None:
-        """Exchange the tensors; rows keep their optimiser state unless they are fresh."""
-        if not len(edit.source):
-            raise TrainingError(
-                message("splat", "Gaussians left after pruning", "none", "lower the rates or start from more of them")
-            )
-        for group in self.optimiser.param_groups:
-            name, old = group["name"], group["params"][0]
-            new = edit.parameters[name].detach().clone().requires_grad_(True)
-            state = self.optimiser.state.pop(old, None)
-            if state:
-                for key in ("exp_avg", "exp_avg_sq"):
-                    moved = state[key][edit.source]
-                    moved[edit.fresh] = 0
-                    state[key] = moved
-                self.optimiser.state[new] = state
-            group["params"], self.parameters[name] = [new], new
-        self.gradient, self.visits = torch.zeros(len(edit.source)), torch.zeros(len(edit.source))
-
+__all__ = ["Fit", "FitConfig", "Progress", "Run", "TrainingError", "advance", "extent_of", "fit"]
 
 OnStep = Callable[[Progress], None]
 

@@ -76,6 +76,7 @@ def test_float64_scenes_are_rendered_in_float32() -> None:
 
 def test_recordings_follow_shapes_never_values() -> None:
     from mi_splat.rasterization import pipeline
+    from mi_splat.rasterization.frozen import frozen
 
     render = Renderer()
 
@@ -87,11 +88,11 @@ def test_recordings_follow_shapes_never_values() -> None:
     for seed in range(3):
         step(seed)
     stages = (pipeline._project, pipeline._emit, pipeline._blend, pipeline._blend_backward, pipeline._project_backward)
-    frozen = [pipeline._frozen(render.variant, stage) for stage in stages]
-    before = [f.n_recordings for f in frozen]  # type: ignore[attr-defined]
+    recordings = [frozen(render.variant, stage) for stage in stages]
+    before = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
     for seed in range(3, 12):
         step(seed)
-    after = [f.n_recordings for f in frozen]  # type: ignore[attr-defined]
+    after = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
     assert after == before, [stage.__name__ for stage in stages]
 
 

@@ -36,8 +36,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "plugins": (*CORE, "rasterization", "variant"),  # the two are one layer: setting a variant registers the plugins,
     "variant": (*CORE, "rasterization", "plugins"),  # and registering them prepares the variant
     "rendering": (*CORE, "rasterization", "plugins", "variant"),
+    "photometric": CORE,
     "densify": CORE,
-    "training": (*CORE, "densify"),
+    "fitting": (*CORE, "densify"),
+    "runs": (*CORE, "densify", "fitting"),
+    "training": (*CORE, "densify", "fitting", "runs", "photometric"),
+    "checkpoints": (*CORE, "densify", "fitting", "runs", "training"),
     "auditing": (*CORE, "densify"),
     "assets": CORE,
     "capture": (*CORE, "assets", "variant", "plugins"),

@@ -8,9 +8,6 @@ guess; buffers that are scattered into are made outside and passed in; and `dr.a
 
 from __future__ import annotations
 
-import functools
-import gc
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +18,7 @@ from mi_splat.errors import MiSplatError, message
 from mi_splat.rasterization import binning, blending, pinhole
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.blending import RECORD
+from mi_splat.rasterization.frozen import buffer, numbers, run
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.pinhole import Pinhole
 from mi_splat.rasterization.projection import Gaussians, Splat, project
@@ -280,45 +278,6 @@ def _project_backward(
     dr.eval(gradients, screen)
 
 
-@functools.cache
-def _frozen(variant: str, stage: Callable[..., Any]) -> Callable[..., Any]:
-    """A stage as a frozen function of one variant; recordings follow shapes, never values."""
-    return dr.freeze(stage, warn_after=1 << 20)  # type: ignore[no-any-return]
-
-
-def _run(stage: Callable[..., Any], *arguments: Any) -> Any:
-    # A garbage collection in the middle of a recording may free arrays of torch or Mitsuba, which Dr.Jit cannot record:
-    # it stops the process.
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        return _frozen(mi.variant(), stage)(*arguments)
-    finally:
-        if collecting:
-            gc.enable()
-
-
-def _buffer(size: int, dtype: Any = None, value: float | None = None) -> Any:
-    """An evaluated array that a stage may write into; unset where no value is given."""
-    dtype = dtype or mi.Float
-    array = dr.empty(dtype, size) if value is None else dr.full(dtype, value, size)
-    dr.make_opaque(array)
-    return array
-
-
-@functools.lru_cache(maxsize=16)
-def _numbers(variant: str, count: int) -> Any:
-    """0, 1, 2, ... in memory."""
-    numbers = dr.arange(mi.UInt32, count)
-    dr.make_opaque(numbers)
-    return numbers
-
-
-def buffer(size: int) -> Any:
-    """Zeros in memory, to be filled."""
-    return _buffer(size, value=0.0)
-
-
 def rasterize(
     layout: Layout, arrays: tuple[Any, ...], camera: Pinhole, background: tuple[float, float, float]
 ) -> Picture:
@@ -337,22 +296,22 @@ def rasterize(
     pixels = width * height
     frame = Frame(
         size=mi.Int32([width, height]),
-        tiles=_numbers(mi.variant(), -(-width // TILE) * -(-height // TILE)),
-        pixels=_numbers(mi.variant(), pixels),
+        tiles=numbers(mi.variant(), -(-width // TILE) * -(-height // TILE)),
+        pixels=numbers(mi.variant(), pixels),
         background=mi.Float(background),
-        colour=_buffer(3 * pixels),
-        opacity=_buffer(pixels, value=0.0),
+        colour=buffer(3 * pixels),
+        opacity=buffer(pixels, value=0.0),
     )
     count = len(arrays[-2])
     if count == 0:
         return Picture(_empty(frame), frame.opacity, None)
     terms, view = len(arrays[-1]) // (3 * count), camera.numbers()
-    records = (_buffer(RECORD * count), _buffer(count))
-    index = _numbers(mi.variant(), count)
-    key, touched = _run(_project, layout, terms, arrays, index, frame, view, records)
+    records = (buffer(RECORD * count), buffer(count))
+    index = numbers(mi.variant(), count)
+    key, touched = run(_project, layout, terms, arrays, index, frame, view, records)
     # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
     order = dr.argsort(key)
-    first, last, total = _run(_place, touched, order)
+    first, last, total = run(_place, touched, order)
     number = int(total[0])
     if number == 0:
         return Picture(_empty(frame), frame.opacity, None)
@@ -360,11 +319,11 @@ def rasterize(
         raise MiSplatError(
             message("picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians")
         )
-    pairs = (_buffer(number, mi.UInt32, _EMPTY), _buffer(number, mi.UInt32, 0))
-    _run(_emit, records[0], order, first, last, frame.size, pairs)
+    pairs = (buffer(number, mi.UInt32, _EMPTY), buffer(number, mi.UInt32, 0))
+    run(_emit, records[0], order, first, last, frame.size, pairs)
     rows = dr.argsort(pairs[0])
-    canvas = _buffer(4 * TILE * TILE * len(frame.tiles))
-    gaussians, *span = _run(_blend, records, pairs, rows, total, frame, canvas)
+    canvas = buffer(4 * TILE * TILE * len(frame.tiles))
+    gaussians, *span = run(_blend, records, pairs, rows, total, frame, canvas)
     state = State(frame, view, records, (order, first, last), (gaussians, rows), tuple(span))
     return Picture(frame.colour, frame.opacity, state)
 
@@ -397,17 +356,17 @@ def rasterize_backward(
         One Float array for each of `arrays`. The same bits every time, on any number of threads.
     """
     state = picture.state
-    gradients = tuple(_buffer(len(array), value=0.0) for array in arrays)
+    gradients = tuple(buffer(len(array), value=0.0) for array in arrays)
     if state is None:
         return gradients
     slopes = (colour,) if opacity is None else (colour, opacity)
     dr.make_opaque(slopes)
     tiles = len(state.frame.tiles) * TILE * TILE
-    cells = tuple(_buffer(width * tiles, value=0.0) for width in ((4,) if opacity is None else (4, 1)))
+    cells = tuple(buffer(width * tiles, value=0.0) for width in ((4,) if opacity is None else (4, 1)))
     pairs = len(state.pairs[0])
-    moments = (_buffer(RECORD * pairs), _buffer(pairs))
+    moments = (buffer(RECORD * pairs), buffer(pairs))
     terms = len(arrays[-1]) // (3 * len(arrays[-2]))
-    _run(_spread, state.frame, slopes, cells)
-    _run(_blend_backward, state.records, state.pairs, state.span, state.frame, cells, moments)
-    _run(_project_backward, layout, terms, arrays, state.view, state.places, moments, gradients, screen)
+    run(_spread, state.frame, slopes, cells)
+    run(_blend_backward, state.records, state.pairs, state.span, state.frame, cells, moments)
+    run(_project_backward, layout, terms, arrays, state.view, state.places, moments, gradients, screen)
     return gradients
