@@ -26,7 +26,7 @@ help:
 	@echo "make clean    remove .venv, out, dist and caches"
 
 demo: $(STAMP)
-	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --views rear --seed 0 --out $(OUT)
+	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --seed 0 --out $(OUT)
 
 test: lint types pytest
 

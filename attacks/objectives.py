@@ -138,8 +138,9 @@ def _suppress(scores: Tensor, overlaps: Tensor, iou: float, top: int) -> Tensor:
 class Relabel:
     """The detector shall report `label` on the object.
 
-    Cross entropy towards the label, on the candidates that are nearest to being such a detection, plus suppression of
-    the original class on the object.
+    Cross entropy towards the label, on the candidates that are nearest to being such a detection; if wanted, plus
+    suppression of the original class on the object. Suppression spends budget: over 18 attacks on the shipped sign at
+    eps = 5, weights of 2, 0.5 and 0 reached 5, 6 and 8.
 
     Attributes:
         label: The class wanted.
@@ -156,7 +157,7 @@ class Relabel:
     iou: float = 0.5
     near: float = 0.5
     top: int = 3
-    suppression: float = 0.5
+    suppression: float = 0.0
     tightness: float = 0.5
 
     @property
