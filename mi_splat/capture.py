@@ -16,11 +16,11 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from mi_splat.assets.daylight import Light, daylight, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
+from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.sensor import sensor_dict
@@ -31,7 +31,20 @@ MAX_DEPTH = 3
 PASSES, BRIGHTEST = 4, 1.6
 """Into how many passes a picture is split, and the intensity at which each is clipped."""
 
-__all__ = ["Light", "Photograph", "capture", "daylight", "depth_maps", "mesh_scene", "photograph", "scalar_variant"]
+__all__ = [
+    "Light",
+    "PathTracer",
+    "Photograph",
+    "capture",
+    "check_camera",
+    "daylight",
+    "depth_maps",
+    "mesh_scene",
+    "photograph",
+    "scalar_variant",
+    "to_linear",
+    "to_srgb",
+]
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
@@ -70,19 +83,6 @@ def scalar_variant() -> Iterator[None]:
     finally:
         if previous is not None and previous != VARIANT:
             mi.set_variant(previous)
-
-
-def to_linear(colour: Floats) -> Floats:
-    """Linear intensities from sRGB values (IEC 61966-2-1)."""
-    value = np.asarray(colour, np.float64)
-    low, high = value / 12.92, (np.maximum(value, 0) + 0.055) / 1.055
-    return np.where(value <= 0.04045, low, high**2.4).astype(np.float32)
-
-
-def to_srgb(intensity: ArrayLike) -> Floats:
-    """The sRGB values, clipped to [0, 1], from linear intensities (IEC 61966-2-1)."""
-    value = np.clip(np.asarray(intensity, np.float64), 0, 1)
-    return np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
 def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
@@ -195,9 +195,12 @@ def mesh_scene(assets: Sequence[Asset], *, light: Light | None = None, backdrop:
     return scene
 
 
-def _sensor(camera: Camera, *, samples: int, seed: int) -> mi.Sensor:
+def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False) -> mi.Sensor:
     sampler = {"type": "independent", "sample_count": samples, "seed": seed}
-    return mi.load_dict({**sensor_dict(camera), "sampler": sampler})
+    values = {**sensor_dict(camera), "sampler": sampler}
+    if alpha:
+        values["film"] = {**values["film"], "pixel_format": "rgba"}
+    return mi.load_dict(values)
 
 
 def _load(scene: dict[str, Any] | Path) -> mi.Scene:
@@ -208,16 +211,92 @@ def _load(scene: dict[str, Any] | Path) -> mi.Scene:
     return mi.load_file(str(scene))
 
 
-def _picture(scene: mi.Scene, camera: Camera, *, samples: int, seed: int) -> View:
-    """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck."""
-    passes = min(PASSES, samples)
-    total = np.zeros((camera.height, camera.width, 3))
+def _picture(
+    scene: mi.Scene, camera: Camera, *, samples: int, seed: int, integrator: mi.Integrator | None = None
+) -> Tensor:
+    """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck.
+
+    With an `integrator`, which has to hide emitters, there is a fourth channel: the share of paths that met a surface.
+    The colours are then those of the surfaces alone.
+    """
+    passes, channels = min(PASSES, samples), 3 if integrator is None else 4
+    total = np.zeros((camera.height, camera.width, channels))
     for number in range(passes):
         share = (samples * (number + 1)) // passes - (samples * number) // passes
-        sensor = _sensor(camera, samples=share, seed=seed)
-        film = mi.render(scene, sensor=sensor, spp=share, seed=seed * PASSES + number)
-        total += np.clip(np.array(film)[..., :3], 0, BRIGHTEST) * (share / samples)
-    return View(camera, torch.from_numpy(to_srgb(total)))
+        sensor = _sensor(camera, samples=share, seed=seed, alpha=integrator is not None)
+        given = {} if integrator is None else {"integrator": integrator}
+        film = mi.render(scene, sensor=sensor, spp=share, seed=seed * PASSES + number, **given)
+        total += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (share / samples)
+    if integrator is None:
+        return torch.from_numpy(to_srgb(total))
+    alpha = np.clip(total[..., 3:], 0, 1)
+    colours = to_srgb(total[..., :3] / np.maximum(alpha, 1e-6))
+    return torch.from_numpy(np.concatenate([colours, alpha.astype(np.float32)], axis=-1))
+
+
+def check_camera(camera: Camera) -> None:
+    """Raise if no picture can be taken from a camera.
+
+    Raises:
+        InvalidValueError: Its pixels are not square.
+    """
+    with scalar_variant():
+        sensor_dict(camera)
+
+
+class PathTracer:
+    """A loaded mesh scene that takes pictures one at a time; each depends on its camera, samples and seed alone."""
+
+    def __init__(self, scene: dict[str, Any] | Path, *, samples: int = 32, alpha: bool = False) -> None:
+        """Load a scene.
+
+        Args:
+            scene: A Mitsuba scene dictionary (see `mesh_scene`) or the path of a Mitsuba XML file
+                (sensors in it are not used).
+            samples: Paths a pixel.
+            alpha: Whether pictures have a fourth channel. Sky and lamps are then not to be seen, and a path tracer
+                takes the place of the integrator of an XML file.
+
+        Raises:
+            InvalidValueError: no samples, or no such file.
+        """
+        if samples < 1:
+            raise InvalidValueError(message("samples", "a positive number of paths a pixel", samples, "use 16 or more"))
+        self.samples = samples
+        with scalar_variant():
+            self._scene = _load(scene)
+            hidden = {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True}
+            self._integrator = mi.load_dict(hidden) if alpha else None
+
+    @property
+    def bounds(self) -> Floats:
+        """(2, 3) lowest and highest corner of the box around all shapes."""
+        box = self._scene.bbox()
+        return np.array([np.array(box.min).ravel(), np.array(box.max).ravel()], np.float32)
+
+    def picture(self, camera: Camera, *, seed: int) -> Tensor:
+        """(H, W, 3 or 4) float32, sRGB in [0, 1] and alpha, whose colours are not multiplied with it.
+
+        Raises:
+            InvalidValueError: The camera's pixels are not square.
+        """
+        with scalar_variant():
+            return _picture(self._scene, camera, samples=self.samples, seed=seed, integrator=self._integrator)
+
+    def surface(self, camera: Camera, *, seed: int) -> tuple[Tensor, Tensor]:
+        """What one ray a pixel meets first.
+
+        Returns:
+            (H, W, 3) points in world units, and (H, W) distances from the camera, 0 where a ray meets nothing.
+
+        Raises:
+            InvalidValueError: The camera's pixels are not square.
+        """
+        with scalar_variant():
+            sensor = _sensor(camera, samples=1, seed=seed)
+            integrator = mi.load_dict({"type": "aov", "aovs": "point:position,far:depth"})
+            film = np.array(mi.render(self._scene, sensor=sensor, integrator=integrator, spp=1, seed=seed), np.float32)
+        return torch.from_numpy(film[..., :3].copy()), torch.from_numpy(film[..., 3].copy())
 
 
 def capture(
@@ -244,13 +323,11 @@ def capture(
     Raises:
         InvalidValueError: no samples, a camera with pixels that are not square, or no such file.
     """
-    if samples < 1:
-        raise InvalidValueError(message("samples", "a positive number of paths a pixel", samples, "use 16 or more"))
     views = []
     with scalar_variant():
-        loaded = _load(scene)
+        tracer = PathTracer(scene, samples=samples)
         for number, camera in enumerate(cameras):
-            views.append(_picture(loaded, camera, samples=samples, seed=seed + number))
+            views.append(View(camera, tracer.picture(camera, seed=seed + number)))
             if on_step is not None:
                 on_step(number + 1, len(cameras))
     return views
@@ -301,7 +378,7 @@ def photograph(
     boxes, labels, visible, objects = [], [], [], []
     with scalar_variant():
         scene = _load(description)
-        view = _picture(scene, camera, samples=samples, seed=seed)
+        view = View(camera, _picture(scene, camera, samples=samples, seed=seed))
         nearest = first_hits(scene, camera, seed=seed)
         for number, asset in enumerate(assets):
             alone = first_hits(mi.load_dict({"type": "scene", **shapes(asset.body, "body")}), camera, seed=seed)

@@ -43,6 +43,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "capture": (*CORE, "assets", "variant", "plugins"),
     "meshsplat": (*CORE, "assets", "capture"),
     "showcase": (*CORE, "assets", "capture", "meshsplat", "variant", "rendering"),
+    "camera_sets": CORE,
+    "meshfiles": ("errors", "assets"),
+    "subjects": (*CORE, "assets", "capture", "meshfiles", "showcase"),
+    "surface_points": (*CORE, "assets", "capture", "meshsplat"),
+    "recording": (*CORE, "capture", "subjects", "surface_points"),
 }
 RENDERERS = {"rasterization", "plugins", "variant", "rendering", "capture"}
 
