@@ -115,11 +115,12 @@ def record(
     """
     settings = settings or CaptureSettings()
     listing = _listing(cameras, test)
-    _claim(folder, _settings_record(subject, listing, settings))
-    images = make_folder(folder / IMAGES)
-    begun = time.perf_counter()
     with scalar_variant():
         tracer = PathTracer(subject.scene, samples=settings.samples, alpha=settings.alpha)
+        _check_in_sight(tracer, cameras)
+        _claim(folder, _settings_record(subject, listing, settings))
+        images = make_folder(folder / IMAGES)
+        begun = time.perf_counter()
         rendered = _render(tracer, listing, images, settings, on_step)
         seconds = time.perf_counter() - begun
         cloud = folder / POINTS[0]
@@ -147,6 +148,12 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
             check_camera(camera)
     parts = {"train": cameras, "test": test}
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
+
+
+def _check_in_sight(tracer: PathTracer, cameras: Sequence[Camera]) -> None:
+    """Raise unless some camera sees a surface."""
+    if not any(bool((tracer.surface(camera, seed=0)[1] > 0).any()) for camera in cameras):
+        raise InvalidValueError(message("cameras", "a view of the scene", "nothing but sky", "move or turn them"))
 
 
 def _render(

@@ -144,6 +144,7 @@ def test_what_cannot_be_captured(tmp_path: Path) -> None:
     away = [Camera(to_world=torch.eye(4), focal=9.0, width=8, height=8)]
     with pytest.raises(InvalidValueError, match="nothing but sky"):
         record(subject(Asset("far", (box((1, 1, 1), RED, centre=(0, 0, -9)),))), away, tmp_path / "b", settings=QUICK)
+    assert not (tmp_path / "b").exists()
     for name in ("samples", "seed", "points"):
         with pytest.raises(InvalidValueError, match=name):
             CaptureSettings(**{name: -1})  # type: ignore[arg-type]
