@@ -40,7 +40,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "training": (*CORE, "densify"),
     "auditing": (*CORE, "densify"),
     "assets": CORE,
-    "capture": (*CORE, "assets", "variant", "plugins"),
+    "mesh_scenes": (*CORE, "assets"),
+    "capture": (*CORE, "assets", "mesh_scenes", "variant", "plugins"),
     "meshsplat": (*CORE, "assets", "capture"),
     "showcase": (*CORE, "assets", "capture", "meshsplat", "variant", "rendering"),
     "camera_sets": CORE,
@@ -49,7 +50,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "surface_points": (*CORE, "assets", "capture", "meshsplat"),
     "recording": (*CORE, "capture", "subjects", "surface_points"),
 }
-RENDERERS = {"rasterization", "plugins", "variant", "rendering", "capture"}
+RENDERERS = {"rasterization", "plugins", "variant", "rendering", "mesh_scenes", "capture"}
 
 # The layers of attacks, from the bottom up; a module may import those below it and its own layer.
 ATTACK_LAYERS = (
