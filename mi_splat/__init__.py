@@ -11,6 +11,7 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera, RenderFn, View, hemisphere, look_at, orbit
+    from mi_splat.datasets import load_dataset
     from mi_splat.errors import InvalidValueError, MiSplatError
     from mi_splat.io import SplatFileError, load_splat, save_splat
     from mi_splat.rendering import Renderer, RenderSettings, Stage, read_stage
@@ -29,6 +30,7 @@ __all__ = [
     "Stage",
     "View",
     "hemisphere",
+    "load_dataset",
     "load_splat",
     "look_at",
     "merge",
@@ -41,6 +43,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.cameras": ("Camera", "RenderFn", "View", "hemisphere", "look_at", "orbit"),
+        "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("InvalidValueError", "MiSplatError"),
         "mi_splat.io": ("SplatFileError", "load_splat", "save_splat"),
         "mi_splat.rendering": ("Renderer", "RenderSettings", "Stage", "read_stage"),

@@ -185,11 +185,15 @@ def orbit(
     distance: float,
     focal: float,
     size: tuple[int, int],
+    start: float = 0.0,
 ) -> list[Camera]:
-    """`count` cameras at equal azimuths around `target`; `size` is (width, height) in pixels, angles in degrees."""
+    """`count` cameras at equal azimuths around `target`, the first at azimuth `start`.
+
+    `size` is (width, height) in pixels, angles are in degrees.
+    """
     return [
         Camera(
-            to_world=orbit_pose(target, azimuth=360.0 * i / count, elevation=elevation, distance=distance),
+            to_world=orbit_pose(target, azimuth=start + 360.0 * i / count, elevation=elevation, distance=distance),
             focal=focal,
             width=size[0],
             height=size[1],
@@ -206,8 +210,11 @@ def hemisphere(
     focal: float,
     size: tuple[int, int],
     elevation: tuple[float, float] = (0.0, 90.0),
+    start: float = 0.0,
 ) -> list[Camera]:
     """`count` cameras spread evenly in area over a band of the upper hemisphere (Fibonacci lattice).
+
+    A cap straight above the target is the band from its lowest elevation to 90 degrees.
 
     Args:
         target: (3,) point that all cameras look at.
@@ -216,6 +223,7 @@ def hemisphere(
         focal: Focal length in pixels.
         size: (width, height) in pixels.
         elevation: Lowest and highest elevation in degrees.
+        start: Azimuth of the first camera in degrees.
     """
     low, high = (math.sin(math.radians(e)) for e in elevation)
     golden = 180.0 * (3.0 - math.sqrt(5.0))
@@ -223,10 +231,42 @@ def hemisphere(
     for i in range(count):
         height = low + (high - low) * (i + 0.5) / count
         pose = orbit_pose(
-            target, azimuth=(i * golden) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
+            target, azimuth=(start + i * golden) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
         )
         cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
     return cameras
+
+
+def grid(
+    target: Sequence[float],
+    *,
+    azimuths: int,
+    elevations: int,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+    elevation: tuple[float, float] = (0.0, 90.0),
+) -> list[Camera]:
+    """Cameras at every pair of an azimuth and an elevation, row by row from the lowest.
+
+    The range of elevations is cut into equal parts with a row of cameras in the middle of each, so none is at a pole.
+
+    Args:
+        target: (3,) point that all cameras look at.
+        azimuths: Cameras in a row, at equal distances around the target.
+        elevations: Number of rows.
+        distance: World units from the target.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels.
+        elevation: Lowest and highest elevation in degrees.
+    """
+    low, high = elevation
+    rows = [low + (high - low) * (row + 0.5) / elevations for row in range(elevations)]
+    return [
+        camera
+        for row in rows
+        for camera in orbit(target, count=azimuths, elevation=row, distance=distance, focal=focal, size=size)
+    ]
 
 
 def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:

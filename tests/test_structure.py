@@ -44,11 +44,17 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "checkpoints": (*CORE, "densify", "fitting", "runs", "training"),
     "auditing": (*CORE, "densify"),
     "assets": CORE,
-    "capture": (*CORE, "assets", "variant", "plugins"),
+    "mesh_scenes": (*CORE, "assets"),
+    "capture": (*CORE, "assets", "mesh_scenes", "variant", "plugins"),
     "meshsplat": (*CORE, "assets", "capture"),
     "showcase": (*CORE, "assets", "capture", "meshsplat", "variant", "rendering"),
+    "camera_sets": CORE,
+    "meshfiles": ("errors", "assets"),
+    "subjects": (*CORE, "assets", "capture", "meshfiles", "showcase"),
+    "surface_points": (*CORE, "assets", "capture", "meshsplat"),
+    "recording": (*CORE, "capture", "subjects", "surface_points"),
 }
-RENDERERS = {"rasterization", "plugins", "variant", "rendering", "capture"}
+RENDERERS = {"rasterization", "plugins", "variant", "rendering", "mesh_scenes", "capture"}
 
 # The layers of attacks, from the bottom up; a module may import those below it and its own layer.
 ATTACK_LAYERS = (

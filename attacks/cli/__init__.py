@@ -32,6 +32,7 @@ COMMANDS = {
         "DaggerOptions", "attacks.cli.dagger", "attack one object of a splat scene, so that a detector misreads it"
     ),
     "render": Command("RenderOptions", "attacks.cli.render", "render a scene XML or a splat file to a PNG"),
+    "capture": Command("CaptureOptions", "attacks.cli.capture", "take pictures of a mesh scene, to train a splat from"),
     "info": Command("InfoOptions", "attacks.cli.info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "DetectorsOptions", "attacks.cli.detectors", "the detectors, their classes, and whether the weights are there"

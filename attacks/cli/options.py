@@ -98,6 +98,48 @@ class RenderOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureOptions:
+    """Take path-traced pictures of a mesh scene from a set of cameras, for training a splat.
+
+    Writes images/, a list of them with their cameras, a point cloud and a record of the settings into --out. A capture
+    that was interrupted goes on where it stopped when the same command is given again.
+    """
+
+    scene: Positional[str]
+    """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); or car_street or stop_sign."""
+    cameras: str = "hemisphere:210"
+    """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
+    out: Path = Path("out/capture")
+    """Folder to write: a new one, or that of the same capture, which then goes on."""
+    samples: int = 32
+    """Paths a pixel; more is less noise."""
+    size: tuple[int, ...] = (256,)
+    """Width and height in pixels, or one number for both."""
+    test: int = 0
+    """Pictures held out, from other cameras over the same range."""
+    seed: int = 0
+    """Seed of the noise; picture i uses seed + i."""
+    format: Literal["transforms", "colmap", "both"] = "transforms"
+    """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in sparse/0, or both."""
+    rgba: bool = False
+    """Write RGBA with nothing behind the surfaces, in place of the sky."""
+    fov: float = 45.0
+    """Field of view in degrees over the shorter side of the picture."""
+    centre: tuple[float, float, float] | None = None
+    """Point that cameras look at; None is the middle of the scene or of its object."""
+    distance: float | None = None
+    """World units between cameras and centre; None is as near as shows the whole scene or its object."""
+    up: Literal["y", "z"] | None = None
+    """Axis that points up in a mesh file; None is y for OBJ and glTF and z for PLY."""
+    scale: float = 1.0
+    """What one unit of a mesh file is in metres."""
+    points: int = 20_000
+    """Points wanted in the point cloud."""
+    json: bool = False
+    """Print what was written as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InfoOptions:
     """Say what a splat file or a scene XML holds."""
 

@@ -1,0 +1,115 @@
+"""Sets of cameras from a short text: `hemisphere:210`, `orbit:36@20`, `cap:40@60`, `grid:12x3`, a transforms file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from mi_splat.cameras import Camera, grid, hemisphere, orbit
+from mi_splat.datasets.transforms import read_cameras
+from mi_splat.errors import InvalidValueError, message
+
+FORMS = "hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE or a transforms .json file"
+MOST = 100_000
+"""Cameras of the largest set."""
+HELD_OUT_START = 67.0
+"""Azimuth of the first held-out camera in degrees, so that these are not where the others are."""
+
+_COUNT, _ANGLE = r"(?P<count>\d{1,9})", r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
+_PATTERNS = {
+    "hemisphere": re.compile(_COUNT),
+    "orbit": re.compile(f"{_COUNT}@{_ANGLE}"),
+    "cap": re.compile(f"{_COUNT}@{_ANGLE}"),
+    "grid": re.compile(r"(?P<count>\d{1,9})x(?P<rows>\d{1,9})"),
+}
+
+
+def camera_set(
+    spec: str, centre: Sequence[float], *, distance: float, focal: float, size: tuple[int, int]
+) -> list[Camera]:
+    """The cameras that a text describes.
+
+    Args:
+        spec: One of the forms in `FORMS`, angles in degrees. Of a file, its own cameras come in its order, and
+            `centre`, `distance` and `focal` are not used.
+        centre: (3,) point that all cameras look at, world units.
+        distance: World units from it.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels; of a file, only where that has none.
+
+    Raises:
+        InvalidValueError: The text has none of the forms, or a number is out of range.
+        DatasetError: The file is missing or broken.
+    """
+    if spec.lower().endswith(".json"):
+        return read_cameras(Path(spec), size)
+    kind, found = _parse(spec)
+    count, angle = int(found["count"]), float(found.get("angle", 0.0))
+    distance, focal = _positive("distance", distance), _positive("focal", focal)
+    if kind == "orbit":
+        return orbit(centre, count=count, elevation=angle, distance=distance, focal=focal, size=size)
+    if kind == "grid":
+        rows = int(found["rows"])
+        return grid(centre, azimuths=count, elevations=rows, distance=distance, focal=focal, size=size)
+    return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=(angle, 90.0))
+
+
+def held_out_set(
+    spec: str, count: int, centre: Sequence[float], *, distance: float, focal: float, size: tuple[int, int]
+) -> list[Camera]:
+    """`count` cameras for tests, spread evenly over the elevations that `camera_set` covers, but turned away from it.
+
+    Args:
+        spec: As in `camera_set`, but no file: which pictures of a file are for tests, it says itself.
+        count: Number of cameras; none if 0.
+        centre: As in `camera_set`.
+        distance: As in `camera_set`.
+        focal: As in `camera_set`.
+        size: As in `camera_set`.
+
+    Raises:
+        InvalidValueError: The text has none of the forms, or a number is out of range.
+    """
+    if not 0 <= count <= MOST:
+        raise InvalidValueError(message("test cameras", f"0 to {MOST}", count, "ask for fewer"))
+    if count == 0:
+        return []
+    if spec.lower().endswith(".json"):
+        do = "capture the file of the test cameras into a folder of its own"
+        raise InvalidValueError(message("test cameras", f"a set by name beside {spec}", "a file", do))
+    kind, found = _parse(spec)
+    angle = float(found.get("angle", 0.0))
+    distance, focal = _positive("distance", distance), _positive("focal", focal)
+    if kind == "orbit":
+        half = 180.0 / int(found["count"])  # between two of the others
+        return orbit(centre, count=count, elevation=angle, distance=distance, focal=focal, size=size, start=half)
+    band, start = (angle, 90.0), HELD_OUT_START
+    return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=band, start=start)
+
+
+def _parse(spec: str) -> tuple[str, dict[str, str]]:
+    """The kind of a set and its numbers as text, in range."""
+    kind, _, rest = spec.partition(":")
+    found = _PATTERNS[kind].fullmatch(rest) if kind in _PATTERNS else None
+    if found is None:
+        raise InvalidValueError(message("cameras", FORMS, repr(spec), "write one of these forms"))
+    numbers = found.groupdict()
+    total = int(numbers["count"]) * int(numbers.get("rows", 1))
+    if not 1 <= total <= MOST:
+        raise InvalidValueError(message(f"cameras {spec}", f"1 to {MOST} cameras", total, "change the number"))
+    angle = float(numbers.get("angle", 0.0))
+    highest = 90.0 if kind != "cap" else 89.9
+    if not -90 <= angle <= highest:
+        raise InvalidValueError(
+            message(f"cameras {spec}", f"an elevation from -90 to {highest:g} degrees", angle, "change it")
+        )
+    return kind, numbers
+
+
+def _positive(name: str, value: float) -> float:
+    """The value, if it is positive and finite."""
+    if not (math.isfinite(value) and value > 0):
+        raise InvalidValueError(message(name, "a positive number", value, "change it"))
+    return value

@@ -1,0 +1,175 @@
+"""Sets of pictures with cameras, read a picture at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import operator
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import overload
+
+from torch import Tensor
+
+from mi_splat.cameras import Camera, View
+from mi_splat.datasets.colmap import find_model, read_colmap
+from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
+from mi_splat.datasets.pictures import read_mask, read_picture
+from mi_splat.datasets.transforms import find_transforms, read_transforms
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.points import PointCloud, load_points
+
+CACHE_BYTES = 256 << 20
+"""How much of a set a `Dataset` keeps in memory unless told otherwise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Dataset(Sequence[View]):
+    """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them.
+
+    Attributes:
+        frames: Cameras at full size with the files of their pictures.
+        points: Points from which a training may start; None if the set has none.
+        downscale: Integer factor by which pictures are made smaller.
+        background: sRGB colour behind transparent pixels.
+        cache_bytes: How much is kept in memory.
+        cameras: The camera of each view, at the size of its picture.
+    """
+
+    frames: tuple[Frame, ...]
+    points: PointCloud | None = None
+    downscale: int = 1
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    cache_bytes: int = CACHE_BYTES
+    cameras: tuple[Camera, ...] = field(init=False)
+    _cache: OrderedDict[int, tuple[View, Tensor | None]] = field(init=False, repr=False, default_factory=OrderedDict)
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.downscale, int) and self.downscale >= 1):
+            raise InvalidValueError(message("downscale", "a positive integer", self.downscale, "1 keeps the size"))
+        if len(self.background) != 3 or not all(0 <= value <= 1 for value in self.background):
+            do = "white is (1, 1, 1)"
+            raise InvalidValueError(message("background", "three sRGB values in [0, 1]", self.background, do))
+        object.__setattr__(self, "cameras", tuple(downscaled(frame.camera, self.downscale) for frame in self.frames))
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The file of each view's picture."""
+        return tuple(frame.path for frame in self.frames)
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.frames)
+
+    @overload
+    def __getitem__(self, index: int) -> View: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Dataset: ...
+
+    def __getitem__(self, index: int | slice) -> View | Dataset:
+        """A view, or the set of some of them.
+
+        Raises:
+            DatasetError: The picture cannot be read, or has changed its size since the set was loaded.
+            IndexError: There is no such view.
+        """
+        if isinstance(index, slice):
+            return dataclasses.replace(self, frames=self.frames[index])
+        return self._read(index)[0]
+
+    def mask(self, index: int) -> Tensor | None:
+        """(H, W) float32 in [0, 1], 1 where the picture counts: its alpha times its mask; None if it has neither.
+
+        Raises:
+            DatasetError: The picture or its mask cannot be read.
+            IndexError: There is no such view.
+        """
+        return self._read(index)[1]
+
+    def _read(self, index: int) -> tuple[View, Tensor | None]:
+        """A view and its mask, from memory or from the disk."""
+        index = range(len(self.frames))[operator.index(index)]
+        entry = self._cache.pop(index, None) or self._load(index)
+        self._cache[index] = entry  # as the last one
+        kept = self.cache_bytes // max(_bytes(entry), 1)
+        while len(self._cache) > max(kept, 1):
+            self._cache.popitem(last=False)
+        return entry
+
+    def _load(self, index: int) -> tuple[View, Tensor | None]:
+        """A view and its mask from the disk."""
+        frame = self.frames[index]
+        image, alpha = read_picture(frame.path, downscale=self.downscale, background=self.background)
+        mask = None if frame.mask is None else read_mask(frame.mask, downscale=self.downscale)
+        for name, values in ((frame.path, image), (frame.mask, mask)):
+            wanted = (self.cameras[index].height, self.cameras[index].width)
+            if values is not None and tuple(values.shape[:2]) != wanted:
+                got, do = tuple(values.shape[:2]), "it has changed: load the set again"
+                raise DatasetError(message(str(name), f"{wanted} rows and columns", got, do))
+        if mask is not None and alpha is not None:
+            mask = mask * alpha
+        return View(self.cameras[index], image), alpha if mask is None else mask
+
+
+def load_dataset(
+    path: str | os.PathLike[str],
+    *,
+    split: Split | None = "train",
+    downscale: int = 1,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    test_every: int = HELD_OUT,
+    cache_bytes: int = CACHE_BYTES,
+) -> Dataset:
+    """Load a set of pictures with cameras: Blender and NeRF transforms, or a COLMAP model.
+
+    The format is found by itself: transforms_train.json and transforms_test.json, or transforms.json, or a COLMAP model
+    in sparse/0, in sparse or in the folder itself, with pictures in images/. The world stays as it is in the files.
+    Headers of all pictures are read, and what is missing or does not fit is refused now; pixels are read later.
+
+    Args:
+        path: The folder, or a transforms file.
+        split: "train" or "test"; None is both. Where the set has no split, every `test_every`-th picture in the order
+            of names, the first included, is for tests.
+        downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged.
+        background: sRGB colour behind transparent pixels.
+        test_every: See `split`.
+        cache_bytes: How much of the set may stay in memory.
+
+    Raises:
+        DatasetError: The set is of neither kind, empty, or something in it is missing, broken or no pinhole camera.
+        SplatFileError: The point cloud beside transforms cannot be read.
+        InvalidValueError: An argument is out of range.
+    """
+    if split not in ("train", "test", None):
+        raise InvalidValueError(message("split", "'train', 'test' or None", repr(split), "pass one of these"))
+    if test_every < 2:
+        raise InvalidValueError(message("test_every", "2 or more", test_every, "8 is usual"))
+    root = Path(path)
+    transforms = find_transforms(root)
+    model = None if transforms else find_model(root)
+    if transforms:
+        frames, file = read_transforms(transforms, split, test_every)
+        points = None if file is None else load_points(file)
+    elif model:
+        frames, points = read_colmap(root, model, split, test_every)
+    else:
+        expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
+        found = "none of these" if root.is_dir() else "no such folder"
+        raise DatasetError(message(str(root), expected, found, "pass the folder of a set of pictures"))
+    if not frames:
+        do = "choose another split or test_every"
+        raise DatasetError(message(str(root), "at least one picture", f"none for split {split!r}", do))
+    return Dataset(
+        frames=tuple(frames), points=points, downscale=downscale, background=background, cache_bytes=cache_bytes
+    )
+
+
+def _bytes(entry: tuple[View, Tensor | None]) -> int:
+    """Memory that a view and its mask take."""
+    view, mask = entry
+    return 4 * (math.prod(view.image.shape) + (0 if mask is None else mask.numel()))

@@ -1,0 +1,9 @@
+"""What reading or writing a set of pictures may raise."""
+
+from __future__ import annotations
+
+from mi_splat.errors import MiSplatError
+
+
+class DatasetError(MiSplatError):
+    """A set of pictures cannot be read or written; the message names the file and says what to do."""

@@ -1,0 +1,124 @@
+"""Pictures of a set: 8 bits a channel on the disk, floats in memory; sizes are known from a file's header."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from mi_splat.datasets.errors import DatasetError
+from mi_splat.errors import message
+from mi_splat.io.atomic import atomic_write, write_all
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".PNG", ".JPG", ".JPEG")
+"""What is appended, in this order, to the name of a picture that has no suffix."""
+
+_MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
+# What Pillow raises for files that are broken in one way or another.
+_BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, Image.DecompressionBombError)
+
+Pixels = NDArray[np.float32]
+
+
+def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[int, int]:
+    """Width and height of a picture, read off its header.
+
+    Args:
+        path: The picture.
+        claimed: The width and height that it has to have, if they are known.
+
+    Raises:
+        DatasetError: There is no such picture, it cannot be read, has more than 8 bits a channel or another size.
+    """
+    try:
+        with Image.open(path) as picture:
+            size, mode = picture.size, picture.mode
+    except FileNotFoundError as error:
+        do = "put the picture there or take it off the list"
+        raise DatasetError(message(str(path), "a picture", "no such file", do)) from error
+    except _BROKEN as error:
+        raise _unreadable(path, error) from error
+    if mode not in _MODES:
+        raise DatasetError(message(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits"))
+    if claimed is not None and size != claimed:
+        got, do = f"{size[0]} x {size[1]}", "use the pictures from which the cameras were made"
+        raise DatasetError(message(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do))
+    return size
+
+
+def read_picture(path: Path, *, downscale: int, background: tuple[float, float, float]) -> tuple[Tensor, Tensor | None]:
+    """A picture over a background, and its alpha.
+
+    Args:
+        path: The picture.
+        downscale: Factor by which it shrinks; each pixel is the mean of those it covers.
+        background: sRGB colour behind transparent pixels; blended in sRGB, as NeRF's sets are meant.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1], and (H, W) float32 alpha in [0, 1] if the picture has any.
+
+    Raises:
+        DatasetError: The picture cannot be read.
+    """
+    picture = _decoded(path)
+    clear = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
+    values = np.asarray(picture.convert("RGBA" if clear else "RGB"), np.float32) / np.float32(255)
+    if not clear:
+        return torch.from_numpy(area_mean(values, downscale)), None
+    alpha = values[..., 3:]
+    blended = values[..., :3] * alpha + np.asarray(background, np.float32) * (1 - alpha)
+    return torch.from_numpy(area_mean(blended, downscale)), torch.from_numpy(area_mean(alpha, downscale)[..., 0])
+
+
+def read_mask(path: Path, *, downscale: int) -> Tensor:
+    """(H, W) float32 mask in [0, 1] from a picture in its grey values.
+
+    Raises:
+        DatasetError: The picture cannot be read.
+    """
+    values = np.asarray(_decoded(path).convert("L"), np.float32)[..., None] / np.float32(255)
+    return torch.from_numpy(area_mean(values, downscale)[..., 0])
+
+
+def area_mean(values: Pixels, factor: int) -> Pixels:
+    """(H // factor, W // factor, C) means over squares of pixels; a rest at the right and at the bottom is cut off."""
+    if factor == 1:
+        return np.ascontiguousarray(values)
+    height, width = values.shape[0] // factor, values.shape[1] // factor
+    squares = values[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+    means: Pixels = squares.mean((1, 3), dtype=np.float64).astype(np.float32)
+    return means
+
+
+def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
+    """Write (H, W, 3) or (H, W, 4) pixels as PNG; the file appears whole or not at all.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG")
+    with atomic_write(path) as file:
+        write_all(file, memoryview(buffer.getvalue()))
+
+
+def _decoded(path: Path) -> Image.Image:
+    """The whole picture, decoded."""
+    try:
+        with Image.open(path) as picture:
+            picture.load()
+            return picture.copy()
+    except _BROKEN as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: BaseException) -> DatasetError:
+    """The error for a picture that is there but cannot be read, or has gone since it was looked at."""
+    found = "no such file" if isinstance(error, FileNotFoundError) else " ".join(str(error).split())[:160]
+    return DatasetError(message(str(path), "a picture that can be read", found, "write or download it again"))

@@ -1,0 +1,228 @@
+"""Writers of picture sets: transforms files with OpenGL's camera axes, and COLMAP's text model.
+
+Pictures are written one at a time. The files that list them are made from names and cameras alone, and appear whole or
+not at all, so a set can be listed when its pictures are there.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.cameras import Camera, View
+from mi_splat.datasets.colmap import TEST_LIST
+from mi_splat.datasets.pictures import write_png
+from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.errors import from_os_error
+from mi_splat.io.points import PointCloud, save_points, to_bytes
+from mi_splat.rotation import from_matrix
+
+IMAGES = "images"
+"""Folder of the pictures in every set that is written here."""
+
+Listing = Mapping[str, Sequence[tuple[str, Camera]]]
+"""Of each split, train and test, the file name of every picture and its camera."""
+
+
+def write_transforms(
+    folder: str | os.PathLike[str],
+    views: Iterable[View],
+    *,
+    test: Iterable[View] = (),
+    alphas: Iterable[Tensor] | None = None,
+    points: PointCloud | None = None,
+) -> None:
+    """Write a set as Blender and NeRF have it: PNG files, transforms_train.json, transforms_test.json, points3D.ply.
+
+    Args:
+        folder: Where to; made if it is not there.
+        views: Pictures for training.
+        test: Pictures held out.
+        alphas: (H, W) alpha in [0, 1] of each picture, first of `views`, then of `test`, whose colours are then not
+            multiplied with it; None writes opaque pictures.
+        points: Points from which a training may start.
+
+    Raises:
+        SplatFileError: A file cannot be written.
+        InvalidValueError: There are no views, or not as many alphas as views, or one has another size.
+    """
+    root = make_folder(folder)
+    listing = _write_pictures(root, views, test, alphas)
+    list_transforms(root, listing, points)
+
+
+def write_colmap(
+    folder: str | os.PathLike[str],
+    views: Iterable[View],
+    *,
+    test: Iterable[View] = (),
+    alphas: Iterable[Tensor] | None = None,
+    points: PointCloud | None = None,
+) -> None:
+    """Write a set as COLMAP has it: PNG files in images/ and a text model of PINHOLE cameras in sparse/0.
+
+    A list of the pictures held out goes beside the model as test.txt.
+
+    Args:
+        folder: Where to; made if it is not there.
+        views: Pictures for training.
+        test: Pictures held out.
+        alphas: As in `write_transforms`.
+        points: Points from which a training may start; they get no tracks.
+
+    Raises:
+        SplatFileError: A file cannot be written.
+        InvalidValueError: There are no views, or not as many alphas as views, or one has another size.
+    """
+    root = make_folder(folder)
+    listing = _write_pictures(root, views, test, alphas)
+    list_colmap(root, listing, points)
+
+
+def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
+    """Write the transforms files of pictures that are in images/, and the points; returns the files.
+
+    The file for tests is left out if there are none.
+
+    Raises:
+        SplatFileError: A file cannot be written.
+    """
+    written = []
+    if points is not None:
+        save_points(points, folder / POINTS[0])
+        written.append(folder / POINTS[0])
+    for split, entries in listing.items():
+        if entries:
+            document = _document(entries, points is not None)
+            _save_text(folder / PARTS[split], json.dumps(document, indent=1, allow_nan=False) + "\n")
+            written.append(folder / PARTS[split])
+    return written
+
+
+def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
+    """Write the text model of pictures that are in images/; returns the files.
+
+    Raises:
+        SplatFileError: A file cannot be written.
+    """
+    model = make_folder(folder / "sparse" / "0")
+    entries = sorted((entry for part in listing.values() for entry in part), key=lambda entry: entry[0])
+    lenses: dict[str, int] = {}
+    images = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points"]
+    for number, (name, camera) in enumerate(entries, start=1):
+        lens = f"PINHOLE {camera.width} {camera.height} {_words(camera.fx, camera.fy, camera.cx, camera.cy)}"
+        pose = camera.to_camera
+        values = [*from_matrix(pose[:3, :3]).tolist(), *pose[:3, 3].tolist()]
+        images += [f"{number} {_words(*values)} {lenses.setdefault(lens, len(lenses) + 1)} {name}", ""]
+    cameras = ["# CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY", *(f"{i} {lens}" for lens, i in lenses.items())]
+    texts = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": _point_lines(points)}
+    if listing.get("test"):
+        texts[TEST_LIST] = sorted(name for name, _ in listing["test"])
+    for name, lines in texts.items():
+        _save_text(model / name, "\n".join([*lines, ""]))
+    return [model / name for name in texts]
+
+
+def make_folder(folder: str | os.PathLike[str]) -> Path:
+    """The folder, which is made with those above it if it is not there.
+
+    Raises:
+        SplatFileError: It cannot be made.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise from_os_error(os.fspath(folder), "a folder that can be made", error) from error
+    return Path(folder)
+
+
+def picture_name(split: str, index: int) -> str:
+    """File name of a picture: the order of names is that of indices, and splits do not mix."""
+    return f"{split}_{index:05d}.png"
+
+
+def _write_pictures(
+    root: Path, views: Iterable[View], test: Iterable[View], alphas: Iterable[Tensor] | None
+) -> Listing:
+    """Write every picture to images/."""
+    images = make_folder(root / IMAGES)
+    listing: dict[str, list[tuple[str, Camera]]] = {"train": [], "test": []}
+    rest = None if alphas is None else iter(alphas)
+    for split, part in (("train", views), ("test", test)):
+        for view in part:
+            name = picture_name(split, len(listing[split]))
+            write_png(_pixels(view, rest), images / name)
+            listing[split].append((name, view.camera))
+    if rest is not None and next(rest, None) is not None:
+        raise InvalidValueError(message("alphas", "one for each view", "more", "pass one a picture"))
+    if not listing["train"]:
+        raise InvalidValueError(message("views", "at least one", "none", "pass pictures to write"))
+    return listing
+
+
+def _pixels(view: View, alphas: Iterator[Tensor] | None) -> NDArray[np.uint8]:
+    """8-bit pixels of a view, with the next alpha if there are any."""
+    if alphas is None:
+        return to_bytes(view.image)
+    alpha = next(alphas, None)
+    wanted = (view.camera.height, view.camera.width)
+    if alpha is None or tuple(alpha.shape) != wanted:
+        got = "too few" if alpha is None else tuple(alpha.shape)
+        raise InvalidValueError(message("alphas", f"one of shape {wanted} for each view", got, "pass one a picture"))
+    return to_bytes(torch.cat([view.image, alpha[..., None].to(view.image)], dim=-1))
+
+
+def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, Any]:
+    """The content of a transforms file; intrinsics that all cameras share are said once."""
+    intrinsics = [_intrinsics(camera) for _, camera in entries]
+    shared = intrinsics[0] if all(values == intrinsics[0] for values in intrinsics) else {}
+    frames = [
+        {
+            "file_path": f"./{IMAGES}/{Path(name).stem}",  # Blender's readers append the suffix
+            **({} if shared else own),
+            "transform_matrix": (camera.to_world @ OPENGL).tolist(),
+        }
+        for (name, camera), own in zip(entries, intrinsics, strict=True)
+    ]
+    return {**shared, **({"ply_file_path": POINTS[0]} if points else {}), "frames": frames}
+
+
+def _intrinsics(camera: Camera) -> dict[str, float]:
+    """A camera's intrinsics under the names of both families of readers."""
+    angles = {
+        "camera_angle_x": 2 * math.atan(0.5 * camera.width / camera.fx),
+        "camera_angle_y": 2 * math.atan(0.5 * camera.height / camera.fy),
+    }
+    pixels = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    return {**angles, **pixels, "w": camera.width, "h": camera.height}
+
+
+def _point_lines(points: PointCloud | None) -> list[str]:
+    """The lines of points3D.txt."""
+    lines = ["# POINT3D_ID X Y Z R G B ERROR, then a track, which is empty"]
+    if points is not None:
+        rows = zip(points.points.tolist(), to_bytes(points.colours).tolist(), strict=True)
+        lines += [f"{i} {_words(*xyz)} {r} {g} {b} 0" for i, (xyz, (r, g, b)) in enumerate(rows, start=1)]
+    return lines
+
+
+def _words(*values: float) -> str:
+    """Numbers in the fewest digits that give the same float64 again."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _save_text(path: Path, text: str) -> None:
+    """Write a text file that appears whole or not at all."""
+    with atomic_write(path) as file:
+        write_all(file, memoryview(text.encode()))

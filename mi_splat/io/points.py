@@ -1,0 +1,123 @@
+"""Coloured points, and the PLY file in which 3DGS trainers look for them."""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io._blocks import Rows
+from mi_splat.io._ply_body import locate, read_rows
+from mi_splat.io._ply_header import Element, read_header
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.errors import SplatFileError, from_os_error
+
+_AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
+# Readers of other trainers ask for normals as well.
+_RECORD = np.dtype([*((name, "<f4") for name in (*_AXES, "nx", "ny", "nz")), *((name, "u1") for name in _CHANNELS)])
+_GREY = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Coloured points on surfaces, from which a training may start.
+
+    Attributes:
+        points: (P, 3) float32, world units.
+        colours: (P, 3) float32, sRGB in [0, 1].
+
+    Raises:
+        InvalidValueError: The shapes do not agree, or a value is not finite or out of range.
+    """
+
+    points: Tensor
+    colours: Tensor
+
+    def __post_init__(self) -> None:
+        for name in ("points", "colours"):
+            object.__setattr__(self, name, getattr(self, name).detach().to("cpu", torch.float32))
+        shapes = (tuple(self.points.shape), tuple(self.colours.shape))
+        if shapes[0] != shapes[1] or self.points.ndim != 2 or shapes[0][1] != 3:
+            raise InvalidValueError(message("point cloud", "(P, 3) points and colours", shapes, "check the arrays"))
+        if not bool(self.points.isfinite().all()):
+            raise InvalidValueError(message("points", "finite coordinates", "nan or inf", "remove those points"))
+        if not bool(((self.colours >= 0) & (self.colours <= 1)).all()):
+            raise InvalidValueError(message("colours", "values in [0, 1]", "others", "divide bytes by 255"))
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+
+def to_bytes(colours: Tensor) -> NDArray[np.uint8]:
+    """8-bit values of numbers in [0, 1], rounded to the nearest; others are clipped."""
+    values: NDArray[np.uint8] = (colours.detach().cpu().double().clamp(0, 1) * 255 + 0.5).to(torch.uint8).numpy()
+    return values
+
+
+def save_points(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
+    """Save points as binary PLY with zero normals and 8-bit colours; the file appears whole or not at all.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    rows = np.zeros(len(cloud), _RECORD)
+    for i, name in enumerate(_AXES):
+        rows[name] = cloud.points[:, i].numpy()
+    for i, name in enumerate(_CHANNELS):
+        rows[name] = to_bytes(cloud.colours[:, i])
+    lines = [f"property {'uchar' if name in _CHANNELS else 'float'} {name}" for name in _RECORD.names or ()]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *lines, "end_header", ""]
+    with atomic_write(path) as file:
+        write_all(file, memoryview("\n".join(head).encode()))
+        write_all(file, rows.view(np.uint8).data)
+
+
+def load_points(path: str | os.PathLike[str]) -> PointCloud:
+    """Load the vertices of a PLY file in any encoding; they are grey if the file has no colours.
+
+    Raises:
+        SplatFileError: The file cannot be read, does not have the size that its header says, has no coordinates, or
+            holds values that are not finite.
+    """
+    name = os.fspath(path)
+    try:
+        with io.FileIO(name) as file:
+            header = read_header(file, name)
+            element = next((element for element in header.elements if element.name == "vertex"), None)
+            columns = {} if element is None else {column.name: column.kind for column in element.properties}
+            if element is None or element.has_lists or not set(_AXES) <= set(columns):
+                found = ", ".join(columns) or "no element named vertex"
+                raise SplatFileError(message(name, "vertices with x, y and z", found, "export the points again"))
+            locate(file, header, "vertex", name)  # the sizes are right before anything is allocated
+            coordinates = np.empty((element.count, 3), np.float32)
+            colours = np.full((element.count, 3), _GREY, np.float32)
+            scales = _colour_scales(element)
+
+            def take(first: int, rows: Rows) -> None:
+                here = slice(first, first + len(rows))
+                coordinates[here] = np.stack([rows[axis] for axis in _AXES], axis=1)
+                if scales:
+                    colours[here] = np.stack([rows[key] * scale for key, scale in scales.items()], axis=1)
+
+            read_rows(file, header, element, name, take)
+    except OSError as error:
+        raise from_os_error(name, "a PLY file that can be read", error) from error
+    try:
+        return PointCloud(torch.from_numpy(coordinates), torch.from_numpy(colours))
+    except InvalidValueError as error:
+        raise SplatFileError(message(name, "points that are valid", str(error), "export the points again")) from error
+
+
+def _colour_scales(element: Element) -> dict[str, float]:
+    """What each colour channel is multiplied with; empty if there are no colours."""
+    kinds = {column.name: column.kind for column in element.properties if column.name in _CHANNELS}
+    if len(kinds) < len(_CHANNELS):
+        return {}
+    return {name: 1.0 if kinds[name][0] == "f" else 1 / (256 ** int(kinds[name][1:]) - 1) for name in _CHANNELS}

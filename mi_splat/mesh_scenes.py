@@ -1,0 +1,145 @@
+"""Assets in daylight as Mitsuba scenes for the path tracer, and the variant that they belong to."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mi_splat.assets.daylight import Light, sky_map
+from mi_splat.assets.mesh import Asset, Floats, Mesh
+from mi_splat.assets.srgb import to_linear
+
+VARIANT = "scalar_rgb"
+MAX_DEPTH = 3
+"""Bounces followed by the path tracer, the camera's own ray included."""
+
+
+@contextlib.contextmanager
+def scalar_variant() -> Iterator[None]:
+    """Switch Mitsuba to `scalar_rgb` and back to what was set before, also after an error.
+
+    Mitsuba loads its Python modules again for an LLVM variant, 0.2 s each time. Every function here switches by itself;
+    around many calls, one more switch outside makes theirs free.
+    """
+    previous = mi.variant()
+    mi.set_variant(VARIANT)
+    try:
+        yield
+    finally:
+        if previous is not None and previous != VARIANT:
+            mi.set_variant(previous)
+
+
+def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
+    """(F, 3, 3) shading normal of each corner: mean of the faces around that meet under less than `crease` degrees."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-20)
+    if not mesh.smooth:
+        return np.repeat(flat[:, None], 3, 1).astype(np.float32)
+    keys = np.round(corners.reshape(-1, 3) * 1e5).astype(np.int64)
+    _, point, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(point.ravel(), kind="stable")
+    start = np.cumsum(counts) - counts
+    mine = counts[point.ravel()]  # how many corners share this corner's point
+    corner = np.repeat(np.arange(len(mine)), mine)
+    rank = np.arange(len(corner)) - np.repeat(np.cumsum(mine) - mine, mine)
+    other = order[start[point.ravel()[corner]] + rank]
+    near = np.einsum("ij,ij->i", flat[corner // 3], flat[other // 3]) > math.cos(math.radians(crease))
+    total = np.zeros((len(mine), 3))
+    for axis in range(3):
+        total[:, axis] = np.bincount(corner[near], area[other[near] // 3, axis], minlength=len(mine))
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
+    return total.reshape(-1, 3, 3).astype(np.float32)
+
+
+def _material(texture: Floats, roughness: float | None, *, palette: bool) -> dict[str, Any]:
+    """A Mitsuba BSDF; the colours of a palette are not blended into each other."""
+    reflectance = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(to_linear(texture)),
+        "raw": True,
+        "wrap_mode": "repeat",
+        "filter_type": "nearest" if palette else "bilinear",
+    }
+    if roughness is None:
+        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+    plastic = {"type": "roughplastic", "alpha": roughness, "diffuse_reflectance": reflectance, "nonlinear": True}
+    return {"type": "twosided", "bsdf": plastic}
+
+
+def _is_plain(mesh: Mesh) -> bool:
+    return mesh.texture.shape[:2] == (1, 1)
+
+
+def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
+    """One Mitsuba mesh of parts that share roughness and texture, or that are all of plain colours (one palette)."""
+    texture, uvs = meshes[0].texture, [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes]
+    plain = _is_plain(meshes[0])
+    if plain:
+        texture = np.concatenate([mesh.texture for mesh in meshes], axis=1)
+        uvs = [np.broadcast_to(((i + 0.5) / len(meshes), 0.5), uv.shape) for i, uv in enumerate(uvs)]
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(_material(texture, meshes[0].roughness, palette=plain))
+    corners = sum(mesh.faces.size for mesh in meshes)
+    shape = mi.Mesh(name, corners, corners // 3, properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    shape.set_id(name)
+    values = mi.traverse(shape)
+    values["vertex_positions"] = np.concatenate([mesh.vertices[mesh.faces].ravel() for mesh in meshes])
+    values["vertex_normals"] = np.concatenate([corner_normals(mesh).ravel() for mesh in meshes])
+    values["vertex_texcoords"] = (
+        (np.concatenate(uvs) * (1, -1) + (0, 1)).astype(np.float32).ravel()
+    )  # v runs down there
+    values["faces"] = np.arange(corners, dtype=np.uint32)
+    values.update()
+    return shape
+
+
+def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
+    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by material.
+
+    They belong to the variant that is set, which has to be that of the scene they go into.
+    """
+    groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
+    for mesh in asset.meshes:
+        texture = None if _is_plain(mesh) else mesh.texture.tobytes()
+        groups.setdefault((texture, mesh.texture.shape, mesh.roughness), []).append(mesh)
+    return {f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes) for i, meshes in enumerate(groups.values())}
+
+
+def mesh_scene(assets: Sequence[Asset], *, light: Light | None = None, backdrop: Asset | None = None) -> dict[str, Any]:
+    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the `scalar_rgb` variant.
+
+    Args:
+        assets: The objects; the shapes of object i have ids that begin with "object<i>_".
+        light: Sun and sky.
+        backdrop: What surrounds the objects and has no box: ground, houses.
+    """
+    light = Light() if light is None else light
+    azimuth, elevation = math.radians(light.sun_azimuth), math.radians(light.sun_elevation)
+    to_sun = [
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    ]
+    with scalar_variant():
+        scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_DEPTH}}
+        for number, asset in enumerate(assets):
+            scene |= shapes(asset, f"object{number}")
+        if backdrop is not None:
+            scene |= shapes(backdrop, "backdrop")
+        upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
+        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky_map(light)), "to_world": upright}
+        if light.sun_strength > 0:
+            irradiance = [light.sun_strength * c for c in light.sun_colour]
+            scene["sun"] = {
+                "type": "directional",
+                "direction": [-c for c in to_sun],
+                "irradiance": {"type": "rgb", "value": irradiance},
+            }
+    return scene

@@ -1,0 +1,325 @@
+"""Picture sets: both formats there and back, masks, splits, shrinking, and pictures that are read only when needed."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+import torch
+from hypothesis import strategies as st
+from PIL import Image
+
+from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.datasets import DatasetError, PointCloud, load_dataset, write_colmap, write_transforms
+from mi_splat.io.points import load_points, save_points
+from mi_splat.rotation import from_matrix, normalise, to_matrix
+
+FORMATS: dict[str, Callable[..., None]] = {"transforms": write_transforms, "colmap": write_colmap}
+SPOTS = torch.tensor([[0.3, -0.2, 0.1], [-0.4, 0.5, 0.2], [0.0, 0.1, 0.9]], dtype=torch.float64)
+CLOUD = PointCloud(
+    torch.randn(50, 3, generator=torch.Generator().manual_seed(3)), torch.arange(150).reshape(50, 3) / 255
+)
+
+
+def view(seed: int, **change: Any) -> View:
+    """A noisy picture from a camera by chance, with pixels that are not square and a centre that is off."""
+    chance = np.random.default_rng(seed)
+    pose = look_at((3 + chance.random(3)).tolist(), chance.normal(0, 0.2, 3).tolist())
+    values = {"to_world": pose, "focal": (21.3, 19.7), "width": 18, "height": 13, "principal": (8.25, 7.75), **change}
+    camera = Camera(**values)
+    bytes_ = chance.integers(0, 256, (camera.height, camera.width, 3))
+    return View(camera, torch.from_numpy(bytes_.astype(np.float32) / np.float32(255)))
+
+
+VIEWS, TESTS = [view(seed) for seed in range(6)], [view(seed) for seed in range(6, 8)]
+
+
+def assert_same_camera(found: Camera, wanted: Camera, tolerance: float) -> None:
+    assert (found.width, found.height) == (wanted.width, wanted.height)
+    numbers = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in (found, wanted)]
+    assert numbers[0] == pytest.approx(numbers[1], abs=tolerance)
+    torch.testing.assert_close(found.to_world, wanted.to_world, atol=tolerance, rtol=0)
+    there, back = project_points(SPOTS, found)[0], project_points(SPOTS, wanted)[0]
+    torch.testing.assert_close(there, back, atol=100 * tolerance, rtol=0)
+
+
+@pytest.mark.parametrize(("name", "tolerance"), [("transforms", 1e-9), ("colmap", 1e-6)])
+def test_sets_come_back_as_they_were(name: str, tolerance: float, tmp_path: Path) -> None:
+    FORMATS[name](tmp_path / "set", VIEWS, test=TESTS, points=CLOUD)
+    for split, wanted in (("train", VIEWS), ("test", TESTS)):
+        found = load_dataset(tmp_path / "set", split=split)  # type: ignore[arg-type]
+        assert len(found) == len(wanted)
+        for ours, theirs in zip(found, wanted, strict=True):
+            assert torch.equal(ours.image, theirs.image)
+            assert_same_camera(ours.camera, theirs.camera, tolerance)
+        assert found.points is not None
+        assert torch.equal(found.points.colours, CLOUD.colours)
+        torch.testing.assert_close(found.points.points, CLOUD.points, atol=1e-7, rtol=0)
+        assert found.mask(0) is None
+    assert len(load_dataset(tmp_path / "set", split=None)) == len(VIEWS) + len(TESTS)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_what_was_loaded_can_be_written_again(name: str, tmp_path: Path) -> None:
+    FORMATS[name](tmp_path / "a", VIEWS, points=CLOUD)
+    first = load_dataset(tmp_path / "a", split=None, cache_bytes=0)
+    write_transforms(tmp_path / "b", first, points=first.points)
+    second = load_dataset(tmp_path / "b", split=None)
+    assert all(torch.equal(a.image, b.image) for a, b in zip(first, second, strict=True))
+    assert (tmp_path / "b" / "points3D.ply").read_bytes()[:3] == b"ply"
+
+
+def test_cameras_of_different_kinds_in_one_set(tmp_path: Path) -> None:
+    views = [view(0), view(1, focal=30.0, principal=None), view(2, width=9, height=20)]
+    for name, write in FORMATS.items():
+        write(tmp_path / name, views)
+        for ours, theirs in zip(load_dataset(tmp_path / name, split=None), views, strict=True):
+            assert_same_camera(ours.camera, theirs.camera, 1e-6)
+
+
+@hypothesis.settings(max_examples=20)
+@hypothesis.given(
+    quaternion=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1),
+    place=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
+)
+def test_any_pose_comes_back(
+    quaternion: tuple[float, ...], place: tuple[float, ...], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = to_matrix(normalise(torch.tensor(quaternion, dtype=torch.float64)))
+    pose[:3, 3] = torch.tensor(place, dtype=torch.float64)
+    camera = Camera(to_world=pose, focal=5.0, width=2, height=1)
+    folder = tmp_path_factory.mktemp("pose")
+    for name, write in FORMATS.items():
+        write(folder / name, [View(camera, torch.zeros(1, 2, 3))])
+        (found,) = load_dataset(folder / name, split=None).cameras
+        torch.testing.assert_close(found.to_world, camera.to_world, atol=1e-9 if name == "transforms" else 1e-6, rtol=0)
+
+
+def test_opengl_and_colmap_axes_by_hand(tmp_path: Path) -> None:
+    camera = Camera(to_world=look_at((5, 0, 0), (0, 0, 0)), focal=10.0, width=4, height=4)
+    single = [View(camera, torch.zeros(4, 4, 3))]
+    write_transforms(tmp_path / "a", single)
+    matrix = np.array(
+        json.loads((tmp_path / "a" / "transforms_train.json").read_text())["frames"][0]["transform_matrix"]
+    )
+    assert np.allclose(matrix, [[0, 0, 1, 5], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # right +y, up +z, back +x
+    write_colmap(tmp_path / "b", single)
+    lines = (tmp_path / "b" / "sparse" / "0" / "images.txt").read_text().splitlines()
+    words = [float(word) for word in lines[1].split()[1:8]]
+    rotation = to_matrix(torch.tensor(words[:4], dtype=torch.float64))
+    seen = rotation @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64) + torch.tensor(words[4:], dtype=torch.float64)
+    torch.testing.assert_close(seen, torch.tensor([1.0, 0.0, 5.0], dtype=torch.float64))  # world +y is at the right
+
+
+def test_a_set_of_blender(tmp_path: Path) -> None:
+    # As the original NeRF scenes: an angle, no sizes, names without a suffix.
+    (tmp_path / "train").mkdir()
+    Image.new("RGBA", (20, 10), (255, 0, 0, 128)).save(tmp_path / "train" / "r_0.png")
+    frame = {"file_path": "./train/r_0", "rotation": 0.01, "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": math.pi / 2, "frames": [frame]}))
+    black, white = (load_dataset(tmp_path, background=(level,) * 3) for level in (0.0, 1.0))
+    camera = black.cameras[0]
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((10, 10, 10, 5))
+    assert torch.equal(camera.to_world, torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64)))
+    share = 128 / 255
+    assert black[0].image[3, 3].tolist() == pytest.approx([share, 0, 0])
+    assert white[0].image[3, 3].tolist() == pytest.approx([1, 1 - share, 1 - share])
+    mask = black.mask(0)
+    assert mask is not None
+    assert mask.shape == (10, 20)
+    assert mask[0, 0] == pytest.approx(share)
+
+
+def test_one_file_for_all_pictures_with_intrinsics_by_frame(tmp_path: Path) -> None:
+    frames = []
+    for i in range(9):
+        Image.new("RGB", (8, 6)).save(tmp_path / f"{i}.jpg")
+        own = {"fl_x": 7.5, "cx": 3.5} if i == 8 else {}
+        frames.append({"file_path": f"{i}.jpg", "transform_matrix": np.eye(4).tolist(), **own})
+    document = {"fl_x": 9.0, "fl_y": 8.0, "cx": 4.5, "cy": 2.5, "w": 8, "h": 6, "k1": 0.0, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    whole = load_dataset(tmp_path / "transforms.json", split=None)
+    assert [(c.fx, c.fy, c.cx, c.cy) for c in whole.cameras] == [(9.0, 8.0, 4.5, 2.5)] * 8 + [(7.5, 8.0, 3.5, 2.5)]
+    assert [path.stem for path in load_dataset(tmp_path, split="test").paths] == ["0", "8"]
+    assert [path.stem for path in load_dataset(tmp_path, split="test", test_every=4).paths] == ["0", "4", "8"]
+    assert len(load_dataset(tmp_path, split="train")) == 7
+    document |= {"test_filenames": ["3.jpg"], "train_filenames": ["1.jpg", "2.jpg"]}
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    assert [path.stem for path in load_dataset(tmp_path, split="test").paths] == ["3"]
+    assert [path.stem for path in load_dataset(tmp_path, split="train").paths] == ["1", "2"]
+
+
+def colmap_binary(folder: Path, views: list[View], cloud: PointCloud) -> Path:
+    """Write a model as COLMAP does, with 2D points and tracks; returns its folder."""
+    model, images = folder / "sparse" / "0", folder / "images"
+    model.mkdir(parents=True)
+    images.mkdir()
+    camera = views[0].camera
+    simple = struct.pack("<iiQQ3d", 7, 0, camera.width, camera.height, 20.0, 9.0, 6.5)
+    full = struct.pack("<iiQQ4d", 3, 1, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    (model / "cameras.bin").write_bytes(struct.pack("<Q", 2) + simple + full)
+    records = []
+    for i, shot in enumerate(views):
+        pose = shot.camera.to_camera
+        values = [*(-from_matrix(pose[:3, :3])).tolist(), *pose[:3, 3].tolist()]  # either sign is the same rotation
+        points = b"".join(struct.pack("<ddq", 1.0, 2.0, -1) for _ in range(i))
+        name = f"part/view {i}.png"
+        records.append(struct.pack("<i7di", i + 1, *values, 3 if i else 7) + f"{name}\0".encode())
+        records[-1] += struct.pack("<Q", i) + points
+        (images / name).parent.mkdir(exist_ok=True)
+        Image.fromarray((shot.image.numpy() * 255 + 0.5).astype(np.uint8)).save(images / name)
+    (model / "images.bin").write_bytes(struct.pack("<Q", len(views)) + b"".join(records))
+    rows = zip(cloud.points.double().tolist(), (cloud.colours * 255).round().int().tolist(), strict=True)
+    data = [
+        struct.pack("<Q3d3BdQ", i, *p, *c, 0.5, 2) + struct.pack("<4i", 1, 0, 2, 0) for i, (p, c) in enumerate(rows)
+    ]
+    (model / "points3D.bin").write_bytes(struct.pack("<Q", len(data)) + b"".join(data))
+    return model
+
+
+def test_binary_models(tmp_path: Path) -> None:
+    model = colmap_binary(tmp_path, VIEWS, CLOUD)
+    found = load_dataset(tmp_path, split=None)
+    assert (found.cameras[0].fx, found.cameras[0].fy, found.cameras[0].cx, found.cameras[0].cy) == (20, 20, 9, 6.5)
+    for ours, theirs in zip(found[1:], VIEWS[1:], strict=True):
+        assert torch.equal(ours.image, theirs.image)
+        assert_same_camera(ours.camera, theirs.camera, 1e-9)
+    assert found.points is not None
+    assert torch.equal(found.points.points, CLOUD.points)
+    assert torch.equal(found.points.colours, CLOUD.colours)
+    assert [path.name for path in load_dataset(tmp_path, split="test", test_every=4).paths] == [
+        "view 0.png",
+        "view 4.png",
+    ]
+    for place in (model, model.parent):  # pictures are found from the model's folder too
+        assert len(load_dataset(place, split=None)) == len(VIEWS)
+    (model / "points3D.bin").unlink()
+    assert load_dataset(tmp_path).points is None
+
+
+def test_text_models_with_comments_and_2d_points(tmp_path: Path) -> None:
+    write_colmap(tmp_path, VIEWS[:2])
+    file = tmp_path / "sparse" / "0" / "images.txt"
+    lines = file.read_text().splitlines()
+    lines[2] = "1.5 2.5 -1 3.0 4.0 17"
+    file.write_text("\n".join(["# more", "", *lines]))  # without a newline at the end
+    for ours, theirs in zip(load_dataset(tmp_path, split=None), VIEWS[:2], strict=True):
+        assert_same_camera(ours.camera, theirs.camera, 1e-6)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK"])
+def test_pictures_of_any_8_bit_mode(mode: str, tmp_path: Path) -> None:
+    suffix = ".tif" if mode == "CMYK" else ".png"
+    write_transforms(tmp_path, [view(0, width=8, height=8)])
+    (tmp_path / "images" / "train_00000.png").unlink()
+    Image.new("RGB", (8, 8), (255, 255, 255)).convert(mode).save(tmp_path / "images" / f"train_00000{suffix}")
+    found = load_dataset(tmp_path)
+    assert found[0].image.min() == 1.0
+    assert (found.mask(0) is not None) == (mode in ("LA", "RGBA"))
+
+
+def test_palettes_with_transparency(tmp_path: Path) -> None:
+    write_transforms(tmp_path, [view(0, width=2, height=1)])
+    picture = Image.new("P", (2, 1), 0)
+    picture.putpalette([0, 255, 0, 255, 0, 0])
+    picture.putpixel((1, 0), 1)
+    picture.save(tmp_path / "images" / "train_00000.png", transparency=0)
+    found = load_dataset(tmp_path, background=(0.0, 0.0, 1.0))[0].image
+    assert found.tolist() == [[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]]
+
+
+def test_alpha_is_written_and_blended(tmp_path: Path) -> None:
+    alpha = torch.zeros(13, 18)
+    alpha[:, :9] = 1.0
+    write_transforms(tmp_path, VIEWS[:1], test=TESTS[:1], alphas=[alpha, torch.ones(13, 18)])
+    found = load_dataset(tmp_path, background=(1.0, 0.5, 0.25))
+    assert torch.equal(found[0].image[:, :9], VIEWS[0].image[:, :9])
+    assert found[0].image[4, 12].tolist() == [1.0, 0.5, 0.25]
+    mask = found.mask(0)
+    assert mask is not None
+    assert torch.equal(mask, alpha)
+    assert torch.equal(load_dataset(tmp_path, split="test")[0].image, TESTS[0].image)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("mask", ["train_00001.png", "train_00001.png.png"])
+def test_masks_in_their_folder(name: str, mask: str, tmp_path: Path) -> None:
+    FORMATS[name](tmp_path, VIEWS[:3])
+    values = np.zeros((13, 18), np.uint8)
+    values[:6] = 255
+    (tmp_path / "masks").mkdir()
+    Image.fromarray(values).save(tmp_path / "masks" / mask)
+    found = load_dataset(tmp_path, split=None)
+    assert found.mask(0) is None
+    second = found.mask(1)
+    assert second is not None
+    assert torch.equal(second, torch.from_numpy(values).float() / 255)
+    assert torch.equal(found[1].image, VIEWS[1].image)
+
+
+def test_shrinking_averages_and_scales_the_camera(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS)  # 18 x 13: one row is left over at 3 and cut off
+    small = load_dataset(tmp_path, downscale=3)
+    camera = small.cameras[0]
+    assert (camera.width, camera.height) == (6, 4)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((7.1, 19.7 / 3, 2.75, 7.75 / 3))
+    whole = VIEWS[0].image
+    assert small[0].image[1, 2].tolist() == pytest.approx(whole[3:6, 6:9].mean((0, 1)).tolist())
+    there, here = project_points(SPOTS, VIEWS[0].camera)[0], project_points(SPOTS, camera)[0]
+    torch.testing.assert_close(here * 3, there)
+
+
+def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS)
+    found = load_dataset(tmp_path)
+    (tmp_path / "images" / "train_00002.png").unlink()
+    assert torch.equal(found[1].image, VIEWS[1].image)
+    with pytest.raises(DatasetError, match=r"train_00002\.png.*no such file"):
+        found[2]
+    shutil.rmtree(tmp_path / "images")
+    assert torch.equal(found[1].image, VIEWS[1].image)  # from memory
+
+
+def test_memory_is_bounded(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS)
+    one = 4 * VIEWS[0].image.numel()
+    found = load_dataset(tmp_path, cache_bytes=2 * one)
+    first = found[0]
+    assert found[0] is first
+    found[1], found[2]
+    assert found[0] is not first
+    none = load_dataset(tmp_path, cache_bytes=0)
+    none[0], none[1]
+    assert len(none._cache) == 1
+
+
+def test_a_set_is_a_sequence(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS)
+    found = load_dataset(tmp_path)
+    assert torch.equal(found[-1].image, VIEWS[-1].image)
+    assert [path.name for path in found[1:3].paths] == ["train_00001.png", "train_00002.png"]
+    assert len(list(reversed(found))) == len(VIEWS)
+    with pytest.raises(IndexError):
+        found[len(VIEWS)]
+
+
+def test_points_in_ascii_without_colours(tmp_path: Path) -> None:
+    file = tmp_path / "points.ply"
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
+    )
+    file.write_text(head + "1 2 3\n4 5 6\n")
+    cloud = load_points(file)
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert bool((cloud.colours == 0.5).all())
+    save_points(cloud, file)
+    assert torch.equal(load_points(file).points, cloud.points)
