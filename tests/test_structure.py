@@ -42,6 +42,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "runs": (*CORE, "densify", "fitting"),
     "training": (*CORE, "densify", "fitting", "runs", "photometric"),
     "checkpoints": (*CORE, "densify", "fitting", "runs", "training"),
+    "starts": CORE,
+    "training_folder": (*CORE, "fitting", "runs", "training", "checkpoints"),
     "auditing": (*CORE, "densify"),
     "assets": CORE,
     "mesh_scenes": (*CORE, "assets"),

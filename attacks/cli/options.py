@@ -140,6 +140,46 @@ class CaptureOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TrainOptions:
+    """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
+
+    Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
+    when the same command is given again, and makes the bits that it would have made.
+    """
+
+    dataset: Positional[Path]
+    """Folder of the set."""
+    out: Path
+    """Folder for the results; made if it is not there."""
+    iterations: int = 7000
+    """Number of steps; each looks at one picture."""
+    recipe: Literal["classic", "mcmc", "fixed"] = "classic"
+    """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all."""
+    limit: int | None = None
+    """Largest number of Gaussians; None is 100,000 for mcmc and no limit for classic."""
+    trainable: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
+    """What is trained; `--trainable sh --recipe fixed` trains the texture of a frozen geometry."""
+    degree: int = 3
+    """SH degree of the result."""
+    start: Path | None = None
+    """Splat to begin with; None takes the points of the set."""
+    random: int | None = None
+    """Begin with so many Gaussians anywhere instead."""
+    downscale: int = 1
+    """Integer factor by which the pictures shrink."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """sRGB colour behind the splat, and behind transparent pixels."""
+    evaluate_every: int = 1000
+    """Steps between two looks at the held-out pictures."""
+    checkpoint_every: int = 1000
+    """Steps between two checkpoints."""
+    seed: int = 0
+    """Seed of everything random."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InfoOptions:
     """Say what a splat file or a scene XML holds."""
 

@@ -1,0 +1,100 @@
+"""`mi-splat train`: a splat from pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+
+import torch
+
+from attacks.cli.console import progress, show, show_json
+from attacks.cli.options import TrainOptions
+from mi_splat.datasets import Dataset, load_dataset
+from mi_splat.densify import ClassicConfig, MCMCConfig
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.scene import GaussianScene
+from mi_splat.starts import from_points, random_points
+from mi_splat.training import FitConfig, Progress
+from mi_splat.training_folder import METRICS, SPLAT, train
+
+
+def run(options: TrainOptions) -> int:
+    """Train, or go on with a training, and say what came of it."""
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
+    config = _config(options)
+    with progress("loading the pictures"):
+        views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
+        held_out = _held_out(options)
+        start = _start(views, options)
+        render = Renderer(RenderSettings(background=options.background), watch=Watch())
+    begun = time.monotonic()
+    with progress("training", total=config.iterations) as advance:
+        found = train(
+            views,
+            start,
+            options.out,
+            render=render,
+            config=config,
+            seed=options.seed,
+            held_out=held_out,
+            every=options.checkpoint_every,
+            on_step=lambda line: advance(_words(line)),
+            on_warning=_warn,
+        )
+    figures = json.loads((options.out / METRICS).read_text())
+    if options.json:
+        show_json({**figures, "out": str(options.out), "seconds": time.monotonic() - begun})
+        return 0
+    show(f"{options.out / SPLAT}: {len(found.scene):,} Gaussians after {config.iterations} steps")
+    if figures["psnr"] is not None:
+        count = figures["held_out_views"]
+        show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}")
+    show(f"took {time.monotonic() - begun:.0f} s; figures are in {options.out / METRICS}")
+    return 0
+
+
+def _warn(text: str) -> None:
+    """One line on stderr."""
+    sys.stderr.write(f"mi-splat: {text}\n")
+
+
+def _config(options: TrainOptions) -> FitConfig:
+    recipes: dict[str, ClassicConfig | MCMCConfig | None] = {
+        "classic": ClassicConfig(limit=options.limit),
+        "mcmc": MCMCConfig() if options.limit is None else MCMCConfig(limit=options.limit),
+        "fixed": None,
+    }
+    return FitConfig(
+        iterations=options.iterations,
+        trainable=options.trainable,
+        densification=recipes[options.recipe],
+        degree=options.degree,
+        evaluate_every=options.evaluate_every,
+    )
+
+
+def _held_out(options: TrainOptions) -> Dataset:
+    return load_dataset(options.dataset, split="test", downscale=options.downscale, background=options.background)
+
+
+def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
+    """The Gaussians to begin with."""
+    if options.start is not None:
+        return load_splat(options.start)
+    if options.random is not None:
+        return random_points(views, options.random, seed=options.seed)
+    if views.points is None:
+        raise InvalidValueError(
+            message(str(options.dataset), "a point cloud", "none", "pass --random 10000, or a splat with --start")
+        )
+    return from_points(views.points.points, views.points.colours)
+
+
+def _words(line: Progress) -> str:
+    held_out = "" if line.held_out is None else f", held out {line.held_out:.2f} dB"
+    return f"loss {line.loss:.4f}, {line.count:,} Gaussians{held_out}"

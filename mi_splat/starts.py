@@ -1,0 +1,81 @@
+"""Gaussians to begin a training with: on the points of a cloud, or anywhere in a box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Generator, Tensor
+
+from mi_splat.cameras import View
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc
+
+_BLOCK = 1 << 22
+"""Distances that are held at once."""
+
+
+def spacing(points: Tensor, *, neighbours: int = 3) -> Tensor:
+    """Root mean squared distance of each point to its nearest neighbours; (N, 3) in, (N,) out, world units."""
+    count = len(points)
+    nearest = min(neighbours, count - 1)
+    if nearest < 1:
+        return torch.ones(count, dtype=points.dtype)
+    rows = max(1, _BLOCK // count)
+    squares = []
+    for first in range(0, count, rows):
+        # Not by the matrix product: it would lose the small distances of points far from the origin.
+        gaps = torch.cdist(points[first : first + rows], points, compute_mode="donot_use_mm_for_euclid_dist")
+        squares.append(gaps.topk(nearest + 1, largest=False).values[:, 1:].square().mean(1))
+    return torch.cat(squares).sqrt()
+
+
+def from_points(points: Tensor, colours: Tensor, *, opacity: float = 0.1) -> GaussianScene:
+    """Round Gaussians on points, as large as the points are apart (Kerbl et al. 2023, section 5.1).
+
+    Args:
+        points: (N, 3) world units.
+        colours: (N, 3) sRGB in [0, 1].
+        opacity: Opacity of all of them.
+
+    Raises:
+        InvalidValueError: The shapes differ, or there are no points.
+    """
+    if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colours.shape or not len(points):
+        shapes = (tuple(points.shape), tuple(colours.shape))
+        raise InvalidValueError(message("points and colours", "two of shape (N, 3)", shapes, "pass a cloud"))
+    count = len(points)
+    size = spacing(points.float()).clamp(min=1e-7)
+    return GaussianScene(
+        means=points.float().clone(),
+        scales=size[:, None].expand(count, 3).contiguous(),
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
+        opacities=torch.full((count,), opacity),
+        sh=colour_to_dc(colours.float())[:, None],
+    )
+
+
+def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> GaussianScene:
+    """Gaussians of random colour in a box around where the cameras look: the point nearest to all optical axes.
+
+    Args:
+        views: Where the cameras are; pictures are not read.
+        count: Number of Gaussians.
+        seed: Seed of places and colours.
+
+    Raises:
+        InvalidValueError: The number is not positive, or there are no views.
+    """
+    if count < 1 or not len(views):
+        raise InvalidValueError(message("count and views", "at least one of each", (count, len(views)), "ask for more"))
+    cameras = getattr(views, "cameras", None) or [view.camera for view in views]
+    positions = torch.stack([camera.position for camera in cameras])
+    axes = torch.stack([camera.to_world[:3, 2] for camera in cameras])
+    across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None]
+    system = across.sum(0) + 1e-6 * torch.eye(3, dtype=torch.float64)
+    centre = torch.linalg.solve(system, (across @ positions[:, :, None]).sum(0)[:, 0])
+    half = 0.5 * (positions - centre).norm(dim=1).mean()
+    generator = Generator().manual_seed(seed)
+    places = centre + half * (2 * torch.rand(count, 3, generator=generator, dtype=torch.float64) - 1)
+    return from_points(places, torch.rand(count, 3, generator=generator))

@@ -1,0 +1,147 @@
+"""A training run in a folder: settings, checkpoints, figures and the splat, and going on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType
+
+import torch
+
+from mi_splat.cameras import RenderFn, View
+from mi_splat.checkpoints import CheckpointError, load_run, save_run, to_json
+from mi_splat.errors import message
+from mi_splat.io import save_splat
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.metrics import psnr, ssim
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.training import Fit, FitConfig, OnStep, Progress, Run, advance, extent_of
+
+CHECKPOINT, SPLAT, METRICS, CONFIG = "checkpoint.safetensors", "splat.ply", "metrics.json", "config.json"
+
+
+def train(
+    views: Sequence[View],
+    start: GaussianScene,
+    folder: Path,
+    *,
+    render: RenderFn,
+    config: FitConfig,
+    seed: int = 0,
+    held_out: Sequence[View] = (),
+    every: int = 1000,
+    on_step: OnStep | None = None,
+    on_warning: Callable[[str], None] | None = None,
+) -> Fit:
+    """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
+
+    Writes config.json, checkpoint.safetensors every so many steps and when interrupted, and at the end splat.ply and
+    metrics.json.
+
+    Args:
+        views: Pictures to match.
+        start: Gaussians to begin with; not looked at when a run goes on.
+        folder: Where; made if need be.
+        render: The renderer, see `mi_splat.training.fit`.
+        config: How.
+        seed: Seed of everything random.
+        held_out: Views to score on.
+        every: Steps between two checkpoints.
+        on_step: Called after every step.
+        on_warning: Told what stands against the same bits.
+
+    Raises:
+        CheckpointError: The folder holds a run with other settings.
+        KeyboardInterrupt: The run was interrupted; its checkpoint is written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / CHECKPOINT
+    history: list[Progress] = []
+    if path.is_file():
+        run, before, threads = load_run(path)
+        _check_same(run, config, seed, folder)
+        history += before
+        if threads != torch.get_num_threads() and on_warning is not None:
+            now = torch.get_num_threads()
+            on_warning(
+                f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
+            )
+    else:
+        run = Run(start, config, extent=extent_of(views), seed=seed)
+        _write_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+
+    with _deferred_interrupt() as interrupted:
+
+        def after(line: Progress) -> None:
+            if line.held_out is not None:
+                history.append(line)
+            if on_step is not None:
+                on_step(line)
+            if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
+                save_run(run, path, history=history)
+            if interrupted():
+                raise KeyboardInterrupt
+
+        found = advance(run, views, render=render, held_out=held_out, on_step=after)
+    save_splat(found.scene, folder / SPLAT)
+    _write_json(_figures(found, history, held_out, render), folder / METRICS)
+    return Fit(scene=found.scene, history=tuple(history), config=config, seed=seed)
+
+
+def _check_same(run: Run, config: FitConfig, seed: int, folder: Path) -> None:
+    if run.config != config or run.seed != seed:
+        old, new = to_json(run.config) | {"seed": run.seed}, to_json(config) | {"seed": seed}
+        differs = ", ".join(f"{key} {old[key]}" for key in old if old[key] != new[key])
+        raise CheckpointError(
+            message(str(folder), "a run with the same settings", differs, "use those, or train in another folder")
+        )
+
+
+def _figures(found: Fit, history: Sequence[Progress], held_out: Sequence[View], render: RenderFn) -> dict[str, object]:
+    """PSNR and SSIM over the held-out views, and how they came about."""
+    scores: list[tuple[float, float]] = []
+    with torch.no_grad():
+        for view in held_out:
+            image = render(found.scene, view.camera).clamp(0, 1)
+            scores.append((float(psnr(image, view.image)), float(ssim(image, view.image))))
+    means = [sum(column) / len(scores) for column in zip(*scores, strict=True)] if scores else [None, None]
+    return {
+        "psnr": means[0],
+        "ssim": means[1],
+        "held_out_views": len(scores),
+        "gaussians": len(found.scene),
+        "scene_hash": scene_hash(found.scene),
+        "threads": torch.get_num_threads(),
+        "seed": found.seed,
+        "history": [asdict(line) for line in history],
+    }
+
+
+def _write_json(content: dict[str, object], path: Path) -> None:
+    with atomic_write(path) as file:
+        write_all(file, memoryview((json.dumps(content, indent=2) + "\n").encode()))
+
+
+@contextmanager
+def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C inside the block is only noted, so that a step is never left half done; a second one stops at once."""
+    pressed: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        if pressed:
+            raise KeyboardInterrupt
+        pressed.append(number)
+
+    if threading.current_thread() is not threading.main_thread():  # only the main thread gets signals
+        yield lambda: False
+        return
+    previous = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, previous)
