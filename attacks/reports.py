@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
 import zlib
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from attacks.detectors.base import Detections
 from attacks.scoring import to_bytes
 from attacks.staging import ViewResult
 from mi_splat.io import save_splat
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json, save_png
 
 _COLOURS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080", "#9a6324", "#000075")
 
@@ -119,30 +117,6 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
 def _listed(found: Detections) -> list[dict[str, Any]]:
     rows = zip(found.labels, found.scores.tolist(), found.boxes.tolist(), strict=True)
     return [{"label": a, "score": round(b, 6), "box": [round(x, 2) for x in c]} for a, b, c in rows]
-
-
-def save_json(values: Any, path: Path) -> None:
-    """Write JSON atomically.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-        ValueError: A number is not finite.
-    """
-    text = json.dumps(values, indent=2, allow_nan=False) + "\n"
-    with atomic_write(path) as file:
-        write_all(file, memoryview(text.encode()))
-
-
-def save_png(pixels: NDArray[np.uint8], path: Path) -> None:
-    """Write an (H, W, 3) picture atomically.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG")
-    with atomic_write(path) as file:
-        write_all(file, memoryview(buffer.getvalue()))
 
 
 def difference(result: Result) -> NDArray[np.uint8]:

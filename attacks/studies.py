@@ -24,9 +24,9 @@ from tyro.conf import Positional
 from attacks.budgets import NormName
 from attacks.dagger import Attribute
 from attacks.laboratory import Job, Laboratory, Setting
-from attacks.reports import save_json
 from attacks.tables import write_tables
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.documents import save_json
 
 PAIRS = (
     ("car_street", "car", "person"),

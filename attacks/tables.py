@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from attacks.evaluation import Rate
-from attacks.reports import save_json
 from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json
 
 Record = Mapping[str, Any]
 

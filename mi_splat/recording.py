@@ -21,11 +21,10 @@ from mi_splat.cameras import Camera
 from mi_splat.capture import PASSES, PathTracer, check_camera, scalar_variant
 from mi_splat.datasets.dataset import Dataset
 from mi_splat.datasets.frames import Frame
-from mi_splat.datasets.pictures import write_png
 from mi_splat.datasets.transforms import POINTS
 from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.points import load_points, save_points, to_bytes
 from mi_splat.subjects import Subject
 from mi_splat.surface_points import surface_points
@@ -170,7 +169,7 @@ def _render(
     for number, (name, camera) in enumerate(entries):
         if not _is_there(images / name, camera, settings.alpha):
             picture = tracer.picture(camera, seed=settings.seed + number)
-            write_png(to_bytes(picture), images / name)
+            save_png(to_bytes(picture), images / name)
             rendered += 1
         if on_step is not None:
             on_step(number + 1, len(entries))
@@ -215,8 +214,7 @@ def _claim(folder: Path, wanted: dict[str, Any]) -> None:
         if others:
             found, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
             raise InvalidValueError(message(str(folder), "an empty folder or that of a capture", found, do))
-        with atomic_write(file) as handle:
-            write_all(handle, memoryview((json.dumps(wanted, indent=2) + "\n").encode()))
+        save_json(wanted, file)
         return
     try:
         there = json.loads(file.read_bytes())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +16,7 @@ from mi_splat.cameras import RenderFn, View
 from mi_splat.checkpoints import CheckpointError, load_run, save_run, to_json
 from mi_splat.errors import message
 from mi_splat.io import save_splat
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json
 from mi_splat.metrics import psnr, ssim
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training import Fit, FitConfig, OnStep, Progress, Run, advance, extent_of
@@ -73,7 +72,7 @@ def train(
             )
     else:
         run = Run(start, config, extent=extent_of(views), seed=seed)
-        _write_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+        save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
     with _deferred_interrupt() as interrupted:
 
@@ -89,7 +88,7 @@ def train(
 
         found = advance(run, views, render=render, held_out=held_out, on_step=after)
     save_splat(found.scene, folder / SPLAT)
-    _write_json(_figures(found, history, held_out, render), folder / METRICS)
+    save_json(_figures(found, history, held_out, render), folder / METRICS)
     return Fit(scene=found.scene, history=tuple(history), config=config, seed=seed)
 
 
@@ -120,11 +119,6 @@ def _figures(found: Fit, history: Sequence[Progress], held_out: Sequence[View], 
         "seed": found.seed,
         "history": [asdict(line) for line in history],
     }
-
-
-def _write_json(content: dict[str, object], path: Path) -> None:
-    with atomic_write(path) as file:
-        write_all(file, memoryview((json.dumps(content, indent=2) + "\n").encode()))
 
 
 @contextmanager

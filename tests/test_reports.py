@@ -13,9 +13,10 @@ from PIL import Image
 
 from attacks.dagger import DaggerConfig, Result, attack
 from attacks.objectives import Objective, Verdict, hide, relabel
-from attacks.reports import save_json, summary, write_report
+from attacks.reports import summary, write_report
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat
+from mi_splat.io.documents import save_json
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 KEYS = {

@@ -10,9 +10,9 @@ import torch
 from attacks.cli.console import progress, show, show_json
 from attacks.cli.options import RenderOptions
 from attacks.cli.scenes import choose_camera, open_stage, orbit_camera, resized
-from attacks.reports import save_png
 from attacks.scoring import to_bytes
 from mi_splat.cameras import Camera
+from mi_splat.io.documents import save_png
 from mi_splat.rendering import Renderer, Stage
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from torch import Tensor
 
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import message
-from mi_splat.io.atomic import atomic_write, write_all
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".PNG", ".JPG", ".JPEG")
 """What is appended, in this order, to the name of a picture that has no suffix."""
@@ -94,18 +92,6 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
     squares = values[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
     means: Pixels = squares.mean((1, 3), dtype=np.float64).astype(np.float32)
     return means
-
-
-def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
-    """Write (H, W, 3) or (H, W, 4) pixels as PNG; the file appears whole or not at all.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG")
-    with atomic_write(path) as file:
-        write_all(file, memoryview(buffer.getvalue()))
 
 
 def _decoded(path: Path) -> Image.Image:

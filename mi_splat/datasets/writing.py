@@ -6,7 +6,6 @@ not at all, so a set can be listed when its pictures are there.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,10 +19,9 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets.colmap import TEST_LIST
-from mi_splat.datasets.pictures import write_png
 from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json, save_png, save_text
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
 from mi_splat.rotation import from_matrix
@@ -105,7 +103,7 @@ def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -
     for split, entries in listing.items():
         if entries:
             document = _document(entries, points is not None)
-            _save_text(folder / PARTS[split], json.dumps(document, indent=1, allow_nan=False) + "\n")
+            save_json(document, folder / PARTS[split], indent=1)
             written.append(folder / PARTS[split])
     return written
 
@@ -130,7 +128,7 @@ def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> li
     if listing.get("test"):
         texts[TEST_LIST] = sorted(name for name, _ in listing["test"])
     for name, lines in texts.items():
-        _save_text(model / name, "\n".join([*lines, ""]))
+        save_text("\n".join([*lines, ""]), model / name)
     return [model / name for name in texts]
 
 
@@ -162,7 +160,7 @@ def _write_pictures(
     for split, part in (("train", views), ("test", test)):
         for view in part:
             name = picture_name(split, len(listing[split]))
-            write_png(_pixels(view, rest), images / name)
+            save_png(_pixels(view, rest), images / name)
             listing[split].append((name, view.camera))
     if rest is not None and next(rest, None) is not None:
         raise InvalidValueError(message("alphas", "one for each view", "more", "pass one a picture"))
@@ -220,9 +218,3 @@ def _point_lines(points: PointCloud | None) -> list[str]:
 def _words(*values: float) -> str:
     """Numbers in the fewest digits that give the same float64 again."""
     return " ".join(repr(float(value)) for value in values)
-
-
-def _save_text(path: Path, text: str) -> None:
-    """Write a text file that appears whole or not at all."""
-    with atomic_write(path) as file:
-        write_all(file, memoryview(text.encode()))

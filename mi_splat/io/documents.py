@@ -1,0 +1,46 @@
+"""Text, JSON and PNG files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from mi_splat.io.atomic import atomic_write, write_all
+
+
+def save_text(text: str, path: Path) -> None:
+    """Write a text file.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    with atomic_write(path) as file:
+        write_all(file, memoryview(text.encode()))
+
+
+def save_json(values: Any, path: Path, *, indent: int = 2) -> None:
+    """Write a JSON file.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+        ValueError: A number is not finite.
+    """
+    save_text(json.dumps(values, indent=indent, allow_nan=False) + "\n", path)
+
+
+def save_png(pixels: NDArray[np.uint8], path: Path) -> None:
+    """Write (H, W, 3) or (H, W, 4) pixels as PNG.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG")
+    with atomic_write(path) as file:
+        write_all(file, memoryview(buffer.getvalue()))
