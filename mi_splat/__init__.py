@@ -1,4 +1,4 @@
-"""3D Gaussian splats in Mitsuba: scenes, files, rendering, capture.
+"""3D Gaussian splats in Mitsuba: scenes, files, rendering, capture, training.
 
 The names below are imported when they are first used, so that importing this package is light.
 """
@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from mi_splat.datasets import load_dataset
     from mi_splat.errors import InvalidValueError, MiSplatError
     from mi_splat.io import SplatFileError, load_splat, save_splat
-    from mi_splat.rendering import Renderer, RenderSettings, Stage, read_stage
+    from mi_splat.rendering import Renderer, RenderSettings, Stage, Watch, read_stage
     from mi_splat.scene import GaussianScene, Similarity, merge
+    from mi_splat.training import Fit, FitConfig, fit
 
 __all__ = [
     "Camera",
+    "Fit",
+    "FitConfig",
     "GaussianScene",
     "InvalidValueError",
     "MiSplatError",
@@ -29,6 +32,8 @@ __all__ = [
     "SplatFileError",
     "Stage",
     "View",
+    "Watch",
+    "fit",
     "hemisphere",
     "load_dataset",
     "load_splat",
@@ -46,7 +51,8 @@ __getattr__, __dir__ = _lazy.attach(
         "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("InvalidValueError", "MiSplatError"),
         "mi_splat.io": ("SplatFileError", "load_splat", "save_splat"),
-        "mi_splat.rendering": ("Renderer", "RenderSettings", "Stage", "read_stage"),
+        "mi_splat.rendering": ("Renderer", "RenderSettings", "Stage", "Watch", "read_stage"),
         "mi_splat.scene": ("GaussianScene", "Similarity", "merge"),
+        "mi_splat.training": ("Fit", "FitConfig", "fit"),
     },
 )
