@@ -215,7 +215,7 @@ def _plotter() -> Callable[[Sequence[Mapping[str, Any]], Path], None] | None:
         axes.set(xscale="log", ylim=(-0.05, 1.05), xlabel="eps (l2 over the SH of the object)", ylabel="success rate")
         axes.set_xticks(radii, [f"{radius:g}" for radius in radii], minor=False)
         axes.minorticks_off()
-        axes.legend(loc="center right")
+        axes.legend(loc="upper left")
         canvas = FigureCanvasAgg(figure)
         with atomic_write(path) as file:
             canvas.print_png(file)  # type: ignore[no-untyped-call]
