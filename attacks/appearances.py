@@ -44,14 +44,16 @@ def name_of(appearance: Appearance) -> str:
 class Rerender:
     """The same camera in a mesh scene where the target looks different.
 
-    The new picture counts on the mask and on what the other target covers; shadows and reflections around it stay
-    those of the untouched picture, and so does its noise. With a mask that is everywhere, the whole picture is new.
+    Within reach of the target the picture is new. Elsewhere, shadows and reflections stay those of the untouched
+    picture, and so does its noise. With a mask that is everywhere, the whole picture is new.
 
     Attributes:
         stage: The scene with the other target.
         name: For manifests.
         reach: Pixels around the target that are new, too: those at its edge mix it with what is behind. None is all,
             as when the whole scene is rendered again, which is what the paper does.
+        outgrows: Whether the other target may cover pixels outside of the mask; if it has the shape of the first one,
+            False saves the time to find out.
 
     Raises:
         InvalidValueError: The reach is negative.
@@ -60,6 +62,7 @@ class Rerender:
     stage: MeshStage
     name: str
     reach: int | None = 1
+    outgrows: bool = True
 
     def __post_init__(self) -> None:
         if self.reach is not None and self.reach < 0:
@@ -70,7 +73,7 @@ class Rerender:
         picture = self.stage.picture(view.camera).to(view.image)
         if self.reach is None:
             return picture
-        covered = mask | self.stage.mask(view.camera).to(mask.device)
+        covered = mask | self.stage.mask(view.camera).to(mask.device) if self.outgrows else mask
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
 
 
@@ -92,8 +95,8 @@ def paint(
     Args:
         stage: The scene as the victim sees it.
         name: Name of the texture.
-        azimuth: From where it looks right, degrees. From straight above, the texture's top points away from there: the
-            default lays a road along an object that faces +x.
+        azimuth: From where it looks right, degrees. From straight above, the picture's top points away from there; the
+            default puts it at the front of an object that faces +x.
         elevation: From where it looks right, degrees.
         size: Width of the texture in pixels.
         seed: Which of the textures of that name.
@@ -105,7 +108,7 @@ def paint(
     picture = texture(name, size=size, seed=seed)
     target = repainted(stage.target, picture, azimuth=azimuth, elevation=elevation, tile=TEXTURES[name][1])
     words = f"paint {name} (seed {seed}) from azimuth {azimuth:g}, elevation {elevation:g}"
-    return Rerender(stage=stage.with_target(target), name=words, reach=reach)
+    return Rerender(stage=stage.with_target(target), name=words, reach=reach, outgrows=False)
 
 
 def blend_in(stage: MeshStage, *, reach: int | None = 1) -> Rerender:
@@ -117,11 +120,13 @@ def blend_in(stage: MeshStage, *, reach: int | None = 1) -> Rerender:
     if stage.surroundings is None:
         raise InvalidValueError(message("surroundings", "ground beneath the target", "none", "add them to the stage"))
     target = camouflaged(stage.target, stage.surroundings)
-    return Rerender(stage=stage.with_target(target), name="blend in with the ground", reach=reach)
+    return Rerender(stage=stage.with_target(target), name="blend in with the ground", reach=reach, outgrows=False)
 
 
-def swap(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = 1) -> Rerender:
+def swap(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = None) -> Rerender:
     """Another object in the target's place, facing `azimuth`; see `attacks.disguises.stand_in`.
+
+    The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
 
     Raises:
         InvalidValueError: `fill` is out of range.

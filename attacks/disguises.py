@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,15 @@ from mi_splat.errors import InvalidValueError, message
 Doubles = NDArray[np.float64]
 
 TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
-    "road": (textures.road, 4.0),
+    "road": (partial(textures.road, markings=False), 4.0),
     "grass": (textures.grass, 4.0),
     "clock": (textures.clock, None),
     "football": (textures.football, None),
     "stop_sign": (textures.stop_sign, None),
 }
-"""Name -> function of size in pixels and seed, and metres that the texture covers; None shows it once, as a whole."""
+"""Name -> function of size in pixels and seed, and metres that the texture covers; None shows it once, as a whole.
+
+The road has no markings: lines on a car are no camouflage."""
 
 BELOW = 0.05
 """Metres above an object's lowest point up to which a surface can be the ground beneath it."""

@@ -248,6 +248,8 @@ def test_a_stop_sign_behind_the_car() -> None:
         image = look(view, STAGE.mask(place))
         assert not torch.equal(image, view.image)
         assert "stop sign" in name_of(look)
+    near = swap(STAGE, sign, azimuth=180, reach=0)(view, STAGE.mask(place))
+    assert torch.equal(near[~STAGE.mask(place)], view.image[~STAGE.mask(place)])
     alone = swap(STAGE, sign, azimuth=180).stage.mask(place)
     assert 0 < int(alone.sum()) <= int(grown(STAGE.mask(place), 1).sum())
 
