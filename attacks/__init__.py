@@ -11,6 +11,7 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
+    from attacks.cloak import Poisoned, Poisoning, poison
     from attacks.config import DaggerConfig
     from attacks.dagger import attack
     from attacks.detectors import DETECTORS, Candidates, Detections, Detector, load_detector
@@ -25,11 +26,14 @@ __all__ = [
     "Detections",
     "Detector",
     "Objective",
+    "Poisoned",
+    "Poisoning",
     "Result",
     "Target",
     "attack",
     "hide",
     "load_detector",
+    "poison",
     "relabel",
     "untargeted",
 ]
@@ -38,6 +42,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "attacks.budgets": ("Budget",),
+        "attacks.cloak": ("Poisoned", "Poisoning", "poison"),
         "attacks.config": ("DaggerConfig",),
         "attacks.dagger": ("attack",),
         "attacks.detectors": ("DETECTORS", "Candidates", "Detections", "Detector", "load_detector"),

@@ -1,0 +1,90 @@
+"""Directions of cameras from a centre, and how deep they lie in a band or a wedge of the sphere of directions.
+
+A direction is a point of the unit sphere around the centre: azimuth in degrees from world +x towards +y, elevation in
+degrees above the horizontal plane, as in `mi_splat.cameras.orbit_pose`. Depths are angles between directions, in
+degrees: the signed distance on the sphere to the region's edge, positive inside, infinite if there is no edge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+
+Point = Sequence[float]
+
+POLE = 1e-7
+"""Radians around straight above and straight below in which a direction has no azimuth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bearing:
+    """Where a camera stands, as seen from the centre.
+
+    Attributes:
+        azimuth: Degrees in [0, 360) from world +x towards +y; 0 straight above and below, where there is none.
+        elevation: Degrees above the horizontal plane, in [-90, 90].
+        pole: Whether the camera stands straight above or below.
+    """
+
+    azimuth: float
+    elevation: float
+    pole: bool
+
+
+def bearing(camera: Camera, centre: Point) -> Bearing:
+    """Direction from `centre` (3,), world units, to a camera.
+
+    Raises:
+        InvalidValueError: The camera stands at the centre.
+    """
+    x, y, z = (a - float(b) for a, b in zip(camera.position.tolist(), centre, strict=True))
+    flat, length = math.hypot(x, y), math.hypot(x, y, z)
+    if not length > 0:
+        raise InvalidValueError(
+            message("centre", "a point away from the cameras", tuple(centre), "move one of the two")
+        )
+    pole = flat <= POLE * length
+    azimuth = 0.0 if pole else math.degrees(math.atan2(y, x)) % 360.0
+    return Bearing(azimuth=azimuth % 360.0, elevation=math.degrees(math.atan2(z, flat)), pole=pole)
+
+
+def depth_in_band(direction: Bearing, least: float, most: float) -> float:
+    """Depth between two elevations; a limit of -90 or 90 degrees is none.
+
+    The shortest way to a parallel runs along the meridian.
+    """
+    above = direction.elevation - least if least > -90 else math.inf
+    below = most - direction.elevation if most < 90 else math.inf
+    return min(above, below)
+
+
+def off(direction: Bearing, azimuth: float) -> float:
+    """Degrees in [0, 180] between a direction's azimuth and another, the shorter way around."""
+    return abs(_turn(direction, azimuth))
+
+
+def depth_in_wedge(direction: Bearing, middle: float, half_width: float) -> float:
+    """Depth within an angle of an azimuth. The edge is two half great circles, from pole to pole.
+
+    To a half great circle the shortest way runs across it, or, from where it has no foot on that half, to a pole.
+    """
+    if half_width == 180:
+        return math.inf
+    if direction.pole:
+        return 0.0
+    nearest = 90.0 - abs(direction.elevation)
+    for edge in (-half_width, half_width):
+        turn = math.radians(_turn(direction, middle + edge))
+        if math.cos(turn) > 0:
+            across = abs(math.sin(turn)) * math.cos(math.radians(direction.elevation))
+            nearest = min(nearest, math.degrees(math.asin(min(across, 1.0))))
+    return nearest if off(direction, middle) <= half_width else -nearest
+
+
+def _turn(direction: Bearing, azimuth: float) -> float:
+    """Degrees in [-180, 180) from an azimuth to that of a direction."""
+    return (direction.azimuth - azimuth + 180.0) % 360.0 - 180.0

@@ -1,0 +1,151 @@
+"""How sharply a hidden look sets in: the fade-in band of a cloaked splat, from pictures along an arc of cameras.
+
+Between the directions of the benign look and those of the hidden one, a splat of few SH bands shows a blend of the two.
+At each camera the share t of the way from the benign to the hidden picture is the least-squares projection on the
+target's pixels, t = <c - b, h - b> / <h - b, h - b>: 0 is benign, 1 is hidden. The band lies between the angles at
+which a monotone fit of t crosses 10 and 90 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, message
+
+LEAST_DIFFERENCE = 1 / 255
+"""Root mean square difference of the two looks on the target under which a share has no meaning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FadeBand:
+    """Where a hidden look fades in, along an arc.
+
+    Attributes:
+        angles: K rising angles in degrees, each once.
+        shares: Mean share of the way between the looks at each angle.
+        fitted: The rising sequence nearest to `shares`, by least squares.
+        start: Angle at which `fitted` reaches the low level; None if it is past it at the first angle or never there.
+        end: The same for the high level.
+    """
+
+    angles: tuple[float, ...]
+    shares: tuple[float, ...]
+    fitted: tuple[float, ...]
+    start: float | None
+    end: float | None
+
+    @property
+    def width(self) -> float | None:
+        """Degrees from start to end; None unless both were seen."""
+        return None if self.start is None or self.end is None else self.end - self.start
+
+
+def share_between(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
+    """Share of the way from one look to another, by least squares over a mask; not clipped to [0, 1].
+
+    Args:
+        picture: (H, W, 3) what the cloaked splat shows.
+        benign: (H, W, 3) what it should show to everybody else, from the same camera.
+        hidden: (H, W, 3) what the attacker wants it to show from there.
+        mask: (H, W) bool, where the target is.
+
+    Raises:
+        InvalidValueError: Shapes differ, a value is not finite, the mask is empty, or the looks do not differ on it.
+    """
+    if not (picture.shape == benign.shape == hidden.shape == (*mask.shape, 3) and mask.dtype == torch.bool):
+        got = [tuple(part.shape) for part in (picture, benign, hidden, mask)]
+        expected = "three of shape (H, W, 3) and a bool mask (H, W)"
+        raise InvalidValueError(message("pictures", expected, got, "take them with one camera"))
+    if not bool(mask.any()):
+        raise InvalidValueError(message("mask", "some pixels of the target", "none", "leave this camera out"))
+    seen, low, high = (part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden))
+    way = high - low
+    if not bool(torch.isfinite(seen).all() & torch.isfinite(way).all()):
+        raise InvalidValueError(message("pictures", "finite values", "nan or inf", "look at the renderer"))
+    difference = float(way.square().mean().sqrt())
+    if difference < LEAST_DIFFERENCE:
+        expected = f"looks that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
+        raise InvalidValueError(message("pictures", expected, f"{difference:.2g}", "leave this camera out"))
+    return float((seen - low).mul(way).sum() / way.square().sum())
+
+
+def fade_band(angles: Sequence[float], shares: Sequence[float], *, low: float = 0.1, high: float = 0.9) -> FadeBand:
+    """The band in which a hidden look fades in.
+
+    Args:
+        angles: Degrees that rise towards the hidden look, in any order: elevation for a cap overhead, or
+            `Trigger.angle_to_edge` for any cone. Cameras at one angle are averaged.
+        shares: Share of the way between the looks at each; see `share_between`.
+        low: Level of the band's start.
+        high: Level of the band's end.
+
+    Raises:
+        InvalidValueError: Lengths differ, there are fewer than two angles, a value is not finite, or the levels do not
+            rise.
+    """
+    if len(angles) != len(shares) or len(set(angles)) < 2:
+        got = f"{len(shares)} at {len(set(angles))} of {len(angles)} angles"
+        raise InvalidValueError(message("shares", "one for each of two or more angles", got, "add cameras on the arc"))
+    if not all(map(math.isfinite, (*angles, *shares))):
+        raise InvalidValueError(message("shares", "finite values", "nan or inf", "look at the pictures"))
+    if not low < high:
+        raise InvalidValueError(message("levels", "low < high", (low, high), "0.1 and 0.9 are usual"))
+    groups: dict[float, list[float]] = {angle: [] for angle in sorted(angles)}
+    for angle, value in zip(angles, shares, strict=True):
+        groups[angle].append(value)
+    places = list(groups)
+    means = [sum(values) / len(values) for values in groups.values()]
+    fitted = rising_fit(means, [len(values) for values in groups.values()])
+    start, end = (_crossing(places, fitted, level) for level in (low, high))
+    return FadeBand(angles=tuple(places), shares=tuple(means), fitted=tuple(fitted), start=start, end=end)
+
+
+def fade_in(
+    angles: Sequence[float],
+    pictures: Sequence[Tensor],
+    benign: Sequence[Tensor],
+    hidden: Sequence[Tensor],
+    masks: Sequence[Tensor],
+) -> FadeBand:
+    """`fade_band` of pictures along an arc, K of each kind; see `share_between`.
+
+    Raises:
+        InvalidValueError: As in `share_between` and `fade_band`.
+    """
+    counts = [len(part) for part in (angles, pictures, benign, hidden, masks)]
+    if len(set(counts)) > 1:
+        raise InvalidValueError(message("pictures", "as many of each kind as angles", counts, "pass all of the arc"))
+    return fade_band(angles, [share_between(*four) for four in zip(pictures, benign, hidden, masks, strict=True)])
+
+
+def rising_fit(values: Sequence[float], weights: Sequence[float]) -> list[float]:
+    """The non-decreasing sequence nearest to `values` by weighted least squares: pool adjacent violators.
+
+    Ayer et al., "An empirical distribution function for sampling with incomplete information", 1955.
+    """
+    blocks: list[tuple[float, float, int]] = []  # mean, weight, length
+    for value, weight in zip(values, weights, strict=True):
+        mean, total, count = float(value), float(weight), 1
+        while blocks and blocks[-1][0] >= mean:
+            before, more, length = blocks.pop()
+            mean, total, count = (mean * total + before * more) / (total + more), total + more, count + length
+        blocks.append((mean, total, count))
+    return [mean for mean, _, count in blocks for _ in range(count)]
+
+
+def _crossing(angles: Sequence[float], fitted: Sequence[float], level: float) -> float | None:
+    """Where a rising broken line first reaches a level; None if it is above it from the start, or never gets there."""
+    if fitted[0] > level:
+        return None
+    for right, value in enumerate(fitted):
+        if value >= level:
+            if right == 0:
+                return angles[0]
+            left, below = angles[right - 1], fitted[right - 1]
+            return left + (angles[right] - left) * (level - below) / (value - below)
+    return None
