@@ -155,8 +155,8 @@ class TrainOptions:
     """Number of steps; each looks at one picture."""
     recipe: Literal["classic", "mcmc", "fixed"] = "classic"
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all."""
-    limit: int | None = None
-    """Largest number of Gaussians; None is 100,000 for mcmc and no limit for classic."""
+    limit: int = 100_000
+    """Largest number of Gaussians. The classic recipe has no end of its own on small or noisy pictures."""
     trainable: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
     """What is trained; `--trainable sh --recipe fixed` trains the texture of a frozen geometry."""
     degree: int = 3

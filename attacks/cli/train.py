@@ -66,7 +66,7 @@ def _warn(text: str) -> None:
 def _config(options: TrainOptions) -> FitConfig:
     recipes: dict[str, ClassicConfig | MCMCConfig | None] = {
         "classic": ClassicConfig(limit=options.limit),
-        "mcmc": MCMCConfig() if options.limit is None else MCMCConfig(limit=options.limit),
+        "mcmc": MCMCConfig(limit=options.limit),
         "fixed": None,
     }
     return FitConfig(
