@@ -196,79 +196,74 @@ class Relabel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hide:
-    """The detector shall report nothing on the object, whatever the class.
+class Suppression:
+    """Something shall no longer be reported on the object; which classes, the subclasses say.
 
     Attributes:
         confidence: A detection below this score counts as none.
         iou: Overlap from which a detection belongs to the object; lower than for `Relabel`, so that a box that merely
-            slid aside does not count as hidden.
+            slid aside does not count as gone.
         top: Number of candidates pushed.
     """
 
     confidence: float = 0.3
     iou: float = 0.3
     top: int = 16
+
+    @property
+    def label(self) -> str | None:
+        """No particular class."""
+        return None
+
+    def _push(self, scores: Tensor, boxes: Tensor, target: Target) -> Tensor:
+        """Loss that lets the scores (A, C) of boxes (A, C, 4) on the object fall."""
+        return _suppress(scores, overlap(boxes.detach(), target.box), self.iou, self.top)
+
+    def _judge(self, detections: Detections, target: Target, labels: Sequence[str] | None) -> Verdict:
+        """Success when none of the labels (any, if None) is left on the object."""
+        left = confidence(detections, target.box, labels=labels, iou=self.iou)
+        return Verdict(success=left < self.confidence, score=1.0 - left, clear=left < self.confidence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hide(Suppression):
+    """The detector shall report nothing on the object, whatever the class."""
 
     @property
     def name(self) -> str:
         """Short name for reports."""
         return "hide"
 
-    @property
-    def label(self) -> str | None:
-        """No particular class."""
-        return None
-
     def __call__(self, candidates: Candidates, target: Target) -> Tensor:
         """Scalar loss, lower is better for the attacker."""
-        overlaps = overlap(candidates.boxes.detach(), target.box)
-        return _suppress(candidates.scores, overlaps, self.iou, self.top)
+        return self._push(candidates.scores, candidates.boxes, target)
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """Nothing is reported on the object."""
-        left = confidence(detections, target.box, iou=self.iou)
-        return Verdict(success=left < self.confidence, score=1.0 - left, clear=left < self.confidence)
+        return self._judge(detections, target, None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Untargeted:
-    """The detector shall no longer report the original class on the object; anything else will do.
-
-    Attributes:
-        confidence: A detection of the original class below this score counts as none.
-        iou: Overlap from which a detection belongs to the object.
-        top: Number of candidates pushed.
-    """
-
-    confidence: float = 0.3
-    iou: float = 0.3
-    top: int = 16
+class Untargeted(Suppression):
+    """The detector shall no longer report the original class on the object; anything else will do."""
 
     @property
     def name(self) -> str:
         """Short name for reports."""
         return "untargeted"
 
-    @property
-    def label(self) -> str | None:
-        """No particular class."""
-        return None
-
     def __call__(self, candidates: Candidates, target: Target) -> Tensor:
         """Scalar loss, lower is better for the attacker."""
         if target.original is None:
             return candidates.scores.sum() * 0.0
-        column = _column(target, target.original)
-        overlaps = overlap(candidates.boxes[:, [column]].detach(), target.box)
-        return _suppress(candidates.scores[:, [column]], overlaps, self.iou, self.top)
+        column = [_column(target, target.original)]
+        return self._push(candidates.scores[:, column], candidates.boxes[:, column], target)
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """The original class is not reported on the object."""
         if target.original is None:
             return Verdict(success=False, score=0.0, clear=False)
-        left = confidence(detections, target.box, labels=[target.original], iou=self.iou)
-        return Verdict(success=left < self.confidence, score=1.0 - left, clear=left < self.confidence)
+        return self._judge(detections, target, [target.original])
 
 
 def relabel(to: str, *, confidence: float = 0.7, iou: float = 0.5) -> Relabel:
