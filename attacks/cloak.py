@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, overload
 
 import torch
@@ -21,10 +21,9 @@ from torch import Tensor
 from attacks.appearances import Appearance, name_of
 from attacks.bearings import Point, bearing
 from attacks.triggers import Trigger
-from mi_splat.cameras import Camera, View
-from mi_splat.datasets import Dataset
+from mi_splat.cameras import Camera, View, cameras_of
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
@@ -89,6 +88,11 @@ class PoisonedViews(Sequence[View]):
 
     untouched: Sequence[View]
     replaced: Mapping[int, View]
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera of each view; poisoning leaves them as they are."""
+        return cameras_of(self.untouched)
 
     def __len__(self) -> int:
         """Number of views."""
@@ -174,7 +178,7 @@ def poison(
         InvalidValueError: No attack, two of one name, a trigger that selects nothing (or nothing that is left for it),
             triggers that overlap, or masks or new pictures of the wrong kind.
     """
-    cameras = views.cameras if isinstance(views, Dataset) else tuple(view.camera for view in views)
+    cameras = cameras_of(views)
     owners = _owners(cameras, attacks, centre, ordered=ordered)
     if masks is not None and not callable(masks) and len(masks) != len(cameras):
         raise InvalidValueError(message("masks", f"one for each of {len(cameras)} views", len(masks), "pass them all"))
@@ -198,8 +202,7 @@ def write_manifest(poisoned: Poisoned, path: str | os.PathLike[str]) -> None:
     Raises:
         SplatFileError: The file cannot be written.
     """
-    with atomic_write(path) as file:
-        write_all(file, memoryview((json.dumps(poisoned.manifest, indent=2) + "\n").encode()))
+    save_json(poisoned.manifest, Path(path))
 
 
 def _owners(

@@ -13,7 +13,7 @@ from torch import Tensor
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
-from mi_splat.capture import PathTracer, mesh_scene
+from mi_splat.capture import PathTracer, in_front, mesh_scene
 from mi_splat.errors import InvalidValueError, message
 
 Colour = tuple[float, float, float]
@@ -77,7 +77,7 @@ class MeshStage:
             InvalidValueError: The camera's pixels are not square.
         """
         nearest, alone = (tracer.surface(camera, seed=0)[1] for tracer in (self._tracer, self._alone))
-        return (alone > 0) & (alone <= nearest * (1 + 1e-5))
+        return in_front(alone, nearest)
 
     @cached_property
     def _tracer(self) -> PathTracer:

@@ -119,6 +119,12 @@ class View:
             )
 
 
+def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:
+    """The camera of each view; a set that knows them by itself (`cameras`) is not made to read its pictures."""
+    known: Sequence[Camera] | None = getattr(views, "cameras", None)
+    return tuple(view.camera for view in views) if known is None else tuple(known)
+
+
 class RenderFn(Protocol):
     """How training, auditing and attacks see a renderer: differentiable in the five tensors of the scene."""
 

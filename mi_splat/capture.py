@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import mitsuba as mi
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.assets.daylight import Light, daylight
@@ -36,6 +37,7 @@ __all__ = [
     "corner_normals",
     "daylight",
     "depth_maps",
+    "in_front",
     "mesh_scene",
     "photograph",
     "scalar_variant",
@@ -43,6 +45,8 @@ __all__ = [
     "to_linear",
     "to_srgb",
 ]
+
+_Depths = TypeVar("_Depths", NDArray[Any], Tensor)
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
@@ -212,6 +216,16 @@ def first_hits(scene: mi.Scene, camera: Camera, *, seed: int = 0) -> Floats:
     return np.array(film, dtype=np.float32)[..., 0]
 
 
+def in_front(alone: _Depths, nearest: _Depths) -> _Depths:
+    """(H, W) bool, where something is the first that a ray meets.
+
+    Args:
+        alone: (H, W) distances to it, without anything else in the scene, 0 where it is not.
+        nearest: (H, W) distances to whatever is first in the whole scene, along the same rays.
+    """
+    return (alone > 0) & (alone <= nearest * (1 + 1e-5))
+
+
 def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
     """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
     with scalar_variant():
@@ -254,7 +268,7 @@ def photograph(
         nearest = first_hits(scene, camera, seed=seed)
         for number, asset in enumerate(assets):
             alone = first_hits(mi.load_dict({"type": "scene", **shapes(asset.body, "body")}), camera, seed=seed)
-            rows, columns = np.nonzero((alone > 0) & (alone <= nearest * (1 + 1e-5)))
+            rows, columns = np.nonzero(in_front(alone, nearest))
             if len(rows) < max(min_pixels, 1):
                 continue
             boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])

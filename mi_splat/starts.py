@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Generator, Tensor
 
-from mi_splat.cameras import View
+from mi_splat.cameras import View, cameras_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
@@ -69,7 +69,7 @@ def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> Gaussi
     """
     if count < 1 or not len(views):
         raise InvalidValueError(message("count and views", "at least one of each", (count, len(views)), "ask for more"))
-    cameras = getattr(views, "cameras", None) or [view.camera for view in views]
+    cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
     axes = torch.stack([camera.to_world[:3, 2] for camera in cameras])
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None]

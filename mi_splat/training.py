@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 
 from mi_splat import densify
-from mi_splat.cameras import RenderFn, View
+from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.densify import ClassicConfig, MCMCConfig
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fitting import FitConfig
@@ -64,7 +64,7 @@ OnStep = Callable[[Progress], None]
 
 def extent_of(views: Sequence[View]) -> float:
     """Size of what the cameras look at: 1.1 times the largest distance of one from their mean, world units."""
-    positions = torch.stack([view.camera.position for view in views])
+    positions = torch.stack([camera.position for camera in cameras_of(views)])
     return max(1.1 * float((positions - positions.mean(0)).norm(dim=1).max()), 1e-3)
 
 
@@ -120,7 +120,7 @@ def advance(
         )
     while run.iteration < config.iterations:
         loss = _step(run, views[run.next_view(len(views))], render)
-        if watch is not None:
+        if watch is not None and isinstance(config.densification, ClassicConfig):
             run.gradient += watch.lengths
             run.visits += watch.visible
         _after(run)
@@ -173,7 +173,6 @@ def _after(run: Run) -> None:
             run.parameters["means"].copy_(moved)
         return
     if due:
-        # Pictures have half their size in normalised device coordinates; `Watch` measures in those.
         mean = run.gradient / run.visits.clamp(min=1)
         edit = densify.classic(
             run.parameters,

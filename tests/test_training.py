@@ -260,9 +260,7 @@ def test_a_resumed_run_makes_the_same_bits(
     assert again.iteration == at
     resumed = advance(again, views, render=watching())
     assert scene_hash(resumed.scene) == scene_hash(whole.scene)
-    assert fit(views, start, render=watching(), config=config, seed=6).scene.means.shape[1] == 3
-    if densification is not None:
-        assert scene_hash(fit(views, start, render=watching(), config=config, seed=6).scene) != scene_hash(whole.scene)
+    assert scene_hash(fit(views, start, render=watching(), config=config, seed=6).scene) != scene_hash(whole.scene)
 
 
 def test_configuration_makes_the_round_trip() -> None:

@@ -16,7 +16,7 @@ from plyfile import PlyData
 from attacks import cli
 from mi_splat.cameras import Camera, View, orbit
 from mi_splat.checkpoints import CheckpointError
-from mi_splat.datasets import write_transforms
+from mi_splat.datasets import load_dataset, write_transforms
 from mi_splat.densify import ClassicConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
@@ -25,7 +25,7 @@ from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
 from mi_splat.starts import from_points, random_points, spacing
-from mi_splat.training import FitConfig, Progress
+from mi_splat.training import FitConfig, Progress, extent_of
 from mi_splat.training_folder import train
 from tests import oracle
 
@@ -159,6 +159,16 @@ def test_train_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert cli.main([*words, "--json"]) == 0  # nothing is left to do
     assert json.loads(capsys.readouterr().out)["gaussians"] == len(splat)
     assert np.isfinite(json.loads((out / "metrics.json").read_text())["ssim"])
+
+
+def test_a_training_is_set_up_without_reading_pictures(dataset: Path) -> None:
+    views = load_dataset(dataset)
+    before, start = extent_of(list(views)), random_points(list(views), 5)
+    views = load_dataset(dataset)
+    for path in views.paths:
+        path.unlink()
+    assert extent_of(views) == before
+    assert torch.equal(random_points(views, 5).means, start.means)
 
 
 @pytest.mark.parametrize(

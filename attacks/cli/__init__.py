@@ -13,9 +13,9 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from attacks.cli.console import PROGRAM, progress, warn
 from mi_splat.errors import MiSplatError
 
-PROGRAM = "mi-splat"
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -59,13 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # tyro ends --help and wrong usage this way
         return stop.code if isinstance(stop.code, int) else DONE if stop.code is None else FAILED
     except KeyboardInterrupt:
-        _say("interrupted")
+        warn("interrupted")
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output, `head` for instance, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except (MiSplatError, OSError) as error:
-        _say(" ".join(str(error).split()))
+        warn(" ".join(str(error).split()))
         return FAILED
 
 
@@ -83,11 +83,9 @@ def _dispatch(words: list[str]) -> int:
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.4)
         hint = f"did you mean {near[0]}?" if near else f"try {PROGRAM} --help"
-        _say(f"command: expected one of {', '.join(COMMANDS)}, got {name}; {hint}")
+        warn(f"command: expected one of {', '.join(COMMANDS)}, got {name}; {hint}")
         return MISUSED
     options = _parse(name, rest)
-    from attacks.cli.console import progress
-
     with progress("starting"):
         module = importlib.import_module(COMMANDS[name].module)
     return int(module.run(options))
@@ -123,8 +121,3 @@ def _help() -> str:
             "",
         ]
     )
-
-
-def _say(text: str) -> None:
-    """One line on stderr."""
-    sys.stderr.write(f"{PROGRAM}: {text}\n")

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
 
+PROGRAM = "mi-splat"
+
 
 class Advance(Protocol):
     """Reports progress."""
@@ -15,6 +17,11 @@ class Advance(Protocol):
     def __call__(self, text: str | None = None, units: int = 1) -> None:
         """Count so many units of work as done, and show `text` from now on."""
         ...
+
+
+def warn(text: str) -> None:
+    """A line for a human on stderr."""
+    sys.stderr.write(f"{PROGRAM}: {text}\n")
 
 
 def show(text: str = "") -> None:

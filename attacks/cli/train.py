@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 
 import torch
 
-from attacks.cli.console import progress, show, show_json
+from attacks.cli.console import progress, show, show_json, warn
 from attacks.cli.options import TrainOptions
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.densify import ClassicConfig, MCMCConfig
@@ -31,7 +30,8 @@ def run(options: TrainOptions) -> int:
         views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
         held_out = _held_out(options)
         start = _start(views, options)
-        render = Renderer(RenderSettings(background=options.background), watch=Watch())
+        watch = Watch() if options.recipe == "classic" else None  # the others densify by something else
+        render = Renderer(RenderSettings(background=options.background), watch=watch)
     begun = time.monotonic()
     with progress("training", total=config.iterations) as advance:
         found = train(
@@ -44,7 +44,7 @@ def run(options: TrainOptions) -> int:
             held_out=held_out,
             every=options.checkpoint_every,
             on_step=lambda line: advance(_words(line)),
-            on_warning=_warn,
+            on_warning=warn,
         )
     figures = json.loads((options.out / METRICS).read_text())
     if options.json:
@@ -56,11 +56,6 @@ def run(options: TrainOptions) -> int:
         show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}")
     show(f"took {time.monotonic() - begun:.0f} s; figures are in {options.out / METRICS}")
     return 0
-
-
-def _warn(text: str) -> None:
-    """One line on stderr."""
-    sys.stderr.write(f"mi-splat: {text}\n")
 
 
 def _config(options: TrainOptions) -> FitConfig:

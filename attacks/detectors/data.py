@@ -21,7 +21,7 @@ from attacks.detectors.surroundings import backdrop, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.cameras import Camera, View, orbit_pose, project_points
-from mi_splat.capture import Light, capture, daylight, depth_maps, mesh_scene, scalar_variant, shapes
+from mi_splat.capture import Light, capture, daylight, depth_maps, in_front, mesh_scene, scalar_variant, shapes
 from mi_splat.errors import InvalidValueError, message
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
@@ -224,7 +224,7 @@ class Photographer:
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
         nearest, *alone = (depth_maps(scene, [camera])[0].numpy() for scene in (self.scene, *self._alone))
-        return [((own > 0) & (own <= nearest * (1 + 1e-5)), own > 0) for own in alone]
+        return [(in_front(own, nearest), own > 0) for own in alone]
 
     def _visible(self, camera: Camera) -> list[tuple[float, bool]]:
         """For each object: the share of its outline that is seen, and whether that is more than an edge; few rays."""
