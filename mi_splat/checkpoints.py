@@ -6,7 +6,6 @@ A run that is taken up again makes the bits that it would have made without the 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,10 @@ from torch import Tensor
 
 from mi_splat.densify import ClassicConfig, MCMCConfig
 from mi_splat.errors import MiSplatError, message
+from mi_splat.fitting import FitConfig
 from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.runs import Progress, Run
 from mi_splat.scene import GaussianScene
-from mi_splat.training import FitConfig, Progress, Run
 
 _KINDS: dict[str, type[ClassicConfig] | type[MCMCConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig}
 _MOMENTS = ("exp_avg", "exp_avg_sq", "step")
@@ -49,7 +49,7 @@ def from_json(plain: dict[str, Any]) -> FitConfig:
     return FitConfig(**{**values, "trainable": tuple(values["trainable"])})
 
 
-def save_run(run: Run, path: Path, *, history: Sequence[Progress] = ()) -> None:
+def save_run(run: Run, path: Path) -> None:
     """Write a run between two steps; the old checkpoint stays until the new one is on the disk.
 
     Raises:
@@ -68,18 +68,18 @@ def save_run(run: Run, path: Path, *, history: Sequence[Progress] = ()) -> None:
         "queue": run.queue,
         "was_reset": run.was_reset,
         "threads": torch.get_num_threads(),
-        "history": [asdict(line) for line in history],
+        "history": [asdict(line) for line in run.history],
     }
     packed = save({k: v.contiguous() for k, v in tensors.items()}, metadata={"notes": json.dumps(notes)})
     with atomic_write(path) as file:
         write_all(file, memoryview(packed))
 
 
-def load_run(path: Path) -> tuple[Run, tuple[Progress, ...], int]:
+def load_run(path: Path) -> tuple[Run, int]:
     """Read a run.
 
     Returns:
-        The run, the evaluations so far, and the number of torch threads that it was made with.
+        The run, and the number of torch threads that it was made with.
 
     Raises:
         CheckpointError: the file is missing or is no checkpoint.
@@ -90,7 +90,7 @@ def load_run(path: Path) -> tuple[Run, tuple[Progress, ...], int]:
         with safe_open(path, framework="pt") as file:
             notes = json.loads(file.metadata()["notes"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        return _assemble(notes, tensors), tuple(Progress(**line) for line in notes["history"]), notes["threads"]
+        return _assemble(notes, tensors), notes["threads"]
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise CheckpointError(
@@ -120,5 +120,6 @@ def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> Run:
             run.optimiser.state[run.parameters[name]] = state
     run.gradient, run.visits = tensors["gradient"], tensors["visits"]
     run.generator.set_state(tensors["generator"])
+    run.history = [Progress(**line) for line in notes["history"]]
     run.iteration, run.queue, run.was_reset = notes["iteration"], list(notes["queue"]), notes["was_reset"]
     return run

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -19,6 +20,23 @@ class TrainingError(MiSplatError):
     """Training that cannot go on: values that are not finite, or nothing left to train."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """One step as `on_step` hears of it.
+
+    Attributes:
+        iteration: Steps done.
+        loss: Loss of this one.
+        count: Number of Gaussians after it.
+        held_out: PSNR over the held-out views in dB, if they were looked at.
+    """
+
+    iteration: int
+    loss: float
+    count: int
+    held_out: float | None = None
+
+
 class Run:
     """Everything that the rest of a training run depends on.
 
@@ -30,6 +48,7 @@ class Run:
         gradient: (N,) sums of the length of the centres' gradients since the last densification.
         visits: (N,) in how many pictures each Gaussian was visible since then.
         was_reset: Whether opacities were ever reset.
+        history: Every evaluation so far, and the last step.
     """
 
     def __init__(self, start: GaussianScene, config: FitConfig, *, extent: float, seed: int) -> None:
@@ -39,6 +58,7 @@ class Run:
         values |= {"dc": sh[:, :1].contiguous(), "rest": sh[:, 1:].contiguous()}
         self.parameters = {name: value.float() for name, value in values.items()}
         self.iteration, self.queue, self.was_reset = 0, list[int](), False
+        self.history = list[Progress]()
         self.generator = Generator().manual_seed(seed)
         self.gradient, self.visits = torch.zeros(len(start)), torch.zeros(len(start))
         trained = {"dc", "rest"} if "sh" in config.trainable else set[str]()

@@ -19,25 +19,8 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.fitting import FitConfig
 from mi_splat.metrics import psnr
 from mi_splat.photometric import photometric
-from mi_splat.runs import Run, TrainingError
+from mi_splat.runs import Progress, Run, TrainingError
 from mi_splat.scene import GaussianScene
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
-    """One step as `on_step` hears of it.
-
-    Attributes:
-        iteration: Steps done.
-        loss: Loss of this one.
-        count: Number of Gaussians after it.
-        held_out: PSNR over the held-out views in dB, if they were looked at.
-    """
-
-    iteration: int
-    loss: float
-    count: int
-    held_out: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -112,7 +95,7 @@ def advance(
     on_step: OnStep | None = None,
 ) -> Fit:
     """Take a run to its end; `on_step` may stop it between two steps by raising."""
-    config, history = run.config, list[Progress]()
+    config = run.config
     watch = getattr(render, "watch", None)
     if isinstance(config.densification, ClassicConfig) and watch is None:
         raise InvalidValueError(
@@ -130,10 +113,10 @@ def advance(
             scored = _score(run, held_out, render)
         line = Progress(iteration=run.iteration, loss=loss, count=len(run.gradient), held_out=scored)
         if run.iteration == config.iterations or scored is not None:
-            history.append(line)
+            run.history.append(line)
         if on_step is not None:
             on_step(line)
-    return Fit(scene=run.result(), history=tuple(history), config=config, seed=run.seed)
+    return Fit(scene=run.result(), history=tuple(run.history), config=config, seed=run.seed)
 
 
 def _step(run: Run, view: View, render: RenderFn) -> float:

@@ -60,11 +60,9 @@ def train(
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / CHECKPOINT
-    history: list[Progress] = []
     if path.is_file():
-        run, before, threads = load_run(path)
+        run, threads = load_run(path)
         _check_same(run, config, seed, folder)
-        history += before
         if threads != torch.get_num_threads() and on_warning is not None:
             now = torch.get_num_threads()
             on_warning(
@@ -77,19 +75,17 @@ def train(
     with _deferred_interrupt() as interrupted:
 
         def after(line: Progress) -> None:
-            if line.held_out is not None:
-                history.append(line)
             if on_step is not None:
                 on_step(line)
             if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
-                save_run(run, path, history=history)
+                save_run(run, path)
             if interrupted():
                 raise KeyboardInterrupt
 
         found = advance(run, views, render=render, held_out=held_out, on_step=after)
     save_splat(found.scene, folder / SPLAT)
-    save_json(_figures(found, history, held_out, render), folder / METRICS)
-    return Fit(scene=found.scene, history=tuple(history), config=config, seed=seed)
+    save_json(_figures(found, held_out, render), folder / METRICS)
+    return found
 
 
 def _check_same(run: Run, config: FitConfig, seed: int, folder: Path) -> None:
@@ -101,7 +97,7 @@ def _check_same(run: Run, config: FitConfig, seed: int, folder: Path) -> None:
         )
 
 
-def _figures(found: Fit, history: Sequence[Progress], held_out: Sequence[View], render: RenderFn) -> dict[str, object]:
+def _figures(found: Fit, held_out: Sequence[View], render: RenderFn) -> dict[str, object]:
     """PSNR and SSIM over the held-out views, and how they came about."""
     scores: list[tuple[float, float]] = []
     with torch.no_grad():
@@ -117,7 +113,7 @@ def _figures(found: Fit, history: Sequence[Progress], held_out: Sequence[View], 
         "scene_hash": scene_hash(found.scene),
         "threads": torch.get_num_threads(),
         "seed": found.seed,
-        "history": [asdict(line) for line in history],
+        "history": [asdict(line) for line in found.history],
     }
 
 

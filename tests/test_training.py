@@ -255,7 +255,7 @@ def test_a_resumed_run_makes_the_same_bits(
 
     with pytest.raises(Stop):
         advance(run, views, render=watching(), on_step=stop)
-    again, _, threads = load_run(path)
+    again, threads = load_run(path)
     assert threads == torch.get_num_threads()
     assert again.iteration == at
     resumed = advance(again, views, render=watching())
