@@ -25,7 +25,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.mesh_scenes import MAX_DEPTH, corner_normals, mesh_scene, scalar_variant, shapes
 from mi_splat.plugins.sensor import sensor_dict
 
-PASSES, BRIGHTEST = 4, 1.6
+PASSES, BRIGHTEST = 2, 1.6
 """Into how many passes a picture is split, and the intensity at which each is clipped."""
 
 __all__ = [
@@ -72,7 +72,8 @@ class Photograph:
 
 
 def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False) -> mi.Sensor:
-    sampler = {"type": "independent", "sample_count": samples, "seed": seed}
+    # Correlated multi-jittered (Kensler 2013): at 16 and 64 paths a pixel 6 dB less noise than independent ones.
+    sampler = {"type": "multijitter", "sample_count": samples, "seed": seed}
     values = {**sensor_dict(camera), "sampler": sampler}
     if alpha:
         values["film"] = {**values["film"], "pixel_format": "rgba"}

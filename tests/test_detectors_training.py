@@ -15,8 +15,10 @@ from attacks.detectors.augment import augment, blur, coarsen, like_a_splat, refr
 from attacks.detectors.base import Detections
 from attacks.detectors.data import SPLITS, Photographer, Recipe, Sample, place, take
 from attacks.detectors.dataset import load, make
+from attacks.detectors.rcnn import RCNNDetector
 from attacks.detectors.scoring import average_precision, match, score
 from attacks.detectors.small import CLASSES
+from attacks.detectors.small_training import RCNNTrainee
 from attacks.detectors.training import TrainConfig, Training, ship
 from attacks.detectors.weights import DetectorError, read_weights
 from mi_splat.errors import InvalidValueError
@@ -200,17 +202,17 @@ def few() -> list[Sample]:
 
 
 def test_training_lowers_the_loss() -> None:
-    training = Training(replace(PLAIN, epochs=8, rate=1e-3, warm_up=0.01))
+    training = Training(replace(PLAIN, epochs=8, rate=1e-3, warm_up=0.01), RCNNTrainee())
     losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
     assert min(losses[-2:]) < 0.7 * losses[0]
 
 
 def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
-    straight = Training(PLAIN)
+    straight = Training(PLAIN, RCNNTrainee())
     straight.run_epoch(few())
     straight.save(tmp_path)
     straight.run_epoch(few())
-    resumed = Training.resume(tmp_path, PLAIN)
+    resumed = Training.resume(tmp_path, PLAIN, RCNNTrainee())
     assert resumed.epoch == 1
     resumed.run_epoch(few())
     for name, value in straight.model.state_dict().items():
@@ -220,16 +222,18 @@ def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN).save(tmp_path)
+    Training(PLAIN, RCNNTrainee()).save(tmp_path)
     with pytest.raises(DetectorError, match="use the same one or another folder"):
-        Training.resume(tmp_path, replace(PLAIN, rate=1.0))
+        Training.resume(tmp_path, replace(PLAIN, rate=1.0), RCNNTrainee())
 
 
 def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
-    training = Training(PLAIN)
+    training = Training(PLAIN, RCNNTrainee())
     path = tmp_path / "w.safetensors"
     ship(training.averaged, path, notes={"seed": "3"})
-    stored, model = read_weights(path), training.snapshot().state_dict()
+    detector = training.snapshot()
+    assert isinstance(detector, RCNNDetector)
+    stored, model = read_weights(path), detector.model.state_dict()
     assert path.stat().st_size < 12_000_000
     for name, value in stored.items():
         assert torch.equal(value.float(), model[name]), name

@@ -1,6 +1,7 @@
 """Object detectors behind one seam: `load_detector(name)`.
 
-Importing this package is light; torchvision is imported when a detector is loaded.
+Importing this package is light; torchvision is imported when a detector is loaded, and ultralytics
+(the extra `yolo`, AGPL-3.0) when it is one of YOLO's.
 """
 
 from __future__ import annotations
@@ -29,6 +30,18 @@ def _published(name: str, weights: Path | None) -> Detector:
     return load_published(name, weights)
 
 
+def _small_yolo(weights: Path | None) -> Detector:
+    from attacks.detectors.yolo import load_small
+
+    return load_small(weights)
+
+
+def _published_yolo(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.yolo import load_published
+
+    return load_published(name, weights)
+
+
 DETECTORS: dict[str, Callable[[Path | None], Detector]] = {
     "fasterrcnn_small": _small,
     **{
@@ -40,6 +53,8 @@ DETECTORS: dict[str, Callable[[Path | None], Detector]] = {
             "fasterrcnn_mobilenet_v3_large_320_fpn",
         )
     },
+    "yolov8n_small": _small_yolo,
+    **{name: partial(_published_yolo, name) for name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x")},
 }
 """Name to loader; a loader takes the weights' path, or None for what is shipped or published."""
 

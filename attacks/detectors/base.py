@@ -102,3 +102,20 @@ class Detector(Protocol):
             images: (B, H, W, 3) sRGB in [0, 1].
         """
         ...
+
+
+def check_images(images: Tensor) -> None:
+    """Raise unless `images` is a stack that a detector takes.
+
+    Raises:
+        InvalidValueError: It is not floating point of shape (B, H, W, 3), or empty.
+    """
+    if images.ndim != 4 or images.shape[-1] != 3 or not images.is_floating_point() or 0 in images.shape:
+        raise InvalidValueError(
+            message(
+                "images",
+                "floating point (B, H, W, 3)",
+                f"{images.dtype} {tuple(images.shape)}",
+                "stack channels-last sRGB pictures in [0, 1]",
+            )
+        )

@@ -50,6 +50,8 @@ class Recipe:
         pair: Share of scenes with two objects.
         street: Share of scenes in the project's own surroundings: street, park, open ground, room.
         least_visible: Objects of which less than this share can be seen are not labelled.
+        elevation: Lowest and highest elevation of the cameras, degrees.
+        focus: Classes that take turns as a scene's first object; one may come several times.
     """
 
     split: str = "train"
@@ -62,6 +64,8 @@ class Recipe:
     pair: float = 0.3
     street: float = 0.5
     least_visible: float = 0.15
+    elevation: tuple[float, float] = (0.0, 90.0)
+    focus: tuple[str, ...] = CLASSES
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -97,7 +101,7 @@ def place(recipe: Recipe, number: int) -> Place:
     low, high = SPLITS[recipe.split]
     rng = np.random.default_rng([recipe.seed, low, number])
     kind = rng.random()
-    names = [CLASSES[number % len(CLASSES)], CLASSES[int(rng.integers(len(CLASSES)))]]
+    names = [recipe.focus[number % len(recipe.focus)], CLASSES[int(rng.integers(len(CLASSES)))]]
     count = 0 if kind < recipe.empty else 2 if kind < recipe.empty + recipe.pair else 1
     seeds = [int(rng.integers(low, high)) for _ in names]
     assets = _arrange([build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng)
@@ -139,11 +143,12 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def _camera(points: Floats, rng: Generator, size: int) -> Camera:
+def _camera(points: Floats, rng: Generator, recipe: Recipe) -> Camera:
     """A camera in which the longer side of the box around `points` is 20 to 100 % of the picture."""
+    size = recipe.size
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(0, 90))
+    azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*recipe.elevation))
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
     extent = size * math.exp(rng.uniform(math.log(0.2), 0.0))
     cloud = torch.from_numpy(np.ascontiguousarray(points, np.float64))
@@ -219,7 +224,7 @@ class Photographer:
             points = assets[int(rng.integers(len(assets)))].body.vertices
         else:
             points = np.concatenate([asset.body.vertices for asset in assets])
-        return _camera(points, rng, self._recipe.size)
+        return _camera(points, rng, self._recipe)
 
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""

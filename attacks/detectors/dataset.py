@@ -102,7 +102,8 @@ def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
     if not path.is_file():
         return {}
     content = json.loads(path.read_text())
-    if replace(Recipe(**content["recipe"]), count=recipe.count) != recipe:
+    noted = {key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()}
+    if replace(Recipe(**noted), count=recipe.count) != recipe:
         raise InvalidValueError(
             message(f"folder {folder}", recipe, content["recipe"], "choose an empty folder or the same recipe")
         )

@@ -15,7 +15,7 @@ from torchvision.ops import FrozenBatchNorm2d
 from torchvision.ops.boxes import clip_boxes_to_image
 
 from attacks.detectors import small
-from attacks.detectors.base import Candidates, Detections
+from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.weights import DetectorError, apply_weights, read_weights
 from mi_splat.errors import InvalidValueError, message
 
@@ -194,15 +194,7 @@ def _freeze_norms(module: nn.Module, eps: float) -> None:
 
 
 def _channels_first(images: Tensor) -> list[Tensor]:
-    if images.ndim != 4 or images.shape[-1] != 3 or not images.is_floating_point() or 0 in images.shape:
-        raise InvalidValueError(
-            message(
-                "images",
-                "floating point (B, H, W, 3)",
-                f"{images.dtype} {tuple(images.shape)}",
-                "stack channels-last sRGB pictures in [0, 1]",
-            )
-        )
+    check_images(images)
     return list(images.permute(0, 3, 1, 2))
 
 

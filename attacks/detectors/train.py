@@ -1,4 +1,4 @@
-"""`python -m attacks.detectors.train`: make the pictures, train `fasterrcnn_small`, write weights and curves."""
+"""`python -m attacks.detectors.train`: make the pictures, train a small detector, write weights and curves."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import torch
 import tyro
@@ -14,22 +15,24 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from attacks.detectors.data import Recipe, Sample
 from attacks.detectors.dataset import load, make
-from attacks.detectors.rcnn import RCNNDetector
 from attacks.detectors.scoring import Score, evaluate
 from attacks.detectors.small import CLASSES
+from attacks.detectors.small_training import RCNNTrainee
 from attacks.detectors.splats import SplatConfig, splat_set
-from attacks.detectors.training import TrainConfig, Training, ship
+from attacks.detectors.training import TrainConfig, Trainee, Training, ship
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """Train the small detector from nothing.
+    """Train a small detector from nothing.
 
     Attributes:
+        detector: Which one; yolov8n_small needs the extra `yolo`.
         data: Folder of the pictures; what is missing in it is made first.
         out: Folder of checkpoint, curves.json and the best weights so far.
         pictures: Number of training pictures.
         places: Number of further ones of the project's streets, parks and rooms, many of them without any object.
+        overhead: Number of further ones from above, of cars and trains more than of others.
         splats: Number of further scenes that are made into splats, eight renders of each.
         validation: Number of pictures by which the best epoch is chosen.
         every: Epochs between two validations.
@@ -40,10 +43,12 @@ class Run:
         config: The training itself.
     """
 
+    detector: Literal["fasterrcnn_small", "yolov8n_small"] = "fasterrcnn_small"
     data: Path = Path("out/detector-data")
     out: Path = Path("out/detector")
     pictures: int = 3600
     places: int = 720
+    overhead: int = 720
     splats: int = 40
     validation: int = 120
     every: int = 2
@@ -70,7 +75,7 @@ def main(run: Run) -> None:
         train = _made(run, bars)
         if run.only_data:
             return
-        training = Training.resume(run.out, run.config)
+        training = Training.resume(run.out, run.config, _trainee(run.detector))
         while training.epoch < run.config.epochs:
             if not training.history and run.start is not None:
                 training.begin_from(run.start)
@@ -79,14 +84,27 @@ def main(run: Run) -> None:
             _epoch(training, train, validation, run, bars, console)
 
 
+def _trainee(name: str) -> Trainee:
+    """What is trained."""
+    if name == RCNNTrainee.name:
+        return RCNNTrainee()
+    from attacks.detectors.yolo_training import YOLOTrainee
+
+    return YOLOTrainee()
+
+
 def _made(run: Run, bars: Progress) -> list[Sample]:
     """All training pictures."""
     places = Recipe(split="train", seed=1, count=run.places, empty=0.4, street=1.0)
+    above = Recipe(
+        split="train", seed=3, count=run.overhead, elevation=(50, 90), focus=("car", "train", *CLASSES), street=0.7
+    )
     bar = bars.add_task("splats", total=run.splats)
     config = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
     return [
         *_pictures(Recipe(split="train", count=run.pictures), run, bars),
         *_pictures(places, run, bars, name="places"),
+        *_pictures(above, run, bars, name="overhead"),
         *splat_set(
             Recipe(split="train", seed=2),
             range(run.splats),
@@ -110,7 +128,8 @@ def _pretrain(training: Training, train: list[Sample], run: Run, bars: Progress,
     bar = bars.add_task("pretraining", total=run.config.pretraining)
     right = training.pretrain(train, on_step=lambda done, _, __: bars.update(bar, completed=done))
     training.save(run.out)
-    console.print(f"pretraining: {right:.1%} of the cut-outs named right")
+    if right is not None:
+        console.print(f"pretraining: {right:.1%} of the cut-outs named right")
 
 
 def _epoch(
@@ -127,8 +146,7 @@ def _epoch(
         "seconds": time.monotonic() - start,
     }
     if training.epoch % run.every == 0 or training.epoch == run.config.epochs:
-        detector = RCNNDetector("fasterrcnn_small", training.snapshot(), ("__background__", *CLASSES))
-        result = evaluate(detector, validation)
+        result = evaluate(training.snapshot(), validation)
         record |= {"validation": asdict(result), "map": result.mean}
         if result.mean >= max((float(str(r["map"])) for r in training.history if "map" in r), default=0.0):
             notes = {"epoch": str(training.epoch), "seed": str(run.config.seed)}

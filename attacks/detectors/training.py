@@ -1,4 +1,4 @@
-"""The training loop of `fasterrcnn_small`: seeded, resumable to the same bits, with an average of the weights kept."""
+"""The training loop of the small detectors: seeded, resumable to the same bits, with an average of the weights kept."""
 
 from __future__ import annotations
 
@@ -8,21 +8,17 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Protocol
 
 import torch
 from safetensors.torch import load_file, save_file
-from torch import Tensor, nn
-from torchvision.models.detection import FasterRCNN
-from torchvision.models.detection._utils import BalancedPositiveNegativeSampler
+from torch import Generator, Tensor, nn
 
-from attacks.detectors import small
 from attacks.detectors.augment import augment
+from attacks.detectors.base import Detector
 from attacks.detectors.data import Sample
-from attacks.detectors.pretraining import pretrain
 from attacks.detectors.weights import DetectorError, apply_weights, read_weights
 from mi_splat.errors import message
-
-_EAGER, _SETTLED = (32, 0.5), (96, 0.25)  # boxes a picture, largest share of them with an object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +37,8 @@ class TrainConfig:
         mixed: Convolutions and matrix products in bfloat16.
         coarse_side: Shorter image side in the first epochs, which are cheaper for it.
         coarse_share: Share of the epochs at that size.
-        settle_share: Share of the epochs, the last ones, in which the box head learns from 96 boxes a picture, at most
-            a quarter of them with an object, instead of 32 and a half: closer to what it meets in use, hence calmer.
+        settle_share: Share of the epochs, the last ones, that are closer to what the network meets in use, hence calmer;
+            what that means, the trainee says.
         seed: Seed of the weights, of the order and of every random change of the pictures.
     """
 
@@ -64,6 +60,53 @@ class TrainConfig:
 OnStep = Callable[[int, int, dict[str, float]], None]
 """Called with (step in the epoch, steps of an epoch, losses)."""
 
+Targets = list[dict[str, Tensor]]
+"""For each picture `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in CLASSES."""
+
+
+class Trainee(Protocol):
+    """A network that can be trained here.
+
+    Attributes:
+        name: Of the detector.
+    """
+
+    name: str
+
+    def build(self) -> nn.Module:
+        """The network with random weights, drawn from torch's generator."""
+        ...
+
+    def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
+        """Make the network ready for an epoch.
+
+        Args:
+            model: The network.
+            side: Shorter image side to train at, pixels; None is that of its use.
+            settled: Whether this is one of the calmer last epochs.
+        """
+        ...
+
+    def losses(
+        self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
+    ) -> dict[str, Tensor]:
+        """What to minimise the sum of, by name, for (3, H, W) pictures in [0, 1]."""
+        ...
+
+    def pretrain(
+        self,
+        model: nn.Module,
+        samples: Sequence[Sample],
+        config: TrainConfig,
+        on_step: Callable[[int, int, float], None] | None,
+    ) -> float | None:
+        """Give the network a head start, in place; the share of cut-outs that it names right, None without any."""
+        ...
+
+    def detector(self, model: nn.Module) -> Detector:
+        """The network in use, keeping detections of any confidence."""
+        ...
+
 
 class Training:
     """Network, averaged network, optimiser and position of one run.
@@ -75,10 +118,10 @@ class Training:
         history: One dict of figures a finished epoch.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, trainee: Trainee) -> None:
         torch.manual_seed(config.seed)
-        self.config = config
-        self.model: FasterRCNN = small.build().to(memory_format=torch.channels_last)
+        self.config, self.trainee = config, trainee
+        self.model = trainee.build().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.epoch = 0
         self.history: list[dict[str, object]] = []
@@ -88,13 +131,11 @@ class Training:
         ]
         self._optimiser = torch.optim.AdamW(groups, lr=config.rate)
 
-    def pretrain(self, samples: Sequence[Sample], *, on_step: Callable[[int, int, float], None] | None = None) -> float:
-        """Give the backbone its head start; returns the share of cut-outs that it names right."""
-        config = self.config
-        backbone = self.model.backbone
-        right = pretrain(
-            backbone, samples, steps=config.pretraining, seed=config.seed, mixed=config.mixed, on_step=on_step
-        )
+    def pretrain(
+        self, samples: Sequence[Sample], *, on_step: Callable[[int, int, float], None] | None = None
+    ) -> float | None:
+        """Give the network its head start; returns the share of cut-outs that it names right."""
+        right = self.trainee.pretrain(self.model, samples, self.config, on_step)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
         return right
@@ -116,14 +157,14 @@ class Training:
         torch.manual_seed(_seed(config.seed, self.epoch))
         self.model.train()
         coarse = self.epoch < round(config.coarse_share * config.epochs)
-        self.model.transform.min_size = (config.coarse_side if coarse else small.SIZE,)
         settled = self.epoch >= config.epochs - round(config.settle_share * config.epochs)
-        self.model.roi_heads.fg_bg_sampler = BalancedPositiveNegativeSampler(*(_SETTLED if settled else _EAGER))
+        self.trainee.begin_epoch(self.model, side=config.coarse_side if coarse else None, settled=settled)
         steps = len(samples) // config.batch
         total: dict[str, float] = {}
         for step, (pictures, targets) in enumerate(self._batches(samples)):
             self._set_rate((self.epoch + step / steps) / config.epochs)
-            losses = self._step(pictures, targets)
+            generator = Generator().manual_seed(_seed(config.seed, self.epoch, 7, step))
+            losses = self._step(pictures, targets, generator)
             for name, value in losses.items():
                 total[name] = total.get(name, 0.0) + value / steps
             if on_step is not None:
@@ -131,7 +172,7 @@ class Training:
         self.epoch += 1
         return total
 
-    def _batches(self, samples: Sequence[Sample]) -> Iterator[tuple[list[Tensor], list[dict[str, Tensor]]]]:
+    def _batches(self, samples: Sequence[Sample]) -> Iterator[tuple[list[Tensor], Targets]]:
         order = torch.randperm(len(samples)).tolist()
         for start in range(0, len(samples) - self.config.batch + 1, self.config.batch):
             pictures, targets = [], []
@@ -142,9 +183,9 @@ class Training:
                 targets.append({"boxes": boxes, "labels": labels})
             yield pictures, targets
 
-    def _step(self, pictures: list[Tensor], targets: list[dict[str, Tensor]]) -> dict[str, float]:
+    def _step(self, pictures: list[Tensor], targets: Targets, generator: Generator) -> dict[str, float]:
         with torch.autocast("cpu", torch.bfloat16, enabled=self.config.mixed):
-            losses = self.model(pictures, targets)
+            losses = self.trainee.losses(self.model, pictures, targets, generator)
         self._optimiser.zero_grad(set_to_none=True)
         total = torch.stack([v.float() for v in losses.values()]).sum()
         total.backward()  # type: ignore[no-untyped-call]
@@ -166,11 +207,12 @@ class Training:
         for group in self._optimiser.param_groups:
             group["lr"] = self.config.rate * factor
 
-    def snapshot(self) -> FasterRCNN:
-        """A network of the averaged weights, rounded to what is shipped."""
-        model = small.build()
-        model.load_state_dict({k: v.to(v.dtype) for k, v in rounded(self.averaged).items()}, strict=False)
-        return model.eval()
+    def snapshot(self) -> Detector:
+        """A detector of the averaged weights, rounded to what is shipped."""
+        with torch.random.fork_rng(devices=[]):
+            model = self.trainee.build()
+        model.load_state_dict(rounded(self.averaged), strict=False)
+        return self.trainee.detector(model.eval())
 
     def save(self, folder: Path) -> None:
         """Write everything that the rest of the run depends on; the old checkpoint stays until the new one is whole."""
@@ -185,14 +227,14 @@ class Training:
         temporary.replace(folder / "checkpoint.safetensors")
 
     @classmethod
-    def resume(cls, folder: Path, config: TrainConfig) -> Training:
+    def resume(cls, folder: Path, config: TrainConfig, trainee: Trainee) -> Training:
         """Continue from the checkpoint in `folder`, or begin where there is none.
 
         Raises:
             DetectorError: the checkpoint belongs to a run with another configuration.
         """
         path = folder / "checkpoint.safetensors"
-        training = cls(config)
+        training = cls(config, trainee)
         if not path.is_file():
             return training
         notes = json.loads(_metadata(path)["notes"])

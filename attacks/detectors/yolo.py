@@ -1,0 +1,213 @@
+"""Adapter to ultralytics' YOLOv8, which the user installs (extra `yolo`); nothing else here imports that package.
+
+Its licence is AGPL-3.0, which is stricter than that of this project: read it before you build on this module.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor, nn
+from torchvision.models.detection import FasterRCNN_ResNet50_FPN_Weights
+from torchvision.ops import box_iou
+
+from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.small import CLASSES, SIZE
+from attacks.detectors.weights import DetectorError, apply_weights, read_weights
+from mi_splat.errors import message
+
+# Before the package is imported, which would otherwise write settings into the home and ask a server for news.
+os.environ.setdefault("YOLO_OFFLINE", "true")
+os.environ.setdefault("YOLO_AUTOINSTALL", "false")
+os.environ.setdefault("YOLO_VERBOSE", "false")
+os.environ.setdefault("YOLO_CONFIG_DIR", str(Path(tempfile.gettempdir()) / f"mi-splat-yolo-{getattr(os, 'getuid', int)()}"))
+Path(os.environ["YOLO_CONFIG_DIR"]).mkdir(parents=True, exist_ok=True)
+
+try:
+    from ultralytics.cfg import get_cfg
+    from ultralytics.data.augment import LetterBox
+    from ultralytics.nn.tasks import DetectionModel, torch_safe_load
+    from ultralytics.utils.nms import non_max_suppression
+    from ultralytics.utils.ops import scale_boxes
+except ImportError as error:
+    raise DetectorError(
+        message("detector", "the package ultralytics, which is AGPL-3.0", str(error), 'pip install "mi-splat[yolo]"')
+    ) from error
+
+SMALL_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
+"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
+USUAL_SIDE = 640
+"""Longer image side, in pixels, that the published ones work at; the small one works at `SIZE`."""
+_CONFIDENCE, _OVERLAP, _MOST = 0.25, 0.7, 300
+"""The library's own settings of prediction: least confidence, largest IoU of two boxes, most boxes."""
+_COCO = tuple(
+    name
+    for name in FasterRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
+    if name not in ("__background__", "N/A")
+)
+
+
+class YOLODetector:
+    """A frozen YOLOv8 behind the `Detector` seam.
+
+    Attributes:
+        name: Name in `attacks.detectors.DETECTORS`.
+        classes: Foreground classes.
+        model: The library's model, in evaluation mode, its weights without gradients.
+        side: Longer image side that the network works at, pixels.
+        least: Confidence below which `detect` drops a box.
+    """
+
+    def __init__(
+        self, name: str, model: nn.Module, classes: Sequence[str], *, side: int, least: float = _CONFIDENCE
+    ) -> None:
+        """Wrap `model`, whose class number i is classes[i]."""
+        self.name, self.classes, self.side, self.least = name, tuple(classes), side, least
+        self.model: Any = model.eval().requires_grad_(False)
+        self._stride = int(self.model.stride.max())
+
+    def to(self, device: torch.device | str) -> YOLODetector:
+        """Move the weights to a device, in place."""
+        self.model.to(device)
+        return self
+
+    def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
+        """Every cell of the three grids, before threshold and non-maximum suppression.
+
+        YOLO has no second stage that could score a box of our choice: in the place of an `extra` box comes the cell whose
+        box overlaps it most.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+            extra: See `Detector`.
+
+        Raises:
+            InvalidValueError: The images have another shape.
+        """
+        check_images(images)
+        height, width = images.shape[1:3]
+        inner, (left, top, right, bottom) = _frame((height, width), self.side, self._stride)
+        planes = F.interpolate(images.permute(0, 3, 1, 2), size=inner, mode="bilinear", align_corners=False)
+        out = self._decoded(F.pad(planes, (left, right, top, bottom), value=114 / 255))
+        centre, size = out[:, :, :2], out[:, :, 2:4]
+        corners = torch.cat([centre - size / 2, centre + size / 2], -1)
+        gain = corners.new_tensor([inner[1] / width, inner[0] / height] * 2)
+        pixels = (corners - corners.new_tensor([left, top, left, top])) / gain
+        boxes = torch.minimum(pixels.clamp(min=0), pixels.new_tensor([width, height, width, height]))
+        found = []
+        for i, (own, scores) in enumerate(zip(boxes, out[:, :, 4:], strict=True)):
+            if extra is not None:
+                nearest = box_iou(extra[i].to(own), own.detach()).argmax(1)
+                own, scores = torch.cat([own, own[nearest]]), torch.cat([scores, scores[nearest]])  # noqa: PLW2901
+            found.append(Candidates(own[:, None].expand(-1, len(self.classes), -1), scores))
+        return found
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        """What the library's own `predict` gives for the pictures at 8 bits.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape.
+        """
+        check_images(images)
+        frame = LetterBox((self.side, self.side), auto=True, stride=self._stride)
+        pictures = (images.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+        planes = torch.from_numpy(np.stack([frame(image=picture) for picture in pictures])).permute(0, 3, 1, 2)
+        with torch.no_grad():
+            raw = self._decoded(planes.to(images.device).float() / 255).transpose(1, 2)
+        kept = non_max_suppression(raw, self.least, _OVERLAP, max_det=_MOST)
+        found = []
+        for rows in kept:
+            boxes = scale_boxes(planes.shape[2:], rows[:, :4], images.shape[1:3])
+            labels = tuple(self.classes[int(number)] for number in rows[:, 5])
+            found.append(Detections(boxes, rows[:, 4], labels))
+        return found
+
+    def _decoded(self, planes: Tensor) -> Tensor:
+        """(B, A, 4 + C): centre and size in the network's pixels, and confidences."""
+        out = self.model(planes)
+        decoded: Tensor = out[0] if isinstance(out, (list, tuple)) else out  # newer ones give the raw maps as well
+        return decoded.transpose(1, 2)
+
+
+def _frame(
+    shape: tuple[int, int], side: int, stride: int
+) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
+    """The library's letterbox: (height, width) of the scaled picture, and what is added left, top, right and bottom.
+
+    The longer side becomes `side`; the shorter one is filled up to a multiple of the stride.
+    """
+    gain = min(side / shape[0], side / shape[1])
+    height, width = (max(round(length * gain), 1) for length in shape)
+    across, down = (side - width) % stride / 2, (side - height) % stride / 2
+    left, top = round(across - 0.1), round(down - 0.1)
+    return (height, width), (left, top, round(across + 0.1), round(down + 0.1))
+
+
+def build(size: str, classes: int) -> Any:
+    """A YOLOv8 of random weights; `size` is one of n, s, m, l, x."""
+    model = DetectionModel(f"yolov8{size}.yaml", ch=3, nc=classes, verbose=False)
+    model.args = get_cfg()  # which its loss reads
+    return model
+
+
+def load_small(weights: Path | None = None) -> YOLODetector:
+    """The project's own small YOLOv8.
+
+    Raises:
+        DetectorError: There are no weights, or they do not fit.
+    """
+    path = SMALL_WEIGHTS if weights is None else Path(weights)
+    if weights is None and not path.is_file():
+        do = "pass --weights with scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
+        raise DetectorError(message("weights of yolov8n_small", "a file", "none: the wheel has none", do))
+    model = build("n", len(CLASSES))
+    apply_weights(model, read_weights(path), path)
+    return YOLODetector("yolov8n_small", model, CLASSES, side=SIZE)
+
+
+def load_published(name: str, weights: Path | None = None) -> YOLODetector:
+    """One of the library's COCO detectors.
+
+    Args:
+        name: yolov8n, yolov8s, yolov8m, yolov8l or yolov8x.
+        weights: The library's own .pt file, of which nothing but known classes of layers is unpickled, or a
+            .safetensors file of a state dict; None asks the library's own hub.
+
+    Raises:
+        DetectorError: The file does not fit, or the hub cannot be reached.
+    """
+    if weights is not None and Path(weights).suffix == ".safetensors":
+        model = build(name[-1], len(_COCO))
+        apply_weights(model, read_weights(Path(weights)), weights)
+        return YOLODetector(name, model, _COCO, side=USUAL_SIDE)
+    model = _unpickled(name, weights)
+    named = [model.names[number] for number in sorted(model.names)]
+    return YOLODetector(name, model, named, side=USUAL_SIDE)
+
+
+def _unpickled(name: str, weights: Path | None) -> Any:
+    """The model in one of the library's checkpoints."""
+    source = f"{name}.pt" if weights is None else str(weights)
+    if weights is not None and not Path(weights).is_file():
+        raise DetectorError(message(f"weights {weights}", "a file", "nothing there", "check the path"))
+    try:
+        checkpoint, _ = torch_safe_load(source, safe_only=True)
+        model = checkpoint.get("ema") or checkpoint["model"]
+        if not isinstance(model, DetectionModel):
+            raise TypeError(f"a {type(model).__name__}")
+    except Exception as error:  # noqa: BLE001 - what the library raises has no common base
+        reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
+        expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
+        do = "download the file elsewhere and pass its path"
+        raise DetectorError(message(f"weights of {name}", expected, reason, do)) from error
+    return model.float()
