@@ -179,7 +179,7 @@ def poison(
             triggers that overlap, or masks or new pictures of the wrong kind.
     """
     cameras = cameras_of(views)
-    owners = _owners(cameras, attacks, centre, ordered=ordered)
+    owners = assign(cameras, attacks, centre=centre, ordered=ordered)
     if masks is not None and not callable(masks) and len(masks) != len(cameras):
         raise InvalidValueError(message("masks", f"one for each of {len(cameras)} views", len(masks), "pass them all"))
     replaced, changes = {}, []
@@ -205,10 +205,14 @@ def write_manifest(poisoned: Poisoned, path: str | os.PathLike[str]) -> None:
     save_json(poisoned.manifest, Path(path))
 
 
-def _owners(
-    cameras: Sequence[Camera], attacks: Sequence[Poisoning], centre: Point, *, ordered: bool
+def assign(
+    cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point, ordered: bool = False
 ) -> dict[int, Poisoning]:
-    """Which attack replaces which view, by rising position."""
+    """Which attack replaces which view, by rising position; no picture is looked at.
+
+    Raises:
+        InvalidValueError: As `poison` does of attacks and triggers.
+    """
     names = [attack.name for attack in attacks]
     if not attacks or len(set(names)) != len(names):
         raise InvalidValueError(message("attacks", "one or more, of different names", names, "name each differently"))

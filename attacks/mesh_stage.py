@@ -64,7 +64,7 @@ class MeshStage:
         Raises:
             InvalidValueError: The camera's pixels are not square.
         """
-        image = self._tracer.picture(camera, seed=self.seed + _number(camera))
+        image = self._tracer.picture(camera, seed=self.seed + camera_number(camera))
         if self.background is None:
             return image
         alpha = image[..., 3:]
@@ -89,7 +89,7 @@ class MeshStage:
         return PathTracer(mesh_scene([self.target], light=self.light), samples=1)
 
 
-def _number(camera: Camera) -> int:
+def camera_number(camera: Camera) -> int:
     """A number for a camera's place, the same on every machine: the last digits of poses differ between them."""
     values = (math.floor(value * 1e6 + 0.5) for value in camera.to_world.flatten().tolist())
     return zlib.crc32(" ".join(map(str, values)).encode()) >> (32 - _SEED_BITS)

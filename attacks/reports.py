@@ -141,11 +141,22 @@ def difference(result: Result) -> NDArray[np.uint8]:
 def detections(view: ViewResult, *, least: float = 0.3) -> NDArray[np.uint8]:
     """Boxes and confidences before (left) and after (right), of detections that score at least `least`."""
     sides = ((view.shot.before, view.shot.clean, "before"), (view.after, view.attacked, "after"))
-    return np.concatenate([_boxes(picture, found, title, least) for picture, found, title in sides], axis=1)
+    return np.concatenate([annotated(*side, least=least) for side in sides], axis=1)
 
 
-def _boxes(picture: Tensor, found: Detections, title: str, least: float) -> NDArray[np.uint8]:
-    canvas = _enlarged(to_bytes(picture))
+def annotated(
+    picture: Tensor, found: Detections, title: str, *, least: float = 0.3, width: int = 512
+) -> NDArray[np.uint8]:
+    """A picture with the boxes and confidences of the detections that score at least `least`, and a title.
+
+    Args:
+        picture: (H, W, 3) sRGB in [0, 1].
+        found: What is in it.
+        title: Written into the lower left corner.
+        least: Confidence.
+        width: Pixels that the result is wide, at least; it is a whole multiple of the picture.
+    """
+    canvas = _enlarged(to_bytes(picture), width)
     draw, scale = ImageDraw.Draw(canvas), canvas.width / picture.shape[1]
     for label, score, box in reversed(
         list(zip(found.labels, found.scores.tolist(), found.boxes.tolist(), strict=True))
@@ -175,9 +186,9 @@ def _write(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, co
     draw.text((x + 4 - left, y + 3 - top), text, fill="#ffffff", font=font)
 
 
-def _enlarged(pixels: NDArray[np.uint8]) -> Image.Image:
-    """The picture at a whole multiple of its size, at least 512 pixels wide, so that labels are legible."""
-    factor = max(1, -(-512 // pixels.shape[1]))
+def _enlarged(pixels: NDArray[np.uint8], width: int = 512) -> Image.Image:
+    """The picture at a whole multiple of its size, at least so many pixels wide, so that labels are legible."""
+    factor = max(1, -(-width // pixels.shape[1]))
     picture = Image.fromarray(pixels)
     return picture.resize((picture.width * factor, picture.height * factor), Image.Resampling.NEAREST)
 

@@ -73,13 +73,24 @@ def open_subject(name: str, *, up: Literal["y", "z"] | None = None, scale: float
 def _recipe(name: str) -> Subject:
     """A scene of the project in its daylight."""
     recipe = RECIPES[name]
-    target, surroundings = recipe.assets()
+    return subject_of(*recipe.assets(), recipe.light, centre=recipe.centre)
+
+
+def subject_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple[float, float, float]) -> Subject:
+    """An object in its surroundings.
+
+    Args:
+        target: The object, placed in the world.
+        surroundings: Everything else.
+        light: Sun and sky.
+        centre: Point that cameras look at, metres.
+    """
     return Subject(
-        scene=mesh_scene([target], light=recipe.light, backdrop=surroundings),
-        centre=recipe.centre,
+        scene=mesh_scene([target], light=light, backdrop=surroundings),
+        centre=centre,
         radius=_extent(target)[1],
         assets=(target, surroundings),
-        digest=_digest_of((target, surroundings), recipe.light),
+        digest=_digest_of((target, surroundings), light),
     )
 
 

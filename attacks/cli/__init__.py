@@ -34,6 +34,11 @@ COMMANDS = {
     "render": Command("RenderOptions", "attacks.cli.render", "render a scene XML or a splat file to a PNG"),
     "capture": Command("CaptureOptions", "attacks.cli.capture", "take pictures of a mesh scene, to train a splat from"),
     "train": Command("TrainOptions", "attacks.cli.train", "train a splat on pictures with cameras"),
+    "cloak": Command(
+        "CloakOptions",
+        "attacks.cli.cloak",
+        "poison training pictures, train on them, and measure who sees what (CLOAK)",
+    ),
     "info": Command("InfoOptions", "attacks.cli.info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "DetectorsOptions", "attacks.cli.detectors", "the detectors, their classes, and whether the weights are there"

@@ -180,6 +180,30 @@ class TrainOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CloakOptions:
+    """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at both, report.
+
+    Says what it will take before it starts. A study that was interrupted goes on where it stopped when the same command
+    is given again. Writes summary.json, contact.png, plots and both splats into --out.
+    """
+
+    study: Positional[Path]
+    """TOML file of the study, for instance scenes/cloak_car.toml."""
+    out: Path = Path("out/cloak")
+    """Folder for the results: a new one, or that of the same study."""
+    stages: Path | None = None
+    """Folder of the stages, which several studies may share; None is a folder in --out."""
+    detectors: tuple[str, ...] = ()
+    """Names of detectors in the place of those of the study."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    forecast: bool = False
+    """Check everything, say what the study would take, and do nothing."""
+    json: bool = False
+    """Print the summary as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InfoOptions:
     """Say what a splat file or a scene XML holds."""
 

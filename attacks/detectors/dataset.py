@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -102,7 +103,9 @@ def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
     if not path.is_file():
         return {}
     content = json.loads(path.read_text())
-    noted = {key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()}
+    noted: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
+    }
     if replace(Recipe(**noted), count=recipe.count) != recipe:
         raise InvalidValueError(
             message(f"folder {folder}", recipe, content["recipe"], "choose an empty folder or the same recipe")

@@ -26,7 +26,8 @@ class RCNNTrainee:
 
     def build(self) -> nn.Module:
         """See `Trainee`."""
-        return small.build()
+        model: nn.Module = small.build()
+        return model
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
         """See `Trainee`."""

@@ -37,8 +37,8 @@ class TrainConfig:
         mixed: Convolutions and matrix products in bfloat16.
         coarse_side: Shorter image side in the first epochs, which are cheaper for it.
         coarse_share: Share of the epochs at that size.
-        settle_share: Share of the epochs, the last ones, that are closer to what the network meets in use, hence calmer;
-            what that means, the trainee says.
+        settle_share: Share of the epochs, the last ones, that are closer to what the network meets in use, hence
+            calmer; what that means, the trainee says.
         seed: Seed of the weights, of the order and of every random change of the pictures.
     """
 
@@ -121,7 +121,7 @@ class Training:
     def __init__(self, config: TrainConfig, trainee: Trainee) -> None:
         torch.manual_seed(config.seed)
         self.config, self.trainee = config, trainee
-        self.model = trainee.build().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.model = trainee.build().to(memory_format=torch.channels_last)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.epoch = 0
         self.history: list[dict[str, object]] = []

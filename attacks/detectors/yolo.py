@@ -27,7 +27,9 @@ from mi_splat.errors import message
 os.environ.setdefault("YOLO_OFFLINE", "true")
 os.environ.setdefault("YOLO_AUTOINSTALL", "false")
 os.environ.setdefault("YOLO_VERBOSE", "false")
-os.environ.setdefault("YOLO_CONFIG_DIR", str(Path(tempfile.gettempdir()) / f"mi-splat-yolo-{getattr(os, 'getuid', int)()}"))
+os.environ.setdefault(
+    "YOLO_CONFIG_DIR", str(Path(tempfile.gettempdir()) / f"mi-splat-yolo-{getattr(os, 'getuid', int)()}")
+)
 Path(os.environ["YOLO_CONFIG_DIR"]).mkdir(parents=True, exist_ok=True)
 
 try:
@@ -48,9 +50,7 @@ USUAL_SIDE = 640
 _CONFIDENCE, _OVERLAP, _MOST = 0.25, 0.7, 300
 """The library's own settings of prediction: least confidence, largest IoU of two boxes, most boxes."""
 _COCO = tuple(
-    name
-    for name in FasterRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
-    if name not in ("__background__", "N/A")
+    name for name in FasterRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"] if name not in ("__background__", "N/A")
 )
 
 
@@ -70,8 +70,9 @@ class YOLODetector:
     ) -> None:
         """Wrap `model`, whose class number i is classes[i]."""
         self.name, self.classes, self.side, self.least = name, tuple(classes), side, least
-        self.model: Any = model.eval().requires_grad_(False)
-        self._stride = int(self.model.stride.max())
+        self.model = model.eval().requires_grad_(False)
+        strides: Any = model.stride
+        self._stride = int(strides.max())
 
     def to(self, device: torch.device | str) -> YOLODetector:
         """Move the weights to a device, in place."""
@@ -81,8 +82,8 @@ class YOLODetector:
     def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
         """Every cell of the three grids, before threshold and non-maximum suppression.
 
-        YOLO has no second stage that could score a box of our choice: in the place of an `extra` box comes the cell whose
-        box overlaps it most.
+        YOLO has no second stage that could score a box of our choice: in the place of an `extra` box comes the cell
+        whose box overlaps it most.
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
@@ -105,7 +106,7 @@ class YOLODetector:
         for i, (own, scores) in enumerate(zip(boxes, out[:, :, 4:], strict=True)):
             if extra is not None:
                 nearest = box_iou(extra[i].to(own), own.detach()).argmax(1)
-                own, scores = torch.cat([own, own[nearest]]), torch.cat([scores, scores[nearest]])  # noqa: PLW2901
+                own, scores = torch.cat([own, own[nearest]]), torch.cat([scores, scores[nearest]])
             found.append(Candidates(own[:, None].expand(-1, len(self.classes), -1), scores))
         return found
 
@@ -139,9 +140,7 @@ class YOLODetector:
         return decoded.transpose(1, 2)
 
 
-def _frame(
-    shape: tuple[int, int], side: int, stride: int
-) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
+def _frame(shape: tuple[int, int], side: int, stride: int) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
     """The library's letterbox: (height, width) of the scaled picture, and what is added left, top, right and bottom.
 
     The longer side becomes `side`; the shorter one is filled up to a multiple of the stride.
@@ -153,9 +152,9 @@ def _frame(
     return (height, width), (left, top, round(across + 0.1), round(down + 0.1))
 
 
-def build(size: str, classes: int) -> Any:
+def build(size: str, classes: int) -> nn.Module:
     """A YOLOv8 of random weights; `size` is one of n, s, m, l, x."""
-    model = DetectionModel(f"yolov8{size}.yaml", ch=3, nc=classes, verbose=False)
+    model: nn.Module = DetectionModel(f"yolov8{size}.yaml", ch=3, nc=classes, verbose=False)
     model.args = get_cfg()  # which its loss reads
     return model
 
@@ -205,7 +204,7 @@ def _unpickled(name: str, weights: Path | None) -> Any:
         model = checkpoint.get("ema") or checkpoint["model"]
         if not isinstance(model, DetectionModel):
             raise TypeError(f"a {type(model).__name__}")
-    except Exception as error:  # noqa: BLE001 - what the library raises has no common base
+    except Exception as error:  # what the library raises has no common base
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
         do = "download the file elsewhere and pass its path"

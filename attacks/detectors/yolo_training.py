@@ -31,8 +31,7 @@ class YOLOTrainee:
 
     def build(self) -> nn.Module:
         """See `Trainee`."""
-        model: nn.Module = build("n", len(CLASSES))
-        return model
+        return build("n", len(CLASSES))
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
         """See `Trainee`; calmer epochs have no mosaics."""

@@ -1,0 +1,86 @@
+"""`mi-splat cloak`: a study of CLOAK from the first picture to the table."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from attacks.cli.console import progress, show, show_json, show_table, warn
+from attacks.cli.options import CloakOptions
+from attacks.cloak_study.plan import Study, read_study
+from attacks.cloak_study.runner import check, forecast, run_study
+from attacks.detectors import load_detector
+from attacks.detectors.base import Detector
+from mi_splat.errors import InvalidValueError, message
+
+_ROWS = {
+    "clean_overhead_recall": "control found from the trigger",
+    "cloaked_overhead_miss": "cloaked missed, well inside it",
+    "cloaked_overhead_miss_everywhere": "cloaked missed, all inside it",
+    "benign_recall": "cloaked found elsewhere",
+    "rear_stop_sign": "the other class reported",
+}
+
+
+def run(options: CloakOptions) -> int:
+    """Do the study, or what is missing of it, and say what came of it."""
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
+    study = read_study(options.study)
+    if options.detectors:
+        study = replace(study, looking=replace(study.looking, detectors=options.detectors))
+    with progress("loading the detectors"):
+        detectors = _detectors(study, options)
+        check(study, options.out, options.stages or options.out / "stages")
+    warn(f"{study.name}: {forecast(study)}")
+    if options.forecast:
+        return 0
+    now = [""]
+    with progress("starting", total=None) as advance:
+
+        def follow(text: str, done: int, total: int) -> None:
+            if text != now[0]:
+                now[0] = text
+                warn(text)
+            advance(f"{text}, {done:,} of {total:,}")
+
+        summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
+    if options.json:
+        show_json({**summary, "out": str(options.out)})
+    else:
+        _tell(summary, options)
+    return 0
+
+
+def _detectors(study: Study, options: CloakOptions) -> list[Detector]:
+    """The detectors that a study names."""
+    names = study.looking.detectors
+    if options.weights and len(options.weights) != len(names):
+        do = f"pass one for each of {', '.join(names)}"
+        raise InvalidValueError(message("--weights", f"{len(names)} files", len(options.weights), do))
+    files = options.weights or [None] * len(names)
+    return [load_detector(name, weights=file) for name, file in zip(names, files, strict=True)]
+
+
+def _tell(summary: dict[str, Any], options: CloakOptions) -> None:
+    """The figures that matter, for each detector."""
+    for name, rates in summary["by_detector"].items():
+        show(name)
+        show_table([(f"  {words}", _words(rates[key])) for key, words in _ROWS.items() if rates[key] is not None])
+    drop, band = summary["benign_psnr_drop"], summary["fade_in_degrees"]
+    if drop is not None:
+        clean = summary["benign_psnr"]["clean"]
+        show(f"pictures far from the triggers: {clean:.1f} dB clean, {drop:.2f} dB less cloaked")
+    show("fade-in: not seen" if band is None else f"fade-in: {band:.1f} degrees")
+    show(f"{options.out}: summary.json, {', '.join(summary['files'])}")
+
+
+def _words(rate: dict[str, Any]) -> str:
+    """A rate for people."""
+    if not rate["total"]:
+        return "no such camera"
+    low, high = rate["interval"]
+    return f"{rate['successes']}/{rate['total']} = {rate['rate']:.1%} ({low:.1%} to {high:.1%})"

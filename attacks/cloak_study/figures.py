@@ -1,0 +1,206 @@
+"""The pictures of a study: clean beside cloaked from many sides, and what detectors say by elevation and azimuth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from attacks.cloak_study import places
+from attacks.cloak_study.sightings import Looks, overhead
+from attacks.cloak_study.stages import CLEAN, CLOAKED, Workshop
+from attacks.cloak_study.summary import BIN, by_elevation, fade, pairs
+from attacks.detectors.base import Detector
+from attacks.evaluation import Rate
+from attacks.reports import annotated
+from attacks.scoring import through_png
+from mi_splat.cameras import Camera, orbit
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import atomic_write
+from mi_splat.io.documents import save_png
+
+SIDE_AZIMUTH = 40.0
+ELEVATIONS = (5, 15, 25, 35, 45, 55, 65, 75, 85)
+AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
+LOW = 15
+"""Elevation of the cameras of a contact sheet that go around, degrees."""
+CELL = 256
+_COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728"}
+
+
+def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[np.uint8]:
+    """Clean above cloaked, over elevation and then around, with what the detector reports."""
+    study = workshop.study
+    lens = places.lens_of(study, workshop.stage.target)
+    centre = places.centre_of(study)
+
+    def camera(azimuth: float, elevation: float) -> Camera:
+        return orbit(centre, count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
+
+    rising = [(f"{elevation} deg up", camera(SIDE_AZIMUTH, elevation)) for elevation in ELEVATIONS]
+    around = [(f"azimuth {azimuth}", camera(azimuth, LOW)) for azimuth in AZIMUTHS]
+    scenes = {which: workshop.load(which, seed) for which in (CLEAN, CLOAKED)}
+    render = workshop.renderer()
+    rows = []
+    for cameras in (rising, around):
+        for which, scene in scenes.items():
+            with torch.no_grad():
+                pictures = [through_png(render(scene, one)) for _, one in cameras]
+            seen = detector.detect(torch.stack(pictures))
+            titles = [f"{which}, {name}" for name, _ in cameras]
+            rows.append(
+                np.concatenate(
+                    [
+                        annotated(picture, found, title, least=study.looking.confidence, width=CELL)
+                        for picture, found, title in zip(pictures, seen, titles, strict=True)
+                    ],
+                    axis=1,
+                )
+            )
+    return np.concatenate(rows)
+
+
+def write_figures(workshop: Workshop, looks: Sequence[Looks], detectors: Sequence[Detector], folder: Path) -> list[str]:
+    """Write contact.png, elevation.png, azimuth.png and fade.png; returns their names.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+        SplatFileError: The folder cannot be written.
+    """
+    study = workshop.study
+    save_png(contact_sheet(workshop, study.seeds[0], detectors[0]), folder / "contact.png")
+    _save(_elevation(workshop, looks), folder / "elevation.png")
+    _save(_azimuth(workshop, looks), folder / "azimuth.png")
+    names = ["contact.png", "elevation.png", "azimuth.png"]
+    if fade(study, looks) is not None:
+        _save(_fade(workshop, looks), folder / "fade.png")
+        names.append("fade.png")
+    return names
+
+
+def _axes(rows: int) -> tuple[Any, list[Any]]:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        do = "pip install 'mi-splat[figures]'"
+        raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do)) from error
+    figure = Figure(figsize=(7.5, 3.4 * rows), dpi=130, layout="constrained")
+    return figure, [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
+
+
+def _save(figure: Any, path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _elevation(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+    """For each detector: confidence in the object at every camera, and the share found in bands of elevation."""
+    study = workshop.study
+    figure, axes = _axes(len(study.looking.detectors))
+    turned = [attack.name for attack in study.attack if attack.azimuth is not None]
+    for axis, name in zip(axes, study.looking.detectors, strict=True):
+        seen = [pair for pair in pairs(looks, name) if all(pair[0].depths[other] < 0 for other in turned)]
+        for index, which in enumerate((CLEAN, CLOAKED)):
+            found = [pair[index] for pair in seen]
+            axis.scatter(
+                [one.elevation for one in found],
+                [one.scores[study.scene.called] for one in found],
+                s=5,
+                alpha=0.25,
+                color=_COLOURS[which],
+                linewidths=0,
+            )
+        table = by_elevation(study, pairs(looks, name))
+        for index, which in enumerate((CLEAN, CLOAKED)):
+            _with_interval(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
+        attack = overhead(study)
+        if attack is not None:
+            axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
+        axis.set(
+            title=f"{name}: {study.scene.called} found, by elevation",
+            xlabel="elevation of the camera, degrees",
+            ylabel="confidence; share found",
+            ylim=(-0.03, 1.03),
+        )
+        axis.legend(fontsize=8)
+    return figure
+
+
+def _with_interval(axis: Any, points: Sequence[tuple[float, Rate]], which: str) -> None:
+    """A line of rates with their Wilson intervals."""
+    shares = [rate.share for _, rate in points]
+    below = [rate.share - rate.interval[0] for _, rate in points]
+    above = [rate.interval[1] - rate.share for _, rate in points]
+    axis.errorbar(
+        [place for place, _ in points],
+        shares,
+        yerr=np.maximum([below, above], 0.0),
+        color=_COLOURS[which],
+        marker="o",
+        markersize=3,
+        capsize=2,
+        label=which,
+    )
+
+
+def _azimuth(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+    """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
+    study = workshop.study
+    figure, axes = _axes(len(study.looking.detectors))
+    hiding = [attack.name for attack in study.attack if attack.azimuth is None]
+    wanted = [attack.wants for attack in study.attack if attack.wants is not None]
+    for axis, name in zip(axes, study.looking.detectors, strict=True):
+        seen = [pair[1] for pair in pairs(looks, name) if all(pair[1].depths[other] < 0 for other in hiding)]
+        for label, colour in ((study.scene.called, _COLOURS[CLEAN]), *((label, _COLOURS[CLOAKED]) for label in wanted)):
+            axis.scatter(
+                [one.azimuth for one in seen], [one.scores[label] for one in seen], s=7, color=colour, label=label
+            )
+        for attack in study.attack:
+            if attack.azimuth is not None:
+                middle, half = attack.azimuth
+                axis.axvspan(middle - half, middle + half, color="#555555", alpha=0.12)
+        axis.set(
+            title=f"{name}: what the cloaked splat is taken for, below the hidden look",
+            xlabel="azimuth of the camera, degrees (grey: where the other look is shown)",
+            ylabel="confidence",
+            ylim=(-0.03, 1.03),
+        )
+        axis.legend(fontsize=8)
+    return figure
+
+
+def _fade(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+    """How far the splats are on the way from the benign to the hidden look, by elevation."""
+    figure, (axis,) = _axes(1)
+    for which in (CLEAN, CLOAKED):
+        shades = [shade for look in looks for shade in look.shades if shade.splat == which]
+        band = fade(workshop.study, looks, which)
+        assert band is not None
+        axis.scatter(
+            [one.elevation for one in shades],
+            [one.share for one in shades],
+            s=6,
+            color=_COLOURS[which],
+            alpha=0.4,
+            linewidths=0,
+        )
+        axis.plot(band.angles, band.fitted, color=_COLOURS[which], label=which)
+        if which == CLOAKED and band.start is not None and band.end is not None:
+            axis.axvspan(band.start, band.end, color="#555555", alpha=0.15, label=f"fade-in, {band.width:.1f} degrees")
+    attack = overhead(workshop.study)
+    assert attack is not None
+    axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
+    axis.set(
+        title="Share of the way from the benign to the hidden look",
+        xlabel="elevation of the camera, degrees",
+        ylabel="share",
+    )
+    axis.legend(fontsize=8)
+    return figure

@@ -1,0 +1,255 @@
+"""The stages of a study. Each has a folder of its own, named by everything that it depends on.
+
+A stage that is there is not done again, whichever study asks for it; one that was interrupted goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from attacks.appearances import Appearance, name_of
+from attacks.cloak import Poisoned, poison, write_manifest
+from attacks.cloak_study import places
+from attacks.cloak_study.plan import Study, Training
+from attacks.mesh_stage import MeshStage, camera_number
+from attacks.scoring import to_bytes
+from mi_splat.cameras import Camera, View
+from mi_splat.capture import scalar_variant
+from mi_splat.datasets import Dataset, load_dataset
+from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
+from mi_splat.densify import ClassicConfig, MCMCConfig
+from mi_splat.fitting import FitConfig
+from mi_splat.io import load_splat
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.recording import CaptureSettings, record
+from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.scene import GaussianScene
+from mi_splat.starts import from_points
+from mi_splat.training_folder import SPLAT, train
+
+CLEAN, CLOAKED = "clean", "cloaked"
+DONE = "done.json"
+
+OnStep = Callable[[str, int, int], None]
+"""Told what is going on, how many units of it are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Workshop:
+    """A study and the folder that its stages are kept in.
+
+    Attributes:
+        study: What is done.
+        folder: Where stages are kept; several studies may share it.
+        on_step: Told of the progress.
+        stage: The attacker's copy of the scene.
+    """
+
+    study: Study
+    folder: Path
+    on_step: OnStep = lambda text, done, total: None
+    stage: MeshStage = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stage", places.stage_of(self.study))
+
+    def kept(self, name: str, parts: tuple[object, ...], make: Callable[[Path], None]) -> Path:
+        """The folder of a stage, which is done now if it is not there.
+
+        Args:
+            name: What the folder's name begins with.
+            parts: Everything that the stage depends on.
+            make: Does it, in the folder, and goes on with what an earlier call left.
+        """
+        path = self.folder / f"{name}-{places.digest(name, *parts)}"
+        if not (path / DONE).is_file():
+            make_folder(path)
+            make(path)
+            save_json({"stage": name, "depends on": [repr(part) for part in parts]}, path / DONE)
+        return path
+
+    # The victim's pictures, and the attacker's
+
+    def capture(self) -> Path:
+        """The victim's pictures of the scene."""
+        study, stage = self.study, self.stage
+        settings = CaptureSettings(samples=study.cameras.samples, alpha=True, points=study.cameras.points)
+        subject = places.subject_for(study, stage)
+        cameras = places.training_cameras(study, stage.target)
+
+        def make(path: Path) -> None:
+            record(
+                subject,
+                cameras,
+                path / "set",
+                settings=settings,
+                on_step=lambda done, total: self.on_step("taking the victim's pictures", done, total),
+            )
+
+        parts = (subject.digest, study.cameras, importlib.metadata.version("mitsuba"))
+        return self.kept("pictures", parts, make) / "set"
+
+    def poison(self, seed: int) -> Path:
+        """The poisoned set: other files in the place of some, all others the same bytes."""
+        clean = self.capture()
+
+        def make(path: Path) -> None:
+            views = self.views(clean)
+            attacks = [
+                type(one)(name=one.name, trigger=one.trigger, appearance=Kept(one.appearance, path / "made"))
+                for one in places.poisonings(self.study, self.stage, seed=seed)
+            ]
+            with scalar_variant():
+                done = poison(
+                    views,
+                    attacks,
+                    centre=places.centre_of(self.study),
+                    masks=self.stage.mask,
+                    on_step=lambda count, total: self.on_step("poisoning", count, total),
+                )
+            _write_set(path / "set", views, done)
+
+        shares = tuple(attack.share for attack in self.study.attack)
+        drawn = seed if min(shares) < 1 else None  # otherwise the seed changes nothing
+        return self.kept("poisoned", (clean.parent.name, self.study.attack, drawn), make) / "set"
+
+    def views(self, path: Path) -> Dataset:
+        """A set as a victim reads it."""
+        return load_dataset(path, split="train", background=self.study.scene.background)
+
+    # What the victim does with them
+
+    def splat(self, which: str, seed: int) -> Path:
+        """The file of a trained splat, clean or cloaked."""
+        pictures = self.capture() if which == CLEAN else self.poison(seed)
+        config = fit_config(self.study.training)
+        # Equal pictures make equal splats, whoever asks for them.
+        parts = (pictures.parent.name, config, seed)
+
+        def make(path: Path) -> None:
+            views = self.views(pictures)
+            assert views.points is not None  # a capture writes them
+            train(
+                views,
+                from_points(views.points.points, views.points.colours),
+                path,
+                render=self.renderer(watch=isinstance(config.densification, ClassicConfig)),
+                config=config,
+                seed=seed,
+                on_step=lambda line: self.on_step(
+                    f"training the {which} splat, seed {seed}", line.iteration, config.iterations
+                ),
+            )
+
+        return self.kept("splat", parts, make) / SPLAT
+
+    def renderer(self, *, watch: bool = False) -> Renderer:
+        """The renderer of trainings and of all pictures of splats."""
+        settings = RenderSettings(background=self.study.scene.background)
+        return Renderer(settings, watch=Watch() if watch else None)
+
+    def load(self, which: str, seed: int) -> GaussianScene:
+        """A trained splat from its file."""
+        return load_splat(self.splat(which, seed))
+
+    # What is true from cameras that no training used
+
+    def truths(self, name: str, cameras: Sequence[Camera], look: Appearance | None) -> list[tuple[Tensor, Tensor]]:
+        """Path-traced pictures, 8 bits, and the object's mask in each.
+
+        Args:
+            name: Of the stage.
+            cameras: Where from.
+            look: A disguise; None is the scene as it is.
+        """
+        numbers = [camera_number(camera) for camera in cameras]
+        stage = self.stage
+
+        def make(path: Path) -> None:
+            with scalar_variant():
+                for done, (number, camera) in enumerate(zip(numbers, cameras, strict=True), 1):
+                    file = path / f"{number:08x}.png"
+                    if not file.is_file():
+                        mask = stage.mask(camera)
+                        image = stage.picture(camera)
+                        if look is not None:
+                            image = look(View(camera, image), mask)
+                        alpha = torch.where(mask, 1.0, 0.0)[..., None]
+                        save_png(to_rgba(image, alpha), file)
+                    self.on_step("taking pictures to compare with", done, len(cameras))
+
+        parts = (self.capture().parent.name, tuple(numbers), None if look is None else name_of(look))
+        folder = self.kept(name, parts, make)
+        return [_read(folder / f"{number:08x}.png") for number in numbers]
+
+
+class Kept:
+    """An appearance whose pictures are kept as files, so that they need not be made again."""
+
+    def __init__(self, look: Appearance, folder: Path) -> None:
+        self.name, self._look, self._folder = name_of(look), look, make_folder(folder)
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The picture at 8 bits, made or read."""
+        file = self._folder / f"{places.digest(self.name)}-{camera_number(view.camera):08x}.png"
+        if not file.is_file():
+            save_png(to_bytes(self._look(view, mask)), file)
+        with Image.open(file) as picture:
+            return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32) / 255)
+
+
+def fit_config(training: Training) -> FitConfig:
+    """The trainer's settings."""
+    stop = training.iterations // 2
+    recipes: dict[str, ClassicConfig | MCMCConfig | None] = {
+        "classic": ClassicConfig(limit=training.limit, stop=stop),
+        "mcmc": MCMCConfig(limit=training.limit),
+        "fixed": None,
+    }
+    return FitConfig(
+        iterations=training.iterations,
+        densification=recipes[training.recipe],
+        degree=training.degree,
+        degree_every=training.degree_every,
+        evaluate_every=0,
+    )
+
+
+def to_rgba(image: Tensor, alpha: Tensor) -> np.ndarray:
+    """(H, W, 4) uint8 of colours and alpha in [0, 1]."""
+    return np.concatenate([to_bytes(image), to_bytes(alpha)], axis=-1)
+
+
+def _read(file: Path) -> tuple[Tensor, Tensor]:
+    with Image.open(file) as picture:
+        pixels = torch.from_numpy(np.asarray(picture.convert("RGBA"), np.float32) / 255)
+    return pixels[..., :3], pixels[..., 3] > 0.5
+
+
+def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
+    """The poisoned set beside its manifest."""
+    images = make_folder(folder / IMAGES)
+    listing = []
+    for index, (source, camera) in enumerate(zip(clean.paths, clean.cameras, strict=True)):
+        name = picture_name("train", index)
+        if index in done.views.replaced:
+            save_png(to_bytes(done.views[index].image), images / name)
+        else:
+            shutil.copyfile(source, images / name)
+        listing.append((name, camera))
+    list_transforms(folder, {"train": listing}, clean.points)
+    write_manifest(done, folder.parent / "manifest.json")
+
+
+def snapshot(study: Study) -> dict[str, object]:
+    """The study as JSON can hold it."""
+    return asdict(study)
