@@ -1,0 +1,121 @@
+"""The file of a CLOAK study: what it may say, and what is refused before anything is done."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from attacks.cloak import assign
+from attacks.cloak_study import places
+from attacks.cloak_study.plan import Attack, Cameras, Scene, Study, read_study
+from attacks.cloak_study.runner import check, forecast
+from mi_splat.errors import InvalidValueError
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+OVERHEAD = Attack(name="overhead", elevation=(50, 90))
+SMALL = Study(name="small", attack=(OVERHEAD,), cameras=Cameras(train=40, size=32, distance=7.4))
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "study.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_studies_can_be_done(path: Path, tmp_path: Path) -> None:
+    study = read_study(path)
+    assert study.name == path.stem
+    check(study, tmp_path / "out", tmp_path / "stages")
+    assert forecast(study).trainings == 2 * len(study.seeds)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_study_of_the_paper_has_its_numbers() -> None:
+    study = read_study(SCENES / "cloak_car.toml")
+    stage = places.stage_of(study)
+    cameras = places.training_cameras(study, stage.target)
+    owners = assign(cameras, places.poisonings(study, stage), centre=places.centre_of(study))
+    names = [attack.name for attack in owners.values()]
+    assert (len(cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
+
+
+def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
+    study = read_study(SCENES / "cloak_car.toml")
+    target, centre = places.target_of(study.scene), places.centre_of(study)
+    cameras = places.held_out_cameras(study, target)
+    used = places.training_cameras(study, target)
+    assert min(places.nearest(camera, used, centre) for camera in cameras) >= 1.0
+    overhead, rear = (attack.cone for attack in study.attack)
+    inside = [[cone.angle_to_edge(camera, centre=centre) >= 0 for camera in cameras] for cone in (overhead, rear)]
+    assert sum(inside[0]) >= 160
+    assert sum(inside[1]) >= 40
+    assert sum(not (a or b) for a, b in zip(*inside, strict=True)) >= 110
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("nmae = 'x'", "did you mean name"),
+        ("seeds = [0]", "expected the key name"),
+        ("name = 3", "a value of type str"),
+        ("name = 'x'", "an attack and a seed"),
+        ("name = 'x'\nseeds = 1", "a list"),
+        ("name = 'x'\n[cameras]\ntrian = 3", "did you mean train"),
+        ("name = 'x'\n[cameras]\ntrain = 3.5", "a value of type int"),
+        ("name = 'x'\n[cameras]\ntrain = true", "a value of type int"),
+        ("name = 'x'\n[scene]\nobject = 'lorry'", "scene.object"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\nlook = 'paint'\ntexture = 'raod'", "did you mean road"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\nlook = 'pant'", "did you mean paint"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\nelevation = [10]", "a list of 2"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\nshare = 0.0", "in (0, 1]"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\n[[attack]]\nname = 'a'", "different names"),
+        ("name = [", "a TOML file"),
+    ],
+)
+def test_a_file_that_means_nothing_is_refused(tmp_path: Path, text: str, error: str) -> None:
+    with pytest.raises(InvalidValueError) as raised:
+        read_study(written(tmp_path, text))
+    assert error in str(raised.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="no file"):
+        read_study(tmp_path / "none.toml")
+
+
+def test_a_mesh_file_needs_a_label(tmp_path: Path) -> None:
+    mesh = tmp_path / "mine.obj"
+    mesh.write_text("")
+    with pytest.raises(InvalidValueError, match="scene.label"):
+        Scene(object=str(mesh))
+
+
+def test_a_trigger_without_cameras_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    study = replace(SMALL, attack=(Attack(name="under", elevation=(89.9, 90)),))
+    with pytest.raises(InvalidValueError, match="at least one camera"):
+        check(study, tmp_path / "out", tmp_path / "stages")
+    assert not list(tmp_path.iterdir())
+
+
+def test_triggers_that_overlap_are_refused(tmp_path: Path) -> None:
+    study = replace(SMALL, attack=(OVERHEAD, Attack(name="more", elevation=(40, 90))))
+    with pytest.raises(InvalidValueError, match="no camera in both"):
+        check(study, tmp_path / "out", tmp_path / "stages")
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(InvalidValueError, match="other files"):
+        check(SMALL, tmp_path, tmp_path / "stages")
+    (tmp_path / "study.json").write_text("{}")
+    with pytest.raises(InvalidValueError, match="those of another"):
+        check(SMALL, tmp_path, tmp_path / "stages")
+
+
+def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
+    study = replace(SMALL, training=replace(SMALL.training, limit=10**12))
+    with pytest.raises(InvalidValueError, match="make room"):
+        check(study, tmp_path / "out", tmp_path / "stages")
