@@ -1,4 +1,4 @@
-# Two commands: `make demo` and `make test`. Each sets itself up first (once; see .ci/setup.sh).
+# Two commands: `make demo` (and `make demo-cloak`) and `make test`. Each sets itself up first (once; see .ci/setup.sh).
 #
 #   make PYTHON=python3.12 ...       build .venv from this interpreter
 #   make SYSTEM_SITE=1 ...           let .venv see the packages of that interpreter, and so keep the torch it has
@@ -16,10 +16,11 @@ STAMP := $(VENV)/.setup-stamp
 
 export PYTHON SYSTEM_SITE VENV
 
-.PHONY: help setup demo test lint types pytest format wheel clean
+.PHONY: help setup demo demo-cloak test lint types pytest format wheel clean
 
 help:
 	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
+	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make test     format and lint checks, types, tests"
 	@echo "make wheel    build the wheel into dist"
 	@echo "make format   let ruff rewrite what it can"
@@ -27,6 +28,9 @@ help:
 
 demo: $(STAMP)
 	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --seed 0 --out $(OUT)
+
+demo-cloak: $(STAMP)
+	@$(BIN)/mi-splat cloak scenes/cloak_demo.toml --out $(OUT)-cloak
 
 test: lint types pytest
 

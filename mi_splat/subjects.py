@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mi_splat.assets import ASSETS, build
 from mi_splat.assets.mesh import Asset
 from mi_splat.capture import Light, PathTracer, mesh_scene
 from mi_splat.errors import InvalidValueError, MiSplatError, message
@@ -48,7 +49,8 @@ def open_subject(name: str, *, up: Literal["y", "z"] | None = None, scale: float
     """The subject called `name`.
 
     Args:
-        name: A recipe of `mi_splat.showcase`, or the path of a Mitsuba scene (.xml) or of a mesh file.
+        name: A recipe of `mi_splat.showcase`, an asset of the project by name and seed (`car:900004`), or the path of
+            a Mitsuba scene (.xml) or of a mesh file.
         up: Axis that points up in a mesh file.
         scale: What one unit of a mesh file is in metres.
 
@@ -62,11 +64,13 @@ def open_subject(name: str, *, up: Literal["y", "z"] | None = None, scale: float
         raise InvalidValueError(message("--up and --scale", "a mesh file to go with", name, do))
     if name in RECIPES:
         return _recipe(name)
+    if name.partition(":")[0] in ASSETS:
+        return _asset(name)
     if suffix == ".xml":
         return _xml(path)
     if suffix in SUFFIXES:
         return _mesh(load_mesh(path, up=up, scale=scale), name)
-    expected = f"one of {', '.join(RECIPES)}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
+    expected = f"one of {', '.join((*RECIPES, *ASSETS))}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
     raise InvalidValueError(message("scene", expected, name, "name one of these"))
 
 
@@ -92,6 +96,14 @@ def subject_of(target: Asset, surroundings: Asset, light: Light, *, centre: tupl
         assets=(target, surroundings),
         digest=_digest_of((target, surroundings), light),
     )
+
+
+def _asset(name: str) -> Subject:
+    """One of the project's assets, alone under the default sky."""
+    kind, _, seed = name.partition(":")
+    if not re.fullmatch(r"\d{0,9}", seed):
+        raise InvalidValueError(message("scene", f"{kind} or {kind}:SEED, a whole number", name, "change the seed"))
+    return _mesh(build(kind, int(seed or 0)).body, name)
 
 
 def _mesh(asset: Asset, name: str) -> Subject:

@@ -89,7 +89,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 def test_a_mesh_file_needs_a_label(tmp_path: Path) -> None:
     mesh = tmp_path / "mine.obj"
     mesh.write_text("")
-    with pytest.raises(InvalidValueError, match="scene.label"):
+    with pytest.raises(InvalidValueError, match=r"scene\.label"):
         Scene(object=str(mesh))
 
 

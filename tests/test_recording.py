@@ -289,7 +289,7 @@ def test_the_command_refuses_before_it_begins(
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("car", None, "car_street, stop_sign"),
+        ("lorry", None, "car_street, stop_sign"),
         ("none.xml", None, "none.xml"),
         ("none.obj", None, "none.obj"),
         ("bad.xml", "<scene", "bad.xml"),
@@ -316,3 +316,11 @@ def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.xml").write_text("<scene")
     with pytest.raises(MiSplatError, match=r"bad\.xml: expected a scene"):
         open_subject(str(tmp_path / "bad.xml"))
+
+
+def test_an_asset_by_name_and_seed_is_a_subject() -> None:
+    one, other, same = (open_subject(name) for name in ("car:3", "car:4", "car:3"))
+    assert one.digest == same.digest != other.digest
+    assert len(one.assets) == 1
+    with pytest.raises(InvalidValueError, match="change the seed"):
+        open_subject("car:three")

@@ -68,7 +68,7 @@ ATTACK_LAYERS = (
     ("cloak",),
     ("evaluation",),
     ("reports",),
-    ("tables", "laboratory"),
+    ("tables", "laboratory", "cloak_study"),
     ("studies",),
     ("doctor", "cli", "__main__"),
 )
@@ -178,6 +178,12 @@ def test_one_bridge_between_torch_and_drjit() -> None:
         if isinstance(node, ast.Attribute) and ast.unparse(node) in ("dr.wrap", "drjit.wrap")
     ]
     assert wrapping == ["mi_splat.rendering"]
+
+
+def test_one_module_knows_ultralytics() -> None:
+    """Its licence is AGPL: nothing else may come to depend on it."""
+    knowing = {name for name, other in edges("attacks") if other.split(".")[0] == "ultralytics"}
+    assert knowing == {"attacks.detectors.yolo"}
 
 
 @pytest.mark.parametrize("folder", ["mi_splat", "attacks", "tests"])

@@ -167,7 +167,7 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path) -> None:
 def test_missing_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DetectorError, match="nothing there"):
         load_detector("yolov8s", weights=tmp_path / "none.pt")
-    monkeypatch.setattr(yolo, "SMALL_WEIGHTS", tmp_path / "none.safetensors")
+    monkeypatch.setattr(yolo, "SMALL_YOLO", tmp_path / "none.safetensors")
     with pytest.raises(DetectorError, match="the wheel has none"):
         load_detector("yolov8n_small")
 

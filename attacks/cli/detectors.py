@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 from attacks.cli.console import show, show_json
 from attacks.cli.options import DetectorsOptions
 from attacks.detectors import DETECTORS
+from attacks.detectors.weights import SMALL_YOLO
 
 SHOWN = 8
 
@@ -35,7 +37,8 @@ class Entry:
 
 def run(options: DetectorsOptions) -> int:
     """List the detectors."""
-    entries = [_shipped(name) if name == "fasterrcnn_small" else _published(name) for name in DETECTORS]
+    kinds = {"fasterrcnn_small": _shipped, **{name: _yolo for name in DETECTORS if name.startswith("yolo")}}
+    entries = [kinds.get(name, _published)(name) for name in DETECTORS]
     if options.json:
         show_json({"detectors": [dataclasses.asdict(entry) for entry in entries]})
         return 0
@@ -53,6 +56,29 @@ def _shipped(name: str) -> Entry:
     from attacks.detectors.small import CLASSES
 
     return _entry(name, CLASSES, SHIPPED, "missing; they are part of the package, so install it again")
+
+
+def _yolo(name: str) -> Entry:
+    """One of ultralytics', which the user installs; its hub looks in the working folder first."""
+    from attacks.detectors.small import CLASSES
+
+    small = name == "yolov8n_small"
+    weights = SMALL_YOLO if small else Path(f"{name}.pt")
+    if importlib.util.find_spec("ultralytics") is None:
+        entry = _entry(name, CLASSES if small else _coco(), weights, "")
+        advice = "needs the package ultralytics (AGPL-3.0): pip install 'mi-splat[yolo]'"
+        return dataclasses.replace(entry, available=False, advice=advice)
+    if small:
+        return _entry(name, CLASSES, weights, "not here; a checkout has them in scenes/detectors")
+    return _entry(name, _coco(), weights, "not here; downloaded when first used, or name a file with --weights")
+
+
+def _coco() -> list[str]:
+    """COCO's 80 classes."""
+    from torchvision.models.detection import FasterRCNN_ResNet50_FPN_Weights
+
+    names = FasterRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
+    return [name for name in names if name not in ("__background__", "N/A")]
 
 
 def _published(name: str) -> Entry:

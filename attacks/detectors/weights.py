@@ -14,6 +14,8 @@ from torch import Tensor, nn
 from mi_splat.errors import MiSplatError, message
 
 SUFFIXES = (".safetensors", ".pth", ".pt")
+SMALL_YOLO = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
+"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
 _SHOWN = 4
 
 

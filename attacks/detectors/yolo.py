@@ -20,7 +20,7 @@ from torchvision.ops import box_iou
 
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.small import CLASSES, SIZE
-from attacks.detectors.weights import DetectorError, apply_weights, read_weights
+from attacks.detectors.weights import SMALL_YOLO, DetectorError, apply_weights, read_weights
 from mi_splat.errors import message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -43,8 +43,6 @@ except ImportError as error:
         message("detector", "the package ultralytics, which is AGPL-3.0", str(error), 'pip install "mi-splat[yolo]"')
     ) from error
 
-SMALL_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
-"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
 USUAL_SIDE = 640
 """Longer image side, in pixels, that the published ones work at; the small one works at `SIZE`."""
 _CONFIDENCE, _OVERLAP, _MOST = 0.25, 0.7, 300
@@ -165,7 +163,7 @@ def load_small(weights: Path | None = None) -> YOLODetector:
     Raises:
         DetectorError: There are no weights, or they do not fit.
     """
-    path = SMALL_WEIGHTS if weights is None else Path(weights)
+    path = SMALL_YOLO if weights is None else Path(weights)
     if weights is None and not path.is_file():
         do = "pass --weights with scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
         raise DetectorError(message("weights of yolov8n_small", "a file", "none: the wheel has none", do))

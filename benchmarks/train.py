@@ -1,0 +1,130 @@
+"""Training, step by step: `python benchmarks/train.py SET`, where SET is a folder as `mi-splat capture` writes it.
+
+Reports iterations a second, the share of time outside of the renderer, peak memory, the number of Gaussians, and the
+held-out PSNR and SSIM. Compilation is timed apart: the first steps are not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import statistics
+import sys
+import time
+
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera, View
+from mi_splat.datasets import load_dataset
+from mi_splat.densify import ClassicConfig, MCMCConfig
+from mi_splat.metrics import psnr, ssim
+from mi_splat.photometric import photometric
+from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.scene import GaussianScene
+from mi_splat.starts import from_points
+from mi_splat.training import FitConfig, Progress, fit
+
+WARM_UP = 40
+
+
+class Timed:
+    """A renderer that adds up the time of its forward passes."""
+
+    def __init__(self, inner: Renderer) -> None:
+        self.inner, self.watch = inner, inner.watch
+        self.seconds = 0.0
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """The picture."""
+        begun = time.perf_counter()
+        image = self.inner(scene, camera)
+        self.seconds += time.perf_counter() - begun
+        return image
+
+
+def main() -> None:
+    """Train once and print what it took."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("set")
+    parser.add_argument("--iterations", type=int, default=7000)
+    parser.add_argument("--recipe", choices=("classic", "mcmc", "fixed"), default="classic")
+    parser.add_argument("--limit", type=int, default=40_000)
+    parser.add_argument("--background", type=float, nargs=3, default=(0.0, 0.0, 0.0))
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    background = tuple(options.background)
+    views = load_dataset(options.set, split="train", background=background)
+    held_out = load_dataset(options.set, split="test", background=background)
+    if views.points is None:
+        raise SystemExit("the set has no point cloud; capture it with --points")
+    recipes = {
+        "classic": ClassicConfig(limit=options.limit, stop=options.iterations // 2),
+        "mcmc": MCMCConfig(limit=options.limit),
+        "fixed": None,
+    }
+    config = FitConfig(iterations=options.iterations, densification=recipes[options.recipe], evaluate_every=0)
+    settings = RenderSettings(background=background)
+    render = Timed(Renderer(settings, watch=Watch() if options.recipe == "classic" else None))
+    start = from_points(views.points.points, views.points.colours)
+    stamps: list[float] = []
+
+    def after(line: Progress) -> None:
+        stamps.append(time.perf_counter())
+
+    found = fit(views, start, render=render, config=config, on_step=after)
+    steps = [b - a for a, b in zip(stamps[WARM_UP:], stamps[WARM_UP + 1 :], strict=False)]
+    scores = [_score(found.scene, view, render.inner) for view in held_out]
+    parts = _parts(found.scene, views[0], render.inner)
+    report = {
+        "recipe": options.recipe,
+        "iterations": options.iterations,
+        "views": len(views),
+        "size": [views[0].camera.width, views[0].camera.height],
+        "minutes": sum(steps) / 60 * options.iterations / max(len(steps), 1),
+        "iterations_per_second": 1 / statistics.mean(steps),
+        "milliseconds_median": 1000 * statistics.median(steps),
+        "milliseconds_at_the_end": parts,
+        "share_outside_renderer": 1 - (parts["forward"] + parts["backward"]) / parts["step"],
+        "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "gaussians": len(found.scene),
+        "psnr": statistics.mean(score for score, _ in scores) if scores else None,
+        "ssim": statistics.mean(score for _, score in scores) if scores else None,
+    }
+    json.dump(report, sys.stdout, indent=2)
+    sys.stdout.write("\n")
+
+
+def _score(scene: GaussianScene, view: View, render: Renderer) -> tuple[float, float]:
+    with torch.no_grad():
+        image = render(scene, view.camera).clamp(0, 1)
+    return float(psnr(image, view.image)), float(ssim(image, view.image))
+
+
+def _parts(scene: GaussianScene, view: View, render: Renderer, *, rounds: int = 30) -> dict[str, float]:
+    """Milliseconds (medians) of a step's parts with the finished splat: renderer, loss, optimiser."""
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+    optimiser = torch.optim.Adam(leaves, lr=0.0, fused=True)
+    rows: dict[str, list[float]] = {"forward": [], "loss": [], "backward": [], "optimiser": []}
+    for _ in range(rounds):
+        times = [time.perf_counter()]
+        image = render(GaussianScene._trusted(*leaves), view.camera)
+        times.append(time.perf_counter())
+        # The loss on a leaf of its own, so that its backward pass can be told from the renderer's.
+        leaf = image.detach().requires_grad_(True)
+        photometric(leaf, view.image).backward()
+        times.append(time.perf_counter())
+        image.backward(leaf.grad)
+        times.append(time.perf_counter())
+        optimiser.step()
+        optimiser.zero_grad(set_to_none=True)
+        times.append(time.perf_counter())
+        for name, (a, b) in zip(rows, zip(times, times[1:], strict=False), strict=True):
+            rows[name].append(1000 * (b - a))
+    medians = {name: statistics.median(values) for name, values in rows.items()}
+    return {**medians, "step": sum(medians.values())}
+
+
+if __name__ == "__main__":
+    main()
