@@ -7,6 +7,7 @@ held-out PSNR and SSIM. Compilation is timed apart: the first steps are not coun
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import resource
 import statistics
@@ -120,7 +121,7 @@ def _parts(scene: GaussianScene, view: View, render: Renderer, *, rounds: int = 
         optimiser.step()
         optimiser.zero_grad(set_to_none=True)
         times.append(time.perf_counter())
-        for name, (a, b) in zip(rows, zip(times, times[1:], strict=False), strict=True):
+        for name, (a, b) in zip(rows, itertools.pairwise(times), strict=True):
             rows[name].append(1000 * (b - a))
     medians = {name: statistics.median(values) for name, values in rows.items()}
     return {**medians, "step": sum(medians.values())}

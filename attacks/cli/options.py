@@ -106,8 +106,8 @@ class CaptureOptions:
     """
 
     scene: Positional[str]
-    """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of the
-    project's objects by name and seed, for instance car:900004."""
+    """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
+    the project's objects by name and seed, for instance car:900004."""
     cameras: str = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
     out: Path = Path("out/capture")

@@ -172,19 +172,19 @@ class Workshop:
             look: A disguise; None is the scene as it is.
         """
         numbers = [camera_number(camera) for camera in cameras]
-        stage = self.stage
+        plain = [] if look is None else self.truths(name, cameras, None)
 
         def make(path: Path) -> None:
             with scalar_variant():
                 for done, (number, camera) in enumerate(zip(numbers, cameras, strict=True), 1):
                     file = path / f"{number:08x}.png"
                     if not file.is_file():
-                        mask = stage.mask(camera)
-                        image = stage.picture(camera)
-                        if look is not None:
+                        if look is None:
+                            image, mask = self.stage.picture(camera), self.stage.mask(camera)
+                        else:
+                            image, mask = plain[done - 1]
                             image = look(View(camera, image), mask)
-                        alpha = torch.where(mask, 1.0, 0.0)[..., None]
-                        save_png(to_rgba(image, alpha), file)
+                        save_png(to_rgba(image, mask[..., None].float()), file)
                     self.on_step("taking pictures to compare with", done, len(cameras))
 
         parts = (self.capture().parent.name, tuple(numbers), None if look is None else name_of(look))
