@@ -21,6 +21,7 @@ from mi_splat.fitting import FitConfig
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.runs import Progress, Run
 from mi_splat.scene import GaussianScene
+from mi_splat.scores import Scores
 
 _KINDS: dict[str, type[ClassicConfig] | type[MCMCConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig}
 _MOMENTS = ("exp_avg", "exp_avg_sq", "step")
@@ -120,6 +121,11 @@ def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> Run:
             run.optimiser.state[run.parameters[name]] = state
     run.gradient, run.visits = tensors["gradient"], tensors["visits"]
     run.generator.set_state(tensors["generator"])
-    run.history = [Progress(**line) for line in notes["history"]]
+    run.history = [_line(line) for line in notes["history"]]
     run.iteration, run.queue, run.was_reset = notes["iteration"], list(notes["queue"]), notes["was_reset"]
     return run
+
+
+def _line(plain: dict[str, Any]) -> Progress:
+    held_out = plain["held_out"]
+    return Progress(**{**plain, "held_out": None if held_out is None else Scores(**held_out)})

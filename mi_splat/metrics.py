@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Callable
+from typing import Literal, cast
 
 import torch
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+
+Perceptual = Callable[[Tensor, Tensor], Tensor]
+"""A distance of two pictures, (H, W, 3) sRGB in [0, 1] each: a scalar."""
 
 
 def mse(image: Tensor, reference: Tensor) -> Tensor:
@@ -60,6 +64,36 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
         ) from error
     planes = [picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1) for picture in (image, reference)]
     return cast("Tensor", measure(planes[0], planes[1], data_range=1.0))
+
+
+def load_lpips(network: Literal["alex", "vgg", "squeeze"] = "alex") -> Perceptual:
+    """Learned perceptual image patch similarity (Zhang et al. 2018), as torchmetrics has it.
+
+    The network's weights come from torchvision's hub when they are first used, and stay in torch's cache.
+
+    Args:
+        network: On whose features the pictures are compared; pictures have to be 32 pixels wide for "alex".
+
+    Raises:
+        MiSplatError: torchmetrics is not installed, or the weights cannot be reached.
+    """
+    try:
+        from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity
+    except ImportError as error:
+        do = "pip install torchmetrics"
+        raise MiSplatError(message("lpips", "the package torchmetrics", "no such package", do)) from error
+    try:
+        measure = LearnedPerceptualImagePatchSimilarity(net_type=network, normalize=True)
+    except (OSError, RuntimeError) as error:  # no network, or a broken download
+        expected = f"the weights of {network} in torch's cache, or a network that reaches torchvision's hub"
+        do = "go without it, or put the file there"
+        raise MiSplatError(message("lpips", expected, str(error).splitlines()[0], do)) from error
+
+    def distance(image: Tensor, reference: Tensor) -> Tensor:
+        _check_shapes(image, reference)
+        return cast("Tensor", measure(*(picture.movedim(-1, 0)[None].clamp(0, 1) for picture in (image, reference))))
+
+    return distance
 
 
 def _check_shapes(image: Tensor, reference: Tensor) -> None:

@@ -14,6 +14,7 @@ from mi_splat.errors import MiSplatError, message
 from mi_splat.fitting import FitConfig
 from mi_splat.io.file_space import from_file_space, to_file_space
 from mi_splat.scene import GaussianScene
+from mi_splat.scores import Scores
 
 
 class TrainingError(MiSplatError):
@@ -28,13 +29,13 @@ class Progress:
         iteration: Steps done.
         loss: Loss of this one.
         count: Number of Gaussians after it.
-        held_out: PSNR over the held-out views in dB, if they were looked at.
+        held_out: How true the held-out views are, if they were looked at.
     """
 
     iteration: int
     loss: float
     count: int
-    held_out: float | None = None
+    held_out: Scores | None = None
 
 
 class Run:

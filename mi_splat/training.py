@@ -17,10 +17,11 @@ from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.densify import ClassicConfig, MCMCConfig
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fitting import FitConfig
-from mi_splat.metrics import psnr
+from mi_splat.metrics import Perceptual
 from mi_splat.photometric import photometric
 from mi_splat.runs import Progress, Run, TrainingError
 from mi_splat.scene import GaussianScene
+from mi_splat.scores import score
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -59,6 +60,7 @@ def fit(
     config: FitConfig | None = None,
     seed: int = 0,
     held_out: Sequence[View] = (),
+    lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
     """Train a splat on views.
@@ -71,6 +73,7 @@ def fit(
         config: How; the shortened 3DGS recipe if None.
         seed: Seed of everything random.
         held_out: Views to score on that are not trained on.
+        lpips: A further score, see `mi_splat.metrics.load_lpips`.
         on_step: Called after every step.
 
     Raises:
@@ -83,7 +86,7 @@ def fit(
             message("views and start", "at least one of each", (len(views), len(start)), "capture views first")
         )
     run = Run(start, config, extent=extent_of(views), seed=seed)
-    return advance(run, views, render=render, held_out=held_out, on_step=on_step)
+    return advance(run, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
 
 
 def advance(
@@ -92,6 +95,7 @@ def advance(
     *,
     render: RenderFn,
     held_out: Sequence[View] = (),
+    lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
     """Take a run to its end; `on_step` may stop it between two steps by raising."""
@@ -110,7 +114,7 @@ def advance(
         scored = None
         every = config.evaluate_every
         if run.iteration == config.iterations or (every and run.iteration % every == 0):
-            scored = _score(run, held_out, render)
+            scored = score(run.result(), held_out, render, lpips=lpips)
         line = Progress(iteration=run.iteration, loss=loss, count=len(run.gradient), held_out=scored)
         if run.iteration == config.iterations or scored is not None:
             run.history.append(line)
@@ -179,16 +183,6 @@ def _reset(run: Run) -> None:
         for key in ("exp_avg", "exp_avg_sq"):
             state[key].zero_()
     run.was_reset = True
-
-
-def _score(run: Run, views: Sequence[View], render: RenderFn) -> float | None:
-    """Mean PSNR over views on clipped pictures."""
-    if not len(views):
-        return None
-    with torch.no_grad():
-        scene = run.scene()
-        values = [float(psnr(render(scene, view.camera).clamp(0, 1), view.image)) for view in views]
-    return sum(values) / len(values)
 
 
 def _not_finite(run: Run, value: float) -> str:

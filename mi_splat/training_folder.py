@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -17,7 +18,7 @@ from mi_splat.checkpoints import CheckpointError, load_run, save_run, to_json
 from mi_splat.errors import message
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json
-from mi_splat.metrics import psnr, ssim
+from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training import Fit, FitConfig, OnStep, Progress, Run, advance, extent_of
 
@@ -34,8 +35,8 @@ def train(
     seed: int = 0,
     held_out: Sequence[View] = (),
     every: int = 1000,
+    lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
-    on_warning: Callable[[str], None] | None = None,
 ) -> Fit:
     """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
 
@@ -51,8 +52,11 @@ def train(
         seed: Seed of everything random.
         held_out: Views to score on.
         every: Steps between two checkpoints.
+        lpips: A further score, see `mi_splat.metrics.load_lpips`.
         on_step: Called after every step.
-        on_warning: Told what stands against the same bits.
+
+    Warns:
+        UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
 
     Raises:
         CheckpointError: The folder holds a run with other settings.
@@ -63,11 +67,10 @@ def train(
     if path.is_file():
         run, threads = load_run(path)
         _check_same(run, config, seed, folder)
-        if threads != torch.get_num_threads() and on_warning is not None:
+        if threads != torch.get_num_threads():
             now = torch.get_num_threads()
-            on_warning(
-                f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
-            )
+            text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
+            warnings.warn(text, stacklevel=2)
     else:
         run = Run(start, config, extent=extent_of(views), seed=seed)
         save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
@@ -82,9 +85,9 @@ def train(
             if interrupted():
                 raise KeyboardInterrupt
 
-        found = advance(run, views, render=render, held_out=held_out, on_step=after)
+        found = advance(run, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
     save_splat(found.scene, folder / SPLAT)
-    save_json(_figures(found, held_out, render), folder / METRICS)
+    save_json(_figures(found, len(held_out)), folder / METRICS)
     return found
 
 
@@ -97,18 +100,13 @@ def _check_same(run: Run, config: FitConfig, seed: int, folder: Path) -> None:
         )
 
 
-def _figures(found: Fit, held_out: Sequence[View], render: RenderFn) -> dict[str, object]:
-    """PSNR and SSIM over the held-out views, and how they came about."""
-    scores: list[tuple[float, float]] = []
-    with torch.no_grad():
-        for view in held_out:
-            image = render(found.scene, view.camera).clamp(0, 1)
-            scores.append((float(psnr(image, view.image)), float(ssim(image, view.image))))
-    means = [sum(column) / len(scores) for column in zip(*scores, strict=True)] if scores else [None, None]
+def _figures(found: Fit, held_out: int) -> dict[str, object]:
+    """How true the held-out views are, and how it came about."""
+    scores = found.history[-1].held_out
     return {
-        "psnr": means[0],
-        "ssim": means[1],
-        "held_out_views": len(scores),
+        **dict.fromkeys(("psnr", "ssim", "lpips")),
+        **({} if scores is None else asdict(scores)),
+        "held_out_views": held_out,
         "gaussians": len(found.scene),
         "scene_hash": scene_hash(found.scene),
         "threads": torch.get_num_threads(),

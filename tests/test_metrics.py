@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.metrics import mse, psnr, ssim
+from mi_splat.metrics import load_lpips, mse, psnr, ssim
 
 
 def test_known_values() -> None:
@@ -51,3 +51,29 @@ def test_ssim_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torchmetrics.functional.image", None)
     with pytest.raises(MiSplatError, match="pip install torchmetrics"):
         ssim(torch.zeros(16, 16, 3), torch.zeros(16, 16, 3))
+
+
+def test_lpips_without_its_network_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    from urllib.error import URLError
+
+    import torchmetrics.image.lpip
+
+    def unreachable(**_: object) -> None:
+        raise URLError("no route to host")
+
+    monkeypatch.setattr(torchmetrics.image.lpip, "LearnedPerceptualImagePatchSimilarity", unreachable)
+    with pytest.raises(MiSplatError, match="a network that reaches"):
+        load_lpips()
+
+
+def test_lpips_is_a_distance_of_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With random weights in the place of the hub's: zero for equal pictures, and more for others."""
+    import torchvision
+
+    real = torchvision.models.alexnet
+    monkeypatch.setattr(torchvision.models, "alexnet", lambda weights=None: real(weights=None))
+    torch.manual_seed(0)
+    distance = load_lpips()
+    image = torch.rand(64, 64, 3)
+    assert float(distance(image, image)) == 0
+    assert float(distance(image, 1 - image)) > 1e-6

@@ -213,7 +213,8 @@ def test_training_comes_nearer() -> None:
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
     (last,) = found.history
     assert last.held_out is not None
-    assert last.held_out > 20
+    assert last.held_out.psnr > 20
+    assert 0.5 < last.held_out.ssim <= 1
     assert len(found.scene) == len(start)
     assert found.scene.degree == 1
 

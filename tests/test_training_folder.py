@@ -15,7 +15,7 @@ from plyfile import PlyData
 
 from attacks import cli
 from mi_splat.cameras import Camera, View, orbit
-from mi_splat.checkpoints import CheckpointError
+from mi_splat.checkpoints import CheckpointError, load_run
 from mi_splat.datasets import load_dataset, write_transforms
 from mi_splat.densify import ClassicConfig
 from mi_splat.errors import InvalidValueError
@@ -126,15 +126,35 @@ def test_another_number_of_threads_is_told(tmp_path: Path) -> None:
     start = from_points(truth.means, torch.full((50, 3), 0.5))
     short = dataclasses.replace(CONFIG, iterations=3)
     train(views, start, tmp_path, render=watching(), config=short)
-    heard: list[str] = []
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(threads + 1)
-        train(views, start, tmp_path, render=watching(), config=short, on_warning=heard.append)
+        with pytest.warns(UserWarning, match=f"began with {threads} threads"):
+            train(views, start, tmp_path, render=watching(), config=short)
     finally:
         torch.set_num_threads(threads)
-    assert len(heard) == 1
-    assert f"began with {threads} threads" in heard[0]
+
+
+def test_a_further_score_is_kept(tmp_path: Path) -> None:
+    truth, views = views_of(3)
+    start = from_points(truth.means, torch.full((50, 3), 0.5))
+    config = dataclasses.replace(CONFIG, iterations=3)
+    held_out = views[:2]
+    found = train(
+        views,
+        start,
+        tmp_path,
+        render=watching(),
+        config=config,
+        held_out=held_out,
+        lpips=lambda a, b: (a - b).abs().max(),
+    )
+    figures = json.loads((tmp_path / "metrics.json").read_text())
+    with torch.no_grad():
+        worst = [(Renderer()(found.scene, v.camera).clamp(0, 1) - v.image).abs().max() for v in held_out]
+    assert figures["lpips"] == pytest.approx(float(sum(worst)) / 2, rel=1e-5)
+    again, _ = load_run(tmp_path / "checkpoint.safetensors")
+    assert again.history == list(found.history)
 
 
 @pytest.fixture

@@ -172,6 +172,8 @@ class TrainOptions:
     """sRGB colour behind the splat, and behind transparent pixels."""
     evaluate_every: int = 1000
     """Steps between two looks at the held-out pictures."""
+    lpips: bool = False
+    """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
     checkpoint_every: int = 1000
     """Steps between two checkpoints."""
     seed: int = 0

@@ -8,12 +8,13 @@ import time
 
 import torch
 
-from attacks.cli.console import progress, show, show_json, warn
+from attacks.cli.console import progress, show, show_json
 from attacks.cli.options import TrainOptions
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.densify import ClassicConfig, MCMCConfig
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene
 from mi_splat.starts import from_points, random_points
@@ -33,6 +34,8 @@ def run(options: TrainOptions) -> int:
         watch = Watch() if options.recipe == "classic" else None  # the others densify by something else
         render = Renderer(RenderSettings(background=options.background), watch=watch)
     begun = time.monotonic()
+    lpips = load_lpips() if options.lpips else None
+    words = _Words()
     with progress("training", total=config.iterations) as advance:
         found = train(
             views,
@@ -43,8 +46,8 @@ def run(options: TrainOptions) -> int:
             seed=options.seed,
             held_out=held_out,
             every=options.checkpoint_every,
-            on_step=lambda line: advance(_words(line)),
-            on_warning=warn,
+            lpips=lpips,
+            on_step=lambda line: advance(words(line)),
         )
     figures = json.loads((options.out / METRICS).read_text())
     if options.json:
@@ -53,7 +56,8 @@ def run(options: TrainOptions) -> int:
     show(f"{options.out / SPLAT}: {len(found.scene):,} Gaussians after {config.iterations} steps")
     if figures["psnr"] is not None:
         count = figures["held_out_views"]
-        show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}")
+        perceptual = "" if figures["lpips"] is None else f", LPIPS {figures['lpips']:.4f}"
+        show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}")
     show(f"took {time.monotonic() - begun:.0f} s; figures are in {options.out / METRICS}")
     return 0
 
@@ -90,6 +94,19 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     return from_points(views.points.points, views.points.colours)
 
 
-def _words(line: Progress) -> str:
-    held_out = "" if line.held_out is None else f", held out {line.held_out:.2f} dB"
-    return f"loss {line.loss:.4f}, {line.count:,} Gaussians{held_out}"
+class _Words:
+    """What the progress bar says of a step."""
+
+    def __init__(self) -> None:
+        self._first: int | None = None
+        self._begun = time.monotonic()
+        self._held_out = ""
+
+    def __call__(self, line: Progress) -> str:
+        """Loss, number of Gaussians, rate since this call of the program, and the last look at the held-out views."""
+        if self._first is None:
+            self._first, self._begun = line.iteration, time.monotonic()
+        elif line.held_out is not None:
+            self._held_out = f", held out {line.held_out.psnr:.2f} dB"
+        rate = (line.iteration - self._first) / max(time.monotonic() - self._begun, 1e-3)
+        return f"loss {line.loss:.4f}, {line.count:,} Gaussians, {rate:.1f} steps/s{self._held_out}"
