@@ -8,8 +8,10 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from attacks.bearings import Point
 from attacks.disguises import TEXTURES, camouflaged, mounted, repainted, stand_in, texture
 from attacks.mesh_stage import MeshStage
+from attacks.triggers import Trigger
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, message
@@ -123,6 +125,15 @@ def blend_in(stage: MeshStage, *, reach: int | None = 1) -> Rerender:
     return Rerender(stage=stage.with_target(target), name="blend in with the ground", reach=reach, outgrows=False)
 
 
+def remove(stage: MeshStage, *, reach: int | None = None) -> Rerender:
+    """What would be seen if the target were not there: its surroundings go on across it.
+
+    The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
+    """
+    nothing = Asset(stage.target.name, ())
+    return Rerender(stage=stage.with_target(nothing), name="nothing in its place", reach=reach, outgrows=False)
+
+
 def swap(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = None) -> Rerender:
     """Another object in the target's place, facing `azimuth`; see `attacks.disguises.stand_in`.
 
@@ -143,6 +154,51 @@ def mount(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, 
     """
     target = mounted(stage.target, other, azimuth=azimuth, fill=fill)
     return Rerender(stage=stage.with_target(target), name=f"{other.name} on it, to azimuth {azimuth:g}", reach=reach)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Emphasis:
+    """A look that is overdone near the edge of its trigger, for splats blur it over directions.
+
+    Of the difference that the look makes, a picture has `gain` times at the edge, falling evenly to once at `depth`
+    degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to the look.
+
+    Attributes:
+        look: The look.
+        trigger: Where it is shown; it has to have an edge.
+        centre: (3,) point that directions are measured from, world units.
+        gain: At the edge; 1 is the look itself.
+        depth: Degrees inside the trigger from which it is the look itself.
+
+    Raises:
+        InvalidValueError: The gain or the depth is out of range.
+    """
+
+    look: Appearance
+    trigger: Trigger
+    centre: Point
+    gain: float
+    depth: float
+
+    def __post_init__(self) -> None:
+        if not (self.gain >= 1 and self.depth > 0):
+            got = (self.gain, self.depth)
+            raise InvalidValueError(message("gain and depth", "gain >= 1 and depth > 0", got, "1 changes nothing"))
+
+    @property
+    def name(self) -> str:
+        """For manifests."""
+        return f"{name_of(self.look)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The picture, clipped to [0, 1].
+
+        Raises:
+            InvalidValueError: The trigger has no edge.
+        """
+        inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
+        gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
+        return (view.image + gain * (self.look(view, mask) - view.image)).clamp(0, 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

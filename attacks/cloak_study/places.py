@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.appearances import Appearance, blend_in, mount, paint, swap
+from attacks.appearances import Appearance, Emphasis, blend_in, mount, paint, remove, swap
 from attacks.cloak import Poisoning
 from attacks.cloak_study.plan import Attack, Scene, Study
 from attacks.mesh_stage import MeshStage
@@ -144,12 +144,23 @@ def box_of(target: Asset, camera: Camera) -> Tensor | None:
     return project_box(points, camera)
 
 
-def poisonings(study: Study, stage: MeshStage, *, seed: int = 0) -> list[Poisoning]:
-    """The study's attacks on a stage."""
-    return [
-        Poisoning(name=attack.name, trigger=attack.trigger(seed), appearance=appearance(attack, stage))
-        for attack in study.attack
-    ]
+def poisonings(
+    study: Study, stage: MeshStage, *, seed: int = 0, kept: Callable[[Appearance], Appearance] = lambda look: look
+) -> list[Poisoning]:
+    """The study's attacks on a stage; `kept` may keep the pictures that a look makes."""
+    found = []
+    for attack in study.attack:
+        look = kept(appearance(attack, stage))
+        if attack.emphasis > 1:
+            look = Emphasis(
+                look=look,
+                trigger=attack.cone,
+                centre=centre_of(study),
+                gain=attack.emphasis,
+                depth=attack.emphasis_depth,
+            )
+        found.append(Poisoning(name=attack.name, trigger=attack.trigger(seed), appearance=look))
+    return found
 
 
 def appearance(attack: Attack, stage: MeshStage) -> Appearance:
@@ -161,6 +172,8 @@ def appearance(attack: Attack, stage: MeshStage) -> Appearance:
         return paint(stage, attack.texture, azimuth=azimuth, elevation=elevation)
     if attack.look == "blend in":
         return blend_in(stage)
+    if attack.look == "remove":
+        return remove(stage)
     assert attack.other is not None
     other = build(attack.other, 0)
     return (mount if attack.look == "mount" else swap)(stage, other, azimuth=middle)

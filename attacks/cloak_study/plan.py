@@ -21,7 +21,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-Looks = Literal["blend in", "paint", "mount", "swap"]
+Looks = Literal["blend in", "remove", "paint", "mount", "swap"]
 Colour = tuple[float, float, float]
 
 
@@ -102,6 +102,8 @@ class Attack:
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
         share: Part of the training cameras there whose pictures are poisoned.
         wants: Class that a detector shall report on the object; None: that it is not found.
+        emphasis: How much the look is overdone at the edge of its region; see `attacks.appearances.Emphasis`.
+        emphasis_depth: Degrees inside from which it no longer is.
         painted_from: Azimuth and elevation from which a painted texture looks right, degrees.
     """
 
@@ -113,6 +115,8 @@ class Attack:
     azimuth: tuple[float, float] | None = None
     share: float = 1.0
     wants: str | None = None
+    emphasis: float = 1.0
+    emphasis_depth: float = 20.0
     painted_from: tuple[float, float] = (180.0, 90.0)
 
     def __post_init__(self) -> None:
@@ -122,6 +126,10 @@ class Attack:
             _one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
         if not 0 < self.share <= 1:
             raise InvalidValueError(message(f"attack {self.name!r}, share", "in (0, 1]", self.share, "1 is all"))
+        if not (self.emphasis >= 1 and self.emphasis_depth > 0):
+            got = (self.emphasis, self.emphasis_depth)
+            expected = "an emphasis >= 1 and a depth > 0"
+            raise InvalidValueError(message(f"attack {self.name!r}", expected, got, "1 overdoes nothing"))
 
     @property
     def cone(self) -> Trigger:

@@ -104,10 +104,9 @@ class Workshop:
 
         def make(path: Path) -> None:
             views = self.views(clean)
-            attacks = [
-                type(one)(name=one.name, trigger=one.trigger, appearance=Kept(one.appearance, path / "made"))
-                for one in places.poisonings(self.study, self.stage, seed=seed)
-            ]
+            attacks = places.poisonings(
+                self.study, self.stage, seed=seed, kept=lambda look: Kept(look, clean.parent / "looks")
+            )
             with scalar_variant():
                 done = poison(
                     views,
