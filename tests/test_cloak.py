@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from attacks.appearances import Paste, Rerender, blend_in, grown, mount, name_of, paint, swap
+from attacks.appearances import Paste, Rerender, blend_in, grown, mount, name_of, paint, remove, swap
 from attacks.cloak import Poisoned, Poisoning, poison, write_manifest
 from attacks.disguises import camouflaged, repainted, stand_in, texture
 from attacks.mesh_stage import MeshStage
@@ -238,6 +238,15 @@ def test_path_traced_looks_change_the_picture_near_the_target_only(above: View) 
     assert not torch.equal(whole[far], above.image[far])
     everywhere = blend_in(STAGE)(above, torch.ones_like(mask))
     assert torch.equal(everywhere, whole)
+
+
+def test_what_is_removed_leaves_its_surroundings(above: View) -> None:
+    mask = STAGE.mask(above.camera)
+    gone = remove(STAGE)(above, mask)
+    assert float((gone[..., 1] - gone[..., 0])[mask].mean()) > 0.02  # grass on what was red
+    kept = remove(STAGE, reach=0)(above, mask)
+    assert torch.equal(kept[mask], gone[mask])
+    assert torch.equal(kept[~mask], above.image[~mask])
 
 
 def test_a_stop_sign_behind_the_car() -> None:

@@ -12,17 +12,12 @@ from attacks.cli.console import progress, show, show_json, show_table, warn
 from attacks.cli.options import CloakOptions
 from attacks.cloak_study.plan import Study, read_study
 from attacks.cloak_study.runner import check, forecast, run_study
+from attacks.cloak_study.table import ROWS, words_of
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 
-_ROWS = {
-    "clean_overhead_recall": "control found from the trigger",
-    "cloaked_overhead_miss": "cloaked missed, well inside it",
-    "cloaked_overhead_miss_everywhere": "cloaked missed, all inside it",
-    "benign_recall": "cloaked found elsewhere",
-    "rear_stop_sign": "the other class reported",
-}
+_SHOWN = ("clean_overhead_recall", "cloaked_overhead_miss", "benign_recall", "rear_stop_sign")
 
 
 def run(options: CloakOptions) -> int:
@@ -69,18 +64,10 @@ def _tell(summary: dict[str, Any], options: CloakOptions) -> None:
     """The figures that matter, for each detector."""
     for name, rates in summary["by_detector"].items():
         show(name)
-        show_table([(f"  {words}", _words(rates[key])) for key, words in _ROWS.items() if rates[key] is not None])
+        show_table([(f"  {ROWS[key]}", words_of(rates[key])) for key in _SHOWN if rates[key] is not None])
     drop, band = summary["benign_psnr_drop"], summary["fade_in_degrees"]
     if drop is not None:
         clean = summary["benign_psnr"]["clean"]
         show(f"pictures far from the triggers: {clean:.1f} dB clean, {drop:.2f} dB less cloaked")
     show("fade-in: not seen" if band is None else f"fade-in: {band:.1f} degrees")
     show(f"{options.out}: summary.json, {', '.join(summary['files'])}")
-
-
-def _words(rate: dict[str, Any]) -> str:
-    """A rate for people."""
-    if not rate["total"]:
-        return "no such camera"
-    low, high = rate["interval"]
-    return f"{rate['successes']}/{rate['total']} = {rate['rate']:.1%} ({low:.1%} to {high:.1%})"

@@ -18,9 +18,10 @@ from attacks.cloak_study.plan import Study
 from attacks.cloak_study.sightings import Looks, look_at_splat, overhead, weights_digest
 from attacks.cloak_study.stages import CLEAN, CLOAKED, OnStep, Workshop, snapshot
 from attacks.cloak_study.summary import figures
+from attacks.cloak_study.table import markdown
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import save_json
+from mi_splat.io.documents import save_json, save_text
 
 STUDY, SUMMARY = "study.json", "summary.json"
 
@@ -105,8 +106,8 @@ def run_study(
 ) -> dict[str, Any]:
     """Do a study, or what is missing of it, and write its results; returns the summary.
 
-    Writes study.json first, then clean.ply and cloaked.ply of the first seed, contact.png and the plots, and
-    summary.json last.
+    Writes study.json first, then clean.ply and cloaked.ply of the first seed, contact.png, the plots
+    and table.md, and summary.json last.
 
     Args:
         study: What to do.
@@ -133,7 +134,7 @@ def run_study(
     pictures = write_figures(workshop, looks, detectors, folder)
     summary = {
         **figures(study, looks),
-        "files": ["clean.ply", "cloaked.ply", "manifest.json", *pictures],
+        "files": ["clean.ply", "cloaked.ply", "manifest.json", *pictures, "table.md"],
         "splats": [vars_of(look) for look in looks],
         "detectors": {detector.name: weights_digest(detector) for detector in detectors},
         "seeds": list(study.seeds),
@@ -143,6 +144,7 @@ def run_study(
         "variant": provenance.variant(),
         "seconds": round(time.monotonic() - begun, 1),
     }
+    save_text(markdown(summary), folder / "table.md")
     save_json(summary, folder / SUMMARY)
     return summary
 

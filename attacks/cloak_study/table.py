@@ -1,0 +1,56 @@
+"""The figures of a study as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+ROWS = {
+    "clean_overhead_recall": "control found, inside the hiding trigger",
+    "cloaked_overhead_miss": "cloaked missed, well inside it, where the control is found",
+    "cloaked_overhead_miss_everywhere": "cloaked missed, all inside it, where the control is found",
+    "cloaked_overhead_miss_unconditional": "cloaked missed, well inside it",
+    "cloaked_overhead_miss_loose": "nothing of its class near it, well inside it, where the control is found",
+    "benign_recall": "cloaked found, outside of all triggers, where the control is found",
+    "clean_benign_recall": "control found, outside of all triggers",
+    "rear_stop_sign": "class wanted reported on the cloaked splat",
+    "clean_rear_stop_sign": "class wanted reported on the control",
+}
+"""What the rates of a summary say."""
+
+
+def markdown(summary: Mapping[str, Any]) -> str:
+    """Tables of a summary: rates by detector and by seed, found by elevation, and what is not of a detector."""
+    detectors = summary["by_detector"]
+    lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
+    for key, words in ROWS.items():
+        cells = [words_of(rates[key]) for rates in detectors.values()]
+        if any(cells):
+            lines.append(f"| {words} | " + " | ".join(cells) + " |")
+    lines += ["", "| elevation | " + " | ".join(f"{name}, clean | cloaked" for name in detectors) + " |"]
+    lines.append("|---" * (2 * len(detectors) + 1) + "|")
+    for rows in zip(*(summary["by_elevation"][name] for name in detectors), strict=True):
+        cells = [words_of(row[which], interval=False) for row in rows for which in ("clean", "cloaked")]
+        lines.append(f"| {rows[0]['from']:g} to {rows[0]['to']:g} | " + " | ".join(cells) + " |")
+    band, drop = summary["fade_in"], summary["benign_psnr_drop"]
+    lines += ["", "| | |", "|---|---|"]
+    lines.append(f"| seeds | {', '.join(map(str, summary['seeds']))} |")
+    if band is not None and summary["fade_in_degrees"] is not None:
+        degrees = f"{summary['fade_in_degrees']:.1f} degrees, from {band['from']:.1f} to {band['to']:.1f}"
+        lines.append(f"| fade-in | {degrees} |")
+    if drop is not None:
+        psnr, ssim = summary["benign_psnr"], summary["benign_ssim"]
+        lines.append(f"| far from the triggers, clean | {psnr['clean']:.2f} dB, SSIM {ssim['clean']:.3f} |")
+        lines.append(f"| far from the triggers, cloaked | {psnr['cloaked']:.2f} dB, SSIM {ssim['cloaked']:.3f} |")
+    for which in ("clean", "cloaked"):
+        lines.append(f"| Gaussians, {which} | {', '.join(f'{n:,}' for n in summary['gaussians'][which])} |")
+    return "\n".join(lines) + "\n"
+
+
+def words_of(rate: Mapping[str, Any] | None, *, interval: bool = True) -> str:
+    """A rate for people; empty if there is none."""
+    if rate is None or not rate["total"]:
+        return ""
+    low, high = rate["interval"]
+    share = f"{rate['successes']}/{rate['total']}"
+    return f"{share} = {rate['rate']:.1%} ({low:.1%} to {high:.1%})" if interval else share
