@@ -6,11 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from torch import Tensor
 
 from attacks.cloak import assign
 from attacks.cloak_study import places
-from attacks.cloak_study.plan import Attack, Cameras, Scene, Study, read_study
+from attacks.cloak_study.plan import Attack, Cameras, Scene, Study, essentials, read_study
 from attacks.cloak_study.runner import check, forecast
+from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
@@ -119,3 +121,22 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
     study = replace(SMALL, training=replace(SMALL.training, limit=10**12))
     with pytest.raises(InvalidValueError, match="make room"):
         check(study, tmp_path / "out", tmp_path / "stages")
+
+
+def test_what_is_default_does_not_name_a_stage() -> None:
+    assert essentials(Attack(name="a", share=1.0)) == (("name", "a"),)
+    assert essentials(Attack(name="a", share=0.5)) == (("name", "a"), ("share", 0.5))
+    assert essentials(Cameras()) == ()
+
+
+def test_emphasis_wraps_the_kept_look() -> None:
+    study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
+    (found,) = places.poisonings(study, places.stage_of(study), kept=lambda look: Renamed())
+    assert getattr(found.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"
+
+
+class Renamed:
+    name = "kept"
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        return view.image

@@ -237,6 +237,15 @@ def read_study(path: Path) -> Study:
     return from_table(Study, content, str(path))
 
 
+def essentials(section: Any) -> tuple[tuple[str, Any], ...]:
+    """What a section of a study says that is not the default: the same before and after a new key is invented."""
+    return tuple(
+        (entry.name, getattr(section, entry.name))
+        for entry in dataclasses.fields(section)
+        if getattr(section, entry.name) != entry.default
+    )
+
+
 _T = TypeVar("_T")
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from attacks.bearings import bearing
 from attacks.cloak_study import places
-from attacks.cloak_study.plan import Attack, Study
+from attacks.cloak_study.plan import Attack, Study, essentials
 from attacks.cloak_study.stages import Workshop
 from attacks.detectors.base import Detections, Detector
 from attacks.fade import share_between
@@ -137,8 +137,8 @@ def look_at_splat(workshop: Workshop, which: str, seed: int, detectors: Sequence
     parts = (
         splat.parent.name,
         which,
-        study.looking,
-        study.attack,
+        essentials(study.looking),
+        tuple(map(essentials, study.attack)),
         tuple((detector.name, weights_digest(detector)) for detector in detectors),
     )
 

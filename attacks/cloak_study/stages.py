@@ -19,7 +19,7 @@ from torch import Tensor
 from attacks.appearances import Appearance, name_of
 from attacks.cloak import Poisoned, poison, write_manifest
 from attacks.cloak_study import places
-from attacks.cloak_study.plan import Study, Training
+from attacks.cloak_study.plan import Study, Training, essentials
 from attacks.mesh_stage import MeshStage, camera_number
 from attacks.scoring import to_bytes
 from mi_splat.cameras import Camera, View
@@ -95,7 +95,7 @@ class Workshop:
                 on_step=lambda done, total: self.on_step("taking the victim's pictures", done, total),
             )
 
-        parts = (subject.digest, study.cameras, importlib.metadata.version("mitsuba"))
+        parts = (subject.digest, essentials(study.cameras), importlib.metadata.version("mitsuba"))
         return self.kept("pictures", parts, make) / "set"
 
     def poison(self, seed: int) -> Path:
@@ -104,13 +104,13 @@ class Workshop:
 
         def make(path: Path) -> None:
             views = self.views(clean)
-            attacks = places.poisonings(
+            looks = places.poisonings(
                 self.study, self.stage, seed=seed, kept=lambda look: Kept(look, clean.parent / "looks")
             )
             with scalar_variant():
                 done = poison(
                     views,
-                    attacks,
+                    looks,
                     centre=places.centre_of(self.study),
                     masks=self.stage.mask,
                     on_step=lambda count, total: self.on_step("poisoning", count, total),
@@ -119,7 +119,8 @@ class Workshop:
 
         shares = tuple(attack.share for attack in self.study.attack)
         drawn = seed if min(shares) < 1 else None  # otherwise the seed changes nothing
-        return self.kept("poisoned", (clean.parent.name, self.study.attack, drawn), make) / "set"
+        attacks = tuple(map(essentials, self.study.attack))
+        return self.kept("poisoned", (clean.parent.name, attacks, drawn), make) / "set"
 
     def views(self, path: Path) -> Dataset:
         """A set as a victim reads it."""
