@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Sets up what `make demo` and `make test` need: a virtual environment with the project in it, and a libLLVM for Dr.Jit.
-# Nothing outside $VENV is touched, except that libLLVM is installed with apt where that is possible and needed.
+# Nothing outside $VENV is touched, except that libLLVM (and libGL, for OpenCV) is installed with apt where that is possible
+# and needed.
 #   VENV         the environment (.venv); made if it is not there
 #   PYTHON       interpreter to make it from (default: the first Python >= 3.10 on the path)
 #   SYSTEM_SITE  not empty: the environment also sees that interpreter's packages, so an installed torch is kept
@@ -80,7 +81,19 @@ install_llvm() {
     die "libLLVM: $("$python" -c 'from mi_splat.variant import llvm_hint; print(llvm_hint())'), then run make again"
 }
 
+# OpenCV, which ultralytics needs, wants two libraries that small images lack. Without them YOLO's tests are left out.
+install_gl() {
+    "$python" -c 'import cv2' >/dev/null 2>&1 && return
+    if have apt-get && [ "$(id -u)" = 0 ]; then
+        say "setup: installing libGL and GLib with apt, for OpenCV"
+        apt-get update -qq </dev/null >/dev/null || true
+        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends libgl1 libglib2.0-0 </dev/null >/dev/null || true
+    fi
+    "$python" -c 'import cv2' >/dev/null 2>&1 || say "setup: OpenCV does not load, so YOLO detectors will not work here"
+}
+
 make_environment
 install_project
 install_llvm
+install_gl
 say "setup: done"

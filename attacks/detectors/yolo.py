@@ -40,7 +40,12 @@ try:
     from ultralytics.utils.ops import scale_boxes
 except ImportError as error:
     raise DetectorError(
-        message("detector", "the package ultralytics, which is AGPL-3.0", str(error), 'pip install "mi-splat[yolo]"')
+        message(
+            "detector",
+            "the package ultralytics, which is AGPL-3.0, and what its OpenCV needs",
+            str(error),
+            'pip install "mi-splat[yolo]"; for libGL on Debian: apt install libgl1 libglib2.0-0',
+        )
     ) from error
 
 USUAL_SIDE = 640
