@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import filecmp
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from attacks.cloak_study.runner import run_study
 from attacks.cloak_study.sightings import Looks, Sighting, Trained
 from attacks.cloak_study.stages import Kept, Workshop
 from attacks.cloak_study.summary import NAMES, by_elevation, pairs, rates
+from attacks.cloak_study.variations import varied, vary
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
@@ -39,7 +41,7 @@ STUDY = Study(
             wants="stop sign",
         ),
     ),
-    training=Training(iterations=120, recipe="fixed", degree_every=0),
+    training=Training(iterations=80, recipe="fixed", degree_every=0),
     looking=Looking(detectors=("redness",), cameras=24, references=2, arcs=1, arc_step=20.0),
 )
 
@@ -141,10 +143,14 @@ def test_nothing_is_done_twice(finished: Path) -> None:
     assert {**summary(finished), "seconds": 0} == {**before, "seconds": 0}
 
 
-@pytest.mark.parametrize("stop_at", [("poisoning", 2), ("training the cloaked", 60)])
+@pytest.mark.parametrize("stop_at", [("poisoning", 2), ("training the cloaked", 40)])
 def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     finished: Path, tmp_path: Path, stop_at: tuple[str, int]
 ) -> None:
+    workshop = Workshop(study=STUDY, folder=finished / "stages")
+    for stage in (workshop.capture().parent, workshop.splat("clean", 0).parent):  # which would take long
+        shutil.copytree(stage, tmp_path / "out" / "stages" / stage.name)
+    (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
     assert not (tmp_path / "out" / "summary.json").exists()
@@ -176,6 +182,35 @@ def test_kept_pictures_are_made_once(tmp_path: Path) -> None:
     assert torch.equal(first, second)
     assert len(made) == 1
     assert float((first - view.image * 0.5).abs().max()) <= 0.5 / 255 + 1e-6
+
+
+def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
+    study = replace(STUDY, training=replace(STUDY.training, iterations=12))
+    said: list[str] = []
+    found = vary(
+        study,
+        ["recipe"],
+        [Redness()],
+        tmp_path,
+        stages=finished / "stages",
+        on_step=lambda text, done, total: said.append(text),
+    )
+    assert list(found["recipe"]) == ["classic", "mcmc"]
+    assert not [text for text in said if "pictures" in text or text == "poisoning"]
+    table = (tmp_path / "variations.md").read_text().splitlines()
+    assert len(table) == 2 + 2
+    assert table[2].startswith("| classic | redness | ")
+
+
+def test_variations_change_one_thing() -> None:
+    shares = varied(STUDY, "share")
+    assert [study.attack[0].share for study in shares.values()] == [0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0]
+    looks = varied(STUDY, "look")
+    assert [study.attack[0].texture for study in looks.values()][2:] == ["road", "grass", "clock", "football"]
+    assert all(study.attack[1] == STUDY.attack[1] for study in looks.values())
+    assert [study.training.degree for study in varied(STUDY, "degree").values()] == [0, 1, 2, 3]
+    assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0]
+    assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]
 
 
 # Figures

@@ -13,6 +13,7 @@ from attacks.cli.options import CloakOptions
 from attacks.cloak_study.plan import Study, read_study
 from attacks.cloak_study.runner import check, forecast, run_study
 from attacks.cloak_study.table import ROWS, words_of
+from attacks.cloak_study.variations import varied, vary
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
@@ -29,8 +30,9 @@ def run(options: CloakOptions) -> int:
         study = replace(study, looking=replace(study.looking, detectors=options.detectors))
     with progress("loading the detectors"):
         detectors = _detectors(study, options)
-        check(study, options.out, options.stages or options.out / "stages")
-    warn(f"{study.name}: {forecast(study)}")
+        if not options.vary:  # which checks every study of its own
+            check(study, options.out, options.stages or options.out / "stages")
+    _announce(study, options)
     if options.forecast:
         return 0
     now = [""]
@@ -42,12 +44,26 @@ def run(options: CloakOptions) -> int:
                 warn(text)
             advance(f"{text}, {done:,} of {total:,}")
 
-        summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
-    if options.json:
+        if options.vary:
+            vary(study, options.vary, detectors, options.out, stages=options.stages, on_step=follow)
+        else:
+            summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
+    if options.vary:
+        show(f"{options.out}: variations.md, variations.json")
+    elif options.json:
         show_json({**summary, "out": str(options.out)})
     else:
         _tell(summary, options)
     return 0
+
+
+def _announce(study: Study, options: CloakOptions) -> None:
+    """What it will take."""
+    if not options.vary:
+        warn(f"{study.name}: {forecast(study)}")
+    for group in options.vary:
+        for name, one in varied(study, group).items():
+            warn(f"{study.name}, {group} {name}: {forecast(one)}")
 
 
 def _detectors(study: Study, options: CloakOptions) -> list[Detector]:
