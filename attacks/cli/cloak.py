@@ -26,6 +26,7 @@ def run(options: CloakOptions) -> int:
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
     study = read_study(options.study)
+    study = replace(study, seeds=options.seeds or study.seeds)
     if options.detectors:
         study = replace(study, looking=replace(study.looking, detectors=options.detectors))
     with progress("loading the detectors"):

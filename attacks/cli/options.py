@@ -196,6 +196,8 @@ class CloakOptions:
     """Folder for the results: a new one, or that of the same study."""
     stages: Path | None = None
     """Folder of the stages, which several studies may share; None is a folder in --out."""
+    seeds: tuple[int, ...] = ()
+    """Seeds in the place of those of the study."""
     detectors: tuple[str, ...] = ()
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
