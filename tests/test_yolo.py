@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image, UnidentifiedImageError
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
@@ -171,6 +172,15 @@ def test_missing_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(yolo, "SMALL_YOLO", tmp_path / "none.safetensors")
     with pytest.raises(DetectorError, match="the wheel has none"):
         load_detector("yolov8n_small")
+
+
+def test_other_libraries_stay_as_they_are(tmp_path: Path) -> None:
+    """The package patches Pillow when it is imported, and then asks for another package where a picture is broken."""
+    assert Image.open.__module__ == "PIL.Image"
+    assert torch.save.__module__ == "torch.serialization"
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    with pytest.raises(UnidentifiedImageError):
+        Image.open(tmp_path / "broken.png")
 
 
 # Training

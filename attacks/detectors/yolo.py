@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
+from PIL import Image
 from torch import Tensor, nn
 from torchvision.models.detection import FasterRCNN_ResNet50_FPN_Weights
 from torchvision.ops import box_iou
@@ -32,6 +33,7 @@ os.environ.setdefault(
 )
 Path(os.environ["YOLO_CONFIG_DIR"]).mkdir(parents=True, exist_ok=True)
 
+_open, _save = Image.open, torch.save
 try:
     from ultralytics.cfg import get_cfg
     from ultralytics.data.augment import LetterBox
@@ -47,6 +49,9 @@ except ImportError as error:
             'pip install "mi-splat[yolo]"; for libGL on Debian: apt install libgl1 libglib2.0-0',
         )
     ) from error
+finally:
+    # The package puts functions of its own in the place of these, for the whole process; nothing here wants them.
+    Image.open, torch.save = _open, _save
 
 USUAL_SIDE = 640
 """Longer image side, in pixels, that the published ones work at; the small one works at `SIZE`."""
