@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -75,13 +76,22 @@ def watching() -> Renderer:
     return Renderer(RenderSettings(), watch=Watch())
 
 
-def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path) -> None:
+@pytest.fixture
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize(("threads", "step"), [(1, 23), (2, 31)], indirect=["threads"])
+def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path, threads: int, step: int) -> None:
     truth, views = views_of()
     start = from_points(truth.means, torch.full((50, 3), 0.5))
     whole = train(views, start, tmp_path / "whole", render=watching(), config=CONFIG, held_out=views[:2], every=15)
 
     def press(line: Progress) -> None:
-        if line.iteration == 23:
+        if line.iteration == step:
             os.kill(os.getpid(), signal.SIGINT)
 
     broken = tmp_path / "broken"
@@ -99,12 +109,13 @@ def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path) -> None:
         held_out=views[:2],
         on_step=lambda p: seen.append(p.iteration),
     )
-    assert seen == list(range(24, 41))
+    assert seen == list(range(step + 1, 41))
     assert scene_hash(again.scene) == scene_hash(whole.scene)
     assert (broken / "splat.ply").read_bytes() == (tmp_path / "whole" / "splat.ply").read_bytes()
     figures = json.loads((broken / "metrics.json").read_text())
     assert [line["iteration"] for line in figures["history"]] == [20, 40]
     assert figures["psnr"] > 15
+    assert figures["threads"] == threads
     assert json.loads((broken / "config.json").read_text())["config"]["iterations"] == 40
 
 
