@@ -19,11 +19,11 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets import load_dataset
-from mi_splat.densify import ClassicConfig, MCMCConfig
-from mi_splat.metrics import psnr, ssim
+from mi_splat.fitting import densification
 from mi_splat.photometric import photometric
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene
+from mi_splat.scores import score
 from mi_splat.starts import from_points
 from mi_splat.training import FitConfig, Progress, fit
 
@@ -60,12 +60,8 @@ def main() -> None:
     held_out = load_dataset(options.set, split="test", background=background)
     if views.points is None:
         raise SystemExit("the set has no point cloud; capture it with --points")
-    recipes = {
-        "classic": ClassicConfig(limit=options.limit, stop=options.iterations // 2),
-        "mcmc": MCMCConfig(limit=options.limit),
-        "fixed": None,
-    }
-    config = FitConfig(iterations=options.iterations, densification=recipes[options.recipe], evaluate_every=0)
+    adding = densification(options.recipe, limit=options.limit, stop=options.iterations // 2)
+    config = FitConfig(iterations=options.iterations, densification=adding, evaluate_every=0)
     settings = RenderSettings(background=background)
     render = Timed(Renderer(settings, watch=Watch() if options.recipe == "classic" else None))
     start = from_points(views.points.points, views.points.colours)
@@ -76,7 +72,7 @@ def main() -> None:
 
     found = fit(views, start, render=render, config=config, on_step=after)
     steps = [b - a for a, b in zip(stamps[WARM_UP:], stamps[WARM_UP + 1 :], strict=False)]
-    scores = [_score(found.scene, view, render.inner) for view in held_out]
+    scores = score(found.scene, held_out, render.inner)
     parts = _parts(found.scene, views[0], render.inner)
     report = {
         "recipe": options.recipe,
@@ -90,17 +86,11 @@ def main() -> None:
         "share_outside_renderer": 1 - (parts["forward"] + parts["backward"]) / parts["step"],
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "gaussians": len(found.scene),
-        "psnr": statistics.mean(score for score, _ in scores) if scores else None,
-        "ssim": statistics.mean(score for _, score in scores) if scores else None,
+        "psnr": scores and scores.psnr,
+        "ssim": scores and scores.ssim,
     }
     json.dump(report, sys.stdout, indent=2)
     sys.stdout.write("\n")
-
-
-def _score(scene: GaussianScene, view: View, render: Renderer) -> tuple[float, float]:
-    with torch.no_grad():
-        image = render(scene, view.camera).clamp(0, 1)
-    return float(psnr(image, view.image)), float(ssim(image, view.image))
 
 
 def _parts(scene: GaussianScene, view: View, render: Renderer, *, rounds: int = 30) -> dict[str, float]:

@@ -14,6 +14,8 @@ from mi_splat.errors import InvalidValueError, message
 FORMS = "hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE or a transforms .json file"
 MOST = 100_000
 """Cameras of the largest set."""
+MARGIN = 1.05
+"""How much farther away cameras are than would just show the whole of what they look at."""
 HELD_OUT_START = 67.0
 """Azimuth of the first held-out camera in degrees, so that these are not where the others are."""
 
@@ -24,6 +26,18 @@ _PATTERNS = {
     "cap": re.compile(f"{_COUNT}@{_ANGLE}"),
     "grid": re.compile(r"(?P<count>\d{1,9})x(?P<rows>\d{1,9})"),
 }
+
+
+def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, float]:
+    """Distance in world units from which a ball is seen whole, and focal length in pixels.
+
+    Args:
+        radius: Of the ball, world units.
+        fov: Field of view along the shorter side, degrees.
+        size: (width, height) in pixels.
+    """
+    half = math.radians(fov) / 2
+    return MARGIN * radius / math.sin(half), min(size) / 2 / math.tan(half)
 
 
 def camera_set(

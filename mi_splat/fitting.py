@@ -8,8 +8,22 @@ from typing import Literal
 from mi_splat.densify import ClassicConfig, MCMCConfig
 from mi_splat.errors import InvalidValueError, message
 
+Recipe = Literal["classic", "mcmc", "fixed"]
 Attribute = Literal["means", "scales", "rotations", "opacities", "sh"]
 TRAINABLE: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
+
+
+def densification(recipe: Recipe, *, limit: int, stop: int = 15_000) -> ClassicConfig | MCMCConfig | None:
+    """Where a recipe adds and removes Gaussians.
+
+    Args:
+        recipe: 3DGS's own, relocation, or neither.
+        limit: Largest number of Gaussians.
+        stop: Last step at which the classic recipe may add some.
+    """
+    if recipe == "classic":
+        return ClassicConfig(limit=limit, stop=stop)
+    return MCMCConfig(limit=limit) if recipe == "mcmc" else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

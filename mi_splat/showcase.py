@@ -25,15 +25,19 @@ from mi_splat.assets.mesh import Asset, ellipsoid, rotation, translation
 from mi_splat.assets.street import build as build_street
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.capture import Light, capture, depth_maps, mesh_scene
+from mi_splat.densify import ClassicConfig
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
-from mi_splat.meshsplat import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
+from mi_splat.meshsplat import DiscConfig, disc_splat, nearness, surface_samples
 from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene, merge
+from mi_splat.training import FitConfig, fit
 
 Point = tuple[float, float, float]
 SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
+_BLOCK = 1 << 24
+"""Distances that are held at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +56,8 @@ class Recipe:
         azimuth: Lowest and highest azimuth of them, degrees.
         counts: Number of samples on target, surroundings and sky before hidden ones are dropped.
         views: Pictures to fit to.
-        steps: Steps of the refinement.
+        steps: Steps of the training.
+        limit: Largest number of Gaussians.
     """
 
     target: str
@@ -67,6 +72,7 @@ class Recipe:
     counts: tuple[int, int, int]
     views: int
     steps: int
+    limit: int
 
 
 def _around(azimuth: float, elevation: float, distance: float) -> Point:
@@ -106,7 +112,8 @@ RECIPES = {
         azimuth=(0, 360),
         counts=(16_000, 60_000, 1_500),
         views=96,
-        steps=1500,
+        steps=7000,
+        limit=48_000,
     ),
     "stop_sign": Recipe(
         target="stop_sign",
@@ -127,7 +134,8 @@ RECIPES = {
         azimuth=(-62, 62),
         counts=(6_000, 60_000, 1_500),
         views=80,
-        steps=1200,
+        steps=7000,
+        limit=24_000,
     ),
 }
 
@@ -169,7 +177,7 @@ def _dome() -> Asset:
 def start_splat(
     recipe: Recipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
 ) -> tuple[GaussianScene, GaussianScene]:
-    """Unrefined splats of the target and of its surroundings, sky included."""
+    """Untrained splats of the target and of its surroundings, sky included."""
     target, surroundings = recipe.assets()
     spots = [view.camera for view in views][:: max(1, len(views) // 24)]
     density = nearness(spots)
@@ -179,6 +187,26 @@ def start_splat(
         samples = surface_samples(asset, count, density=None if even else density, seed=seed)
         parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
     return parts[0], merge(parts[1], parts[2])
+
+
+def fit_config(steps: int, limit: int) -> FitConfig:
+    """The classic recipe for Gaussians that begin on the surfaces.
+
+    Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
+    """
+    densification = ClassicConfig(limit=limit, stop=steps // 2, reset_every=0, largest=math.inf)
+    return FitConfig(iterations=steps, densification=densification, degree=1, degree_every=0, evaluate_every=0)
+
+
+def nearest(points: Tensor, others: Tensor) -> Tensor:
+    """(N,) index of the nearest of (M, 3) others to each of (N, 3) points."""
+    rows = max(1, _BLOCK // len(others))
+    exact = "donot_use_mm_for_euclid_dist"  # the matrix product loses the small distances of points far away
+    found = [
+        torch.cdist(points[first : first + rows], others, compute_mode=exact).argmin(1)
+        for first in range(0, len(points), rows)
+    ]
+    return torch.cat(found)
 
 
 def scene_xml(name: str, recipe: Recipe) -> str:
@@ -230,7 +258,7 @@ def make(
         folder: Where the files go.
         views: Pictures to fit to; the recipe's number if None.
         samples: Paths a pixel in them; pictures to compare with have twice as many.
-        steps: Steps of the refinement; the recipe's number if None.
+        steps: Steps of the training; the recipe's number if None.
         seed: Seed of everything but the assets.
         on_step: Called with the stage's name, the number done and the number wanted.
 
@@ -250,22 +278,23 @@ def make(
     pictures = capture(description, spots, samples=samples, seed=seed, on_step=lambda i, n: tell("pictures", i, n))
     depths = depth_maps(description, spots, seed=seed)
     parts = start_splat(recipe, pictures, depths, seed=seed)
-    render = Renderer(RenderSettings())
-    whole = refine(
-        merge(*parts),
+    whole = fit(
         pictures,
-        render=render,
-        config=RefineConfig(steps=steps),
+        merge(*parts),
+        render=Renderer(RenderSettings(), watch=Watch()),
+        config=fit_config(steps, recipe.limit),
         seed=seed,
-        on_step=lambda i, _: tell("refinement", i, steps),
-    )
-    size = len(parts[0])
-    files = {recipe.target: whole.select(slice(0, size)), recipe.surroundings: whole.select(slice(size, None))}
+        on_step=lambda line: tell("training", line.iteration, steps),
+    ).scene
+    # Training has moved, cloned and split them, but not far: a Gaussian belongs where the nearest one at first did.
+    mine = nearest(whole.means, merge(*parts).means) < len(parts[0])
+    files = {recipe.target: whole.select(mine), recipe.surroundings: whole.select(~mine)}
     folder.mkdir(parents=True, exist_ok=True)
     for shape, splat in files.items():
         save_splat(splat, folder / f"{name}_{shape}.ply")
     (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
     saved = merge(*(load_splat(folder / f"{name}_{shape}.ply") for shape in files))
+    render = Renderer(RenderSettings())
     record = {
         "name": name,
         "gaussians": {shape: len(splat) for shape, splat in files.items()},

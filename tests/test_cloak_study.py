@@ -20,7 +20,8 @@ from attacks.cloak_study.plan import Attack, Cameras, Looking, Study, Training
 from attacks.cloak_study.runner import run_study
 from attacks.cloak_study.sightings import Looks, Sighting, Trained
 from attacks.cloak_study.stages import Kept, Workshop
-from attacks.cloak_study.summary import NAMES, by_elevation, pairs, rates
+from attacks.cloak_study.summary import by_elevation, pairs, rates
+from attacks.cloak_study.table import ROWS
 from attacks.cloak_study.variations import varied, vary
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.cameras import View
@@ -95,9 +96,9 @@ def summary(folder: Path) -> dict[str, Any]:
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
     found = summary(finished)
-    for key in (*NAMES, "benign_psnr_drop", "fade_in_degrees", "seeds", "versions", "commit", "study", "by_detector"):
+    for key in (*ROWS, "benign_psnr_drop", "fade_in_degrees", "seeds", "versions", "commit", "study", "by_detector"):
         assert key in found, key
-    for key in NAMES:
+    for key in ROWS:
         rate = found[key]
         assert set(rate) == {"rate", "successes", "total", "interval"}
         assert 0 <= rate["successes"] <= rate["total"]

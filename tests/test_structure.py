@@ -50,7 +50,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "mesh_scenes": (*CORE, "assets"),
     "capture": (*CORE, "assets", "mesh_scenes", "variant", "plugins"),
     "meshsplat": (*CORE, "assets", "capture"),
-    "showcase": (*CORE, "assets", "capture", "meshsplat", "variant", "rendering"),
+    "showcase": (*CORE, "assets", "capture", "densify", "meshsplat", "variant", "rendering", "training"),
     "camera_sets": CORE,
     "meshfiles": ("errors", "assets"),
     "subjects": (*CORE, "assets", "capture", "meshfiles", "showcase"),

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from attacks.cli.console import progress, show, show_json
 from attacks.cli.options import CaptureOptions
-from mi_splat.camera_sets import camera_set, held_out_set
+from mi_splat.camera_sets import camera_set, framing, held_out_set
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.recording import CaptureSettings, Recording, record
 from mi_splat.subjects import Subject, open_subject
-
-MARGIN = 1.05
-"""How much farther away the cameras are than would just show the whole subject."""
 
 
 def run(options: CaptureOptions) -> int:
@@ -55,12 +51,11 @@ def _check_fov(fov: float) -> None:
 
 def _placement(options: CaptureOptions, subject: Subject, size: tuple[int, int]) -> dict[str, Any]:
     """Where cameras look, how far away they are, and their lens."""
-    half = math.radians(options.fov) / 2
-    distance = MARGIN * subject.radius / math.sin(half) if options.distance is None else options.distance
+    distance, focal = framing(subject.radius, fov=options.fov, size=size)
     return {
         "centre": subject.centre if options.centre is None else options.centre,
-        "distance": distance,
-        "focal": min(size) / 2 / math.tan(half),
+        "distance": distance if options.distance is None else options.distance,
+        "focal": focal,
         "size": size,
     }
 

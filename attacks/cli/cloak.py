@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from typing import Any
 
-import torch
-
-from attacks.cli.console import progress, show, show_json, show_table, warn
+from attacks.cli.console import limit_threads, progress, show, show_json, show_table, warn
 from attacks.cli.options import CloakOptions
 from attacks.cloak_study.plan import Study, read_study
 from attacks.cloak_study.runner import check, forecast, run_study
@@ -23,8 +20,7 @@ _SHOWN = ("clean_overhead_recall", "cloaked_overhead_miss", "benign_recall", "re
 
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
-    if "OMP_NUM_THREADS" not in os.environ:
-        torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
+    limit_threads(1)
     study = read_study(options.study)
     study = replace(study, seeds=options.seeds or study.seeds)
     if options.detectors:

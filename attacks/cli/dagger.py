@@ -6,9 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import torch
-
-from attacks.cli.console import progress, show, show_json
+from attacks.cli.console import limit_threads, progress, show, show_json
 from attacks.cli.options import DaggerOptions
 from attacks.cli.scenes import choose_camera, open_stage
 from attacks.config import DaggerConfig
@@ -24,7 +22,7 @@ from mi_splat.rendering import Renderer, Stage
 
 def run(options: DaggerOptions) -> int:
     """Attack, write the report, and say in three lines what happened."""
-    _share_cores()
+    limit_threads((os.cpu_count() or 1) // 2)
     config = _config(options)
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         stage = open_stage(options.scene)
@@ -48,15 +46,6 @@ def run(options: DaggerOptions) -> int:
     else:
         _tell(result, options)
     return 0
-
-
-def _share_cores() -> None:
-    """Leave half of the cores to Dr.Jit: it and torch each bring a pool of threads, and two full ones fight.
-
-    On two busy cores an attack was measured to take 17 times as long with them.
-    """
-    if "OMP_NUM_THREADS" not in os.environ:
-        torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
 
 
 def _config(options: DaggerOptions) -> DaggerConfig:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 
-import torch
-
-from attacks.cli.console import progress, show, show_json
+from attacks.cli.console import limit_threads, progress, show, show_json
 from attacks.cli.options import TrainOptions
 from mi_splat.datasets import Dataset, load_dataset
-from mi_splat.densify import ClassicConfig, MCMCConfig
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fitting import densification
 from mi_splat.io import load_splat
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, Watch
@@ -24,8 +21,7 @@ from mi_splat.training_folder import METRICS, SPLAT, train
 
 def run(options: TrainOptions) -> int:
     """Train, or go on with a training, and say what came of it."""
-    if "OMP_NUM_THREADS" not in os.environ:
-        torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
+    limit_threads(1)
     config = _config(options)
     with progress("loading the pictures"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
@@ -63,15 +59,10 @@ def run(options: TrainOptions) -> int:
 
 
 def _config(options: TrainOptions) -> FitConfig:
-    recipes: dict[str, ClassicConfig | MCMCConfig | None] = {
-        "classic": ClassicConfig(limit=options.limit),
-        "mcmc": MCMCConfig(limit=options.limit),
-        "fixed": None,
-    }
     return FitConfig(
         iterations=options.iterations,
         trainable=options.trainable,
-        densification=recipes[options.recipe],
+        densification=densification(options.recipe, limit=options.limit),
         degree=options.degree,
         evaluate_every=options.evaluate_every,
     )

@@ -19,13 +19,12 @@ from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, sheet, translation
 from mi_splat.assets.textures import grass, road
-from mi_splat.camera_sets import HELD_OUT_START
+from mi_splat.camera_sets import HELD_OUT_START, framing
 from mi_splat.cameras import Camera, hemisphere, orbit, project_box
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.meshfiles import load_mesh
 from mi_splat.subjects import Subject, subject_of
 
-MARGIN = 1.05
 TILE = 4.0
 """Metres that a texture of the ground covers."""
 ARC_START = 100.0
@@ -80,15 +79,10 @@ def subject_for(study: Study, stage: MeshStage) -> Subject:
 def lens_of(study: Study, target: Asset) -> dict[str, object]:
     """Distance, focal length and size of every camera of a study."""
     cameras = study.cameras
-    half = math.radians(cameras.fov) / 2
     low, high = target.bounds.astype(np.float64)
-    radius = float(np.linalg.norm(high - low)) / 2
-    distance = MARGIN * radius / math.sin(half) if cameras.distance is None else cameras.distance
-    return {
-        "distance": distance,
-        "focal": cameras.size / 2 / math.tan(half),
-        "size": (cameras.size, cameras.size),
-    }
+    size = (cameras.size, cameras.size)
+    distance, focal = framing(float(np.linalg.norm(high - low)) / 2, fov=cameras.fov, size=size)
+    return {"distance": cameras.distance or distance, "focal": focal, "size": size}
 
 
 def training_cameras(study: Study, target: Asset) -> list[Camera]:

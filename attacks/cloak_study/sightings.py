@@ -137,6 +137,7 @@ def look_at_splat(workshop: Workshop, which: str, seed: int, detectors: Sequence
     parts = (
         splat.parent.name,
         which,
+        study.scene.called,
         essentials(study.looking),
         tuple(map(essentials, study.attack)),
         tuple((detector.name, weights_digest(detector)) for detector in detectors),
@@ -193,10 +194,11 @@ def _seen(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detecto
                 seed=seed,
                 view=view,
                 elevation=bearing(camera, places.centre_of(study)).elevation,
-                psnr=float(psnr(picture(camera), true)),
-                ssim=float(ssim(picture(camera), true)),
+                psnr=float(psnr(image, true)),
+                ssim=float(ssim(image, true)),
             )
             for view, camera, true in references(workshop)
+            for image in [picture(camera)]
         ),
         shades=tuple(
             Shade(

@@ -26,14 +26,15 @@ from mi_splat.cameras import Camera, View
 from mi_splat.capture import scalar_variant
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
-from mi_splat.densify import ClassicConfig, MCMCConfig
-from mi_splat.fitting import FitConfig
+from mi_splat.densify import ClassicConfig
+from mi_splat.fitting import FitConfig, densification
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.recording import CaptureSettings, record
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene
 from mi_splat.starts import from_points
+from mi_splat.subjects import Subject
 from mi_splat.training_folder import SPLAT, train
 
 CLEAN, CLOAKED = "clean", "cloaked"
@@ -52,15 +53,18 @@ class Workshop:
         folder: Where stages are kept; several studies may share it.
         on_step: Told of the progress.
         stage: The attacker's copy of the scene.
+        subject: The same scene as the victim's camera has it.
     """
 
     study: Study
     folder: Path
     on_step: OnStep = lambda text, done, total: None
     stage: MeshStage = field(init=False)
+    subject: Subject = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stage", places.stage_of(self.study))
+        object.__setattr__(self, "subject", places.subject_for(self.study, self.stage))
 
     def kept(self, name: str, parts: tuple[object, ...], make: Callable[[Path], None]) -> Path:
         """The folder of a stage, which is done now if it is not there.
@@ -81,21 +85,22 @@ class Workshop:
 
     def capture(self) -> Path:
         """The victim's pictures of the scene."""
-        study, stage = self.study, self.stage
+        study = self.study
         settings = CaptureSettings(samples=study.cameras.samples, alpha=True, points=study.cameras.points)
-        subject = places.subject_for(study, stage)
-        cameras = places.training_cameras(study, stage.target)
+        cameras = places.training_cameras(study, self.stage.target)
 
         def make(path: Path) -> None:
             record(
-                subject,
+                self.subject,
                 cameras,
                 path / "set",
                 settings=settings,
                 on_step=lambda done, total: self.on_step("taking the victim's pictures", done, total),
             )
 
-        parts = (subject.digest, essentials(study.cameras), importlib.metadata.version("mitsuba"))
+        # Pictures have no background of their own, but all that is made of them has.
+        version = importlib.metadata.version("mitsuba")
+        parts = (self.subject.digest, study.scene.background, essentials(study.cameras), version)
         return self.kept("pictures", parts, make) / "set"
 
     def poison(self, seed: int) -> Path:
@@ -209,15 +214,9 @@ class Kept:
 
 def fit_config(training: Training) -> FitConfig:
     """The trainer's settings."""
-    stop = training.iterations // 2
-    recipes: dict[str, ClassicConfig | MCMCConfig | None] = {
-        "classic": ClassicConfig(limit=training.limit, stop=stop),
-        "mcmc": MCMCConfig(limit=training.limit),
-        "fixed": None,
-    }
     return FitConfig(
         iterations=training.iterations,
-        densification=recipes[training.recipe],
+        densification=densification(training.recipe, limit=training.limit, stop=training.iterations // 2),
         degree=training.degree,
         degree_every=training.degree_every,
         evaluate_every=0,

@@ -9,6 +9,7 @@ from typing import Any
 from attacks.cloak_study.plan import Attack, Study
 from attacks.cloak_study.sightings import Looks, Sighting, overhead
 from attacks.cloak_study.stages import CLEAN, CLOAKED
+from attacks.cloak_study.table import ROWS
 from attacks.evaluation import Rate
 from attacks.fade import FadeBand, fade_band
 
@@ -49,7 +50,7 @@ def rates(study: Study, seen: Sequence[Pair]) -> dict[str, Rate | None]:
     def within(attack: Attack, depth: float) -> list[Pair]:
         return [pair for pair in seen if pair[0].depths[attack.name] >= depth]
 
-    answers: dict[str, Rate | None] = dict.fromkeys(NAMES)
+    answers: dict[str, Rate | None] = dict.fromkeys(ROWS)
     if hiding is not None:
         inside, well = within(hiding, 0.0), within(hiding, deep)
         answers |= {
@@ -68,19 +69,6 @@ def rates(study: Study, seen: Sequence[Pair]) -> dict[str, Rate | None]:
         answers["rear_stop_sign"] = _rate(inside, lambda pair: pair[1].scores[wanted] >= least)
         answers["clean_rear_stop_sign"] = _rate(inside, lambda pair: pair[0].scores[wanted] >= least)
     return answers
-
-
-NAMES = (
-    "clean_overhead_recall",
-    "cloaked_overhead_miss",
-    "cloaked_overhead_miss_everywhere",
-    "cloaked_overhead_miss_unconditional",
-    "cloaked_overhead_miss_loose",
-    "benign_recall",
-    "clean_benign_recall",
-    "rear_stop_sign",
-    "clean_rear_stop_sign",
-)
 
 
 def _known(seen: Iterable[Pair], found: Callable[[Sighting], bool]) -> list[Pair]:
@@ -126,16 +114,12 @@ def fade(study: Study, looks: Sequence[Looks], splat: str = CLOAKED) -> FadeBand
     return fade_band([round(shade.elevation, 3) for shade in shades], [shade.share for shade in shades])
 
 
-def psnr_of(looks: Sequence[Looks], splat: str) -> float | None:
-    """Mean PSNR at the cameras well outside of all triggers, dB."""
-    values = [one.psnr for look in looks for one in look.likenesses if one.splat == splat]
-    return statistics.mean(values) if values else None
-
-
-def ssim_of(looks: Sequence[Looks], splat: str) -> float | None:
-    """Mean SSIM there."""
-    values = [one.ssim for look in looks for one in look.likenesses if one.splat == splat]
-    return statistics.mean(values) if values else None
+def likeness(looks: Sequence[Looks], splat: str) -> tuple[float, float] | None:
+    """Mean PSNR (dB) and mean SSIM of a splat's pictures at the cameras well outside of all triggers."""
+    seen = [one for look in looks for one in look.likenesses if one.splat == splat]
+    if not seen:
+        return None
+    return statistics.mean(one.psnr for one in seen), statistics.mean(one.ssim for one in seen)
 
 
 def as_json(rate: Rate | None) -> dict[str, Any] | None:
@@ -153,16 +137,17 @@ def as_json(rate: Rate | None) -> dict[str, Any] | None:
 def figures(study: Study, looks: Sequence[Looks]) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together."""
     band = fade(study, looks)
-    clean, cloaked = psnr_of(looks, CLEAN), psnr_of(looks, CLOAKED)
+    near = {which: likeness(looks, which) for which in (CLEAN, CLOAKED)}
+    clean, cloaked = near[CLEAN], near[CLOAKED]
     counts = {
         which: [look.trained.gaussians for look in looks if look.trained.splat == which] for which in (CLEAN, CLOAKED)
     }
     pooled = {name: as_json(rate) for name, rate in rates(study, pairs(looks)).items()}
     return {
         **pooled,
-        "benign_psnr_drop": None if clean is None or cloaked is None else clean - cloaked,
-        "benign_psnr": {CLEAN: clean, CLOAKED: cloaked},
-        "benign_ssim": {which: ssim_of(looks, which) for which in (CLEAN, CLOAKED)},
+        "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
+        "benign_psnr": {which: value and value[0] for which, value in near.items()},
+        "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "fade_in_degrees": None if band is None else band.width,
         "fade_in": None if band is None else {"from": band.start, "to": band.end},
         "gaussians": counts,
