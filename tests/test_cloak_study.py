@@ -198,6 +198,8 @@ def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
     )
     assert list(found["recipe"]) == ["classic", "mcmc"]
     assert not [text for text in said if "pictures" in text or text == "poisoning"]
+    with Image.open(tmp_path / "recipe.png") as plot:
+        assert plot.size[0] > 500
     table = (tmp_path / "variations.md").read_text().splitlines()
     assert len(table) == 2 + 2
     assert table[2].startswith("| classic | redness | ")
@@ -210,7 +212,7 @@ def test_variations_change_one_thing() -> None:
     assert [study.attack[0].texture for study in looks.values()][2:] == ["road", "grass", "clock", "football"]
     assert all(study.attack[1] == STUDY.attack[1] for study in looks.values())
     assert [study.training.degree for study in varied(STUDY, "degree").values()] == [0, 1, 2, 3]
-    assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0]
+    assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
     assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]
 
 

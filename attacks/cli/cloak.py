@@ -46,7 +46,8 @@ def run(options: CloakOptions) -> int:
         else:
             summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
     if options.vary:
-        show(f"{options.out}: variations.md, variations.json")
+        plots = ", ".join(f"{group}.png" for group in options.vary)
+        show(f"{options.out}: variations.md, variations.json, {plots}")
     elif options.json:
         show_json({**summary, "out": str(options.out)})
     else:

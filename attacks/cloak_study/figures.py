@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,12 @@ LOW = 15
 """Elevation of the cameras of a contact sheet that go around, degrees."""
 CELL = 256
 _COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728"}
+_VARIED = (
+    ("cloaked_overhead_miss", "missed from above", "#d62728"),
+    ("benign_recall", "found elsewhere", "#1f77b4"),
+    ("rear_stop_sign", "class wanted reported", "#2ca02c"),
+)
+"""What is drawn over the values of a variation."""
 
 
 def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[np.uint8]:
@@ -80,6 +86,39 @@ def write_figures(workshop: Workshop, looks: Sequence[Looks], detectors: Sequenc
         _save(_fade(workshop, looks), folder / "fade.png")
         names.append("fade.png")
     return names
+
+
+def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """Write a plot of rates, with their intervals, over the values of what was varied.
+
+    Args:
+        group: What was varied.
+        results: For each value, the summary of its study.
+        path: A PNG.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+        SplatFileError: The file cannot be written.
+    """
+    detectors = list(next(iter(results.values()))["by_detector"])
+    figure, axes = _axes(len(detectors))
+    bands = [summary["fade_in_degrees"] for summary in results.values()]
+    ticks = [
+        name if band is None else f"{name}\nband {band:.0f} deg" for name, band in zip(results, bands, strict=True)
+    ]
+    for axis, detector in zip(axes, detectors, strict=True):
+        for shift, (key, words, colour) in zip((-0.08, 0.0, 0.08), _VARIED, strict=True):
+            rates = [summary["by_detector"][detector][key] for summary in results.values()]
+            shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
+            shares = np.array([rate["rate"] for _, rate in shown])
+            low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
+            bars = np.maximum([shares - low, high - shares], 0.0)
+            style = {"marker": "o", "markersize": 4, "capsize": 2, "linewidth": 1}
+            axis.errorbar([place for place, _ in shown], shares, yerr=bars, color=colour, label=words, **style)
+        axis.set(title=f"{detector}, by {group}", ylabel="share of cameras", ylim=(-0.03, 1.03))
+        axis.set_xticks(range(len(ticks)), ticks)
+        axis.legend(fontsize=8)
+    _save(figure, path)
 
 
 def _axes(rows: int) -> tuple[Any, list[Any]]:

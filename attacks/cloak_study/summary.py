@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from attacks.cloak_study.plan import Attack, Study
-from attacks.cloak_study.sightings import Looks, Sighting, overhead
+from attacks.cloak_study.sightings import Looks, Shade, Sighting, overhead
 from attacks.cloak_study.stages import CLEAN, CLOAKED
 from attacks.cloak_study.table import ROWS
 from attacks.evaluation import Rate
@@ -106,6 +106,17 @@ def _found(study: Study, seen: Sequence[Sighting]) -> Rate:
     return Rate(successes=sum(one.scores[own] >= least for one in seen), total=len(seen))
 
 
+def meridians(looks: Sequence[Looks]) -> list[float | None]:
+    """Degrees of the fade-in band along each meridian of each cloaked splat; None where it is not seen."""
+    arcs: dict[tuple[int, int], list[Shade]] = {}
+    for shade in (shade for look in looks for shade in look.shades if shade.splat == CLOAKED):
+        arcs.setdefault((shade.seed, shade.arc), []).append(shade)
+    bands = [
+        fade_band([one.elevation for one in arc], [one.share for one in arc]) for arc in arcs.values() if len(arc) > 1
+    ]
+    return [band.width for band in bands]
+
+
 def fade(study: Study, looks: Sequence[Looks], splat: str = CLOAKED) -> FadeBand | None:
     """The fade-in band over elevation, of all seeds and meridians together."""
     shades = [shade for look in looks for shade in look.shades if shade.splat == splat]
@@ -149,7 +160,7 @@ def figures(study: Study, looks: Sequence[Looks]) -> dict[str, Any]:
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "fade_in_degrees": None if band is None else band.width,
-        "fade_in": None if band is None else {"from": band.start, "to": band.end},
+        "fade_in": None if band is None else {"from": band.start, "to": band.end, "meridians": meridians(looks)},
         "gaussians": counts,
         "gaussians_ratio": sum(counts[CLOAKED]) / max(sum(counts[CLEAN]), 1),
         "by_detector": {

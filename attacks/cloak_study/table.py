@@ -38,6 +38,9 @@ def markdown(summary: Mapping[str, Any]) -> str:
     if band is not None and summary["fade_in_degrees"] is not None:
         degrees = f"{summary['fade_in_degrees']:.1f} degrees, from {band['from']:.1f} to {band['to']:.1f}"
         lines.append(f"| fade-in | {degrees} |")
+        widths = sorted(width for width in band["meridians"] if width is not None)
+        if widths:
+            lines.append(f"| along one meridian | {widths[0]:.1f} to {widths[-1]:.1f} degrees |")
     if drop is not None:
         psnr, ssim = summary["benign_psnr"], summary["benign_ssim"]
         lines.append(f"| far from the triggers, clean | {psnr['clean']:.2f} dB, SSIM {ssim['clean']:.3f} |")

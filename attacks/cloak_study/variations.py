@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+from attacks.cloak_study.figures import write_variation
 from attacks.cloak_study.plan import Attack, Study
 from attacks.cloak_study.runner import check, run_study
 from attacks.cloak_study.stages import OnStep
@@ -17,7 +18,7 @@ from mi_splat.io.documents import save_json, save_text
 Group = Literal["degree", "share", "look", "recipe", "emphasis", "iterations"]
 
 SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
-EMPHASES = (1.0, 1.5, 2.2, 3.0)
+EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
 LOOKS = ("remove", "blend in", "road", "grass", "clock", "football")
 """Looks of the hiding attacks: two without a texture, four painted."""
 
@@ -72,7 +73,9 @@ def vary(
     stages: Path | None = None,
     on_step: OnStep = lambda text, done, total: None,
 ) -> dict[str, dict[str, Any]]:
-    """Do the studies of some groups and write variations.md and variations.json; returns what the latter holds.
+    """Do the studies of some groups and write tables and plots; returns what variations.json holds.
+
+    Writes variations.md, variations.json, and a PNG named by each group.
 
     Args:
         study: What is varied.
@@ -96,8 +99,9 @@ def vary(
         for number, (name, one) in enumerate(studies.items()):
             place = folder / group / str(number)
             found[group][name] = run_study(one, detectors, place, stages=stages, on_step=on_step)
-        save_json(found, folder / "variations.json")
-        save_text(tables(found), folder / "variations.md")
+            save_json(found, folder / "variations.json")
+            save_text(tables(found), folder / "variations.md")
+        write_variation(group, found[group], folder / f"{group}.png")
     return found
 
 
