@@ -31,6 +31,7 @@ from mi_splat.io import load_splat, save_splat
 from mi_splat.meshsplat import DiscConfig, disc_splat, nearness, surface_samples
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.training import FitConfig, fit
 
@@ -198,6 +199,20 @@ def fit_config(steps: int, limit: int) -> FitConfig:
     return FitConfig(iterations=steps, densification=densification, degree=1, degree_every=0, evaluate_every=0)
 
 
+def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:
+    """(N,) bool, which Gaussians are the target's after training, which has moved, cloned and split them, but not far.
+
+    Those whose centre, and both ends of the longest axis at one standard deviation, lie nearest to one that was the
+    target's at first: what reaches over into the surroundings is theirs.
+    """
+    starts = merge(target, others).means
+    longest = scene.scales.argmax(1)
+    rows = torch.arange(len(scene))
+    axis = to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
+    spots = (scene.means, scene.means - axis, scene.means + axis)
+    return torch.stack([nearest(spot, starts) < len(target) for spot in spots]).all(0)
+
+
 def nearest(points: Tensor, others: Tensor) -> Tensor:
     """(N,) index of the nearest of (M, 3) others to each of (N, 3) points."""
     rows = max(1, _BLOCK // len(others))
@@ -286,8 +301,7 @@ def make(
         seed=seed,
         on_step=lambda line: tell("training", line.iteration, steps),
     ).scene
-    # Training has moved, cloned and split them, but not far: a Gaussian belongs where the nearest one at first did.
-    mine = nearest(whole.means, merge(*parts).means) < len(parts[0])
+    mine = belongs(whole, *parts)
     files = {recipe.target: whole.select(mine), recipe.surroundings: whole.select(~mine)}
     folder.mkdir(parents=True, exist_ok=True)
     for shape, splat in files.items():

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from mi_splat import showcase
 from mi_splat.cameras import project_box
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.rendering import read_stage
-from mi_splat.showcase import RECIPES, SIZE, cameras, make, scene_xml, sensors
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.showcase import RECIPES, SIZE, belongs, cameras, make, nearest, scene_xml, sensors
 
 SCENES = Path(__file__).parent.parent / "scenes"
 
@@ -89,3 +92,34 @@ def test_asset_seeds_are_kept_out_of_training() -> None:
 def test_unknown_recipe(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="name: expected one of"):
         make("moon", tmp_path)
+
+
+def _needles(means: list[list[float]], length: float = 0.01, *, upright: bool = False) -> GaussianScene:
+    count = len(means)
+    half = math.sqrt(0.5)
+    turned = [half, 0.0, half, 0.0] if upright else [1.0, 0.0, 0.0, 0.0]  # about y: x to z
+    return GaussianScene(
+        means=torch.tensor(means),
+        scales=torch.tensor([[length, 0.002, 0.002]]).expand(count, 3).contiguous(),
+        rotations=torch.tensor([turned]).expand(count, 4).contiguous(),
+        opacities=torch.full((count,), 0.5),
+        sh=torch.zeros(count, 1, 3),
+    )
+
+
+def test_what_reaches_over_belongs_to_the_surroundings() -> None:
+    plate = _needles([[0.1 * i, 0.0, 2.0] for i in range(5)])
+    post = _needles([[0.2, 0.0, 0.1 * i] for i in range(19)])
+    moved = merge(_needles([[0.13, 0.02, 1.99], [0.2, 0.01, 1.2]]), _needles([[0.2, 0.0, 1.93]], 0.2, upright=True))
+    assert belongs(moved, plate, post).tolist() == [True, False, False]
+    short = _needles([[0.2, 0.0, 1.93]], 0.02, upright=True)
+    assert belongs(short, plate, post).tolist() == [True]
+
+
+def test_nearest_is_the_same_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = torch.Generator().manual_seed(1)
+    points, others = torch.rand(50, 3, generator=generator), torch.rand(20, 3, generator=generator)
+    whole = nearest(points, others)
+    assert torch.equal(whole, torch.cdist(points.double(), others.double()).argmin(1))
+    monkeypatch.setattr(showcase, "_BLOCK", 60)
+    assert torch.equal(nearest(points, others), whole)
