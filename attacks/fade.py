@@ -67,11 +67,16 @@ def share_between(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor)
     way = high - low
     if not bool(torch.isfinite(seen).all() & torch.isfinite(way).all()):
         raise InvalidValueError(message("pictures", "finite values", "nan or inf", "look at the renderer"))
-    difference = float(way.square().mean().sqrt())
-    if difference < LEAST_DIFFERENCE:
+    if not differ(benign, hidden, mask):
         expected = f"looks that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
-        raise InvalidValueError(message("pictures", expected, f"{difference:.2g}", "leave this camera out"))
+        raise InvalidValueError(message("pictures", expected, "two that agree", "leave this camera out"))
     return float((seen - low).mul(way).sum() / way.square().sum())
+
+
+def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
+    """Whether two (H, W, 3) looks differ enough on an (H, W) bool mask for a share between them to mean anything."""
+    way = (hidden - benign).detach().to(torch.float64)[mask]
+    return float(way.square().mean().sqrt()) >= LEAST_DIFFERENCE
 
 
 def fade_band(angles: Sequence[float], shares: Sequence[float], *, low: float = 0.1, high: float = 0.9) -> FadeBand:

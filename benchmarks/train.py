@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, View
-from mi_splat.datasets import load_dataset
+from mi_splat.datasets import has_tests, load_dataset
 from mi_splat.fitting import densification
 from mi_splat.photometric import photometric
 from mi_splat.rendering import Renderer, RenderSettings, Watch
@@ -57,7 +57,7 @@ def main() -> None:
     torch.set_num_threads(1)
     background = tuple(options.background)
     views = load_dataset(options.set, split="train", background=background)
-    held_out = load_dataset(options.set, split="test", background=background)
+    held_out = load_dataset(options.set, split="test", background=background) if has_tests(options.set) else ()
     if views.points is None:
         raise SystemExit("the set has no point cloud; capture it with --points")
     adding = densification(options.recipe, limit=options.limit, stop=options.iterations // 2)

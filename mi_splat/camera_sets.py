@@ -97,10 +97,19 @@ def held_out_set(
     angle = float(found.get("angle", 0.0))
     distance, focal = _positive("distance", distance), _positive("focal", focal)
     if kind == "orbit":
-        half = 180.0 / int(found["count"])  # between two of the others
-        return orbit(centre, count=count, elevation=angle, distance=distance, focal=focal, size=size, start=half)
+        return [
+            orbit(centre, count=1, elevation=angle, distance=distance, focal=focal, size=size, start=azimuth)[0]
+            for azimuth in _between(int(found["count"]), count)
+        ]
     band, start = (angle, 90.0), HELD_OUT_START
     return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=band, start=start)
+
+
+def _between(others: int, count: int) -> list[float]:
+    """Azimuths in degrees, spread evenly, none of which is one of so many others that begin at 0."""
+    if count <= others:
+        return [360 * (0.5 + i * others // count) / others for i in range(count)]
+    return [180 / math.lcm(others, count) + 360 * i / count for i in range(count)]
 
 
 def _parse(spec: str) -> tuple[str, dict[str, str]]:

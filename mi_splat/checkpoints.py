@@ -65,6 +65,7 @@ def save_run(run: Run, path: Path) -> None:
         "config": to_json(run.config),
         "extent": run.extent,
         "seed": run.seed,
+        "data": run.data,
         "iteration": run.iteration,
         "queue": run.queue,
         "was_reset": run.was_reset,
@@ -122,6 +123,7 @@ def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> Run:
     run.gradient, run.visits = tensors["gradient"], tensors["visits"]
     run.generator.set_state(tensors["generator"])
     run.history = [_line(line) for line in notes["history"]]
+    run.data = notes["data"]
     run.iteration, run.queue, run.was_reset = notes["iteration"], list(notes["queue"]), notes["was_reset"]
     return run
 

@@ -49,11 +49,12 @@ class Run:
         gradient: (N,) sums of the length of the centres' gradients since the last densification.
         visits: (N,) in how many pictures each Gaussian was visible since then.
         was_reset: Whether opacities were ever reset.
+        data: Stands for what it is trained on, so that a run does not go on with something else.
         history: Every evaluation so far, and the last step.
     """
 
     def __init__(self, start: GaussianScene, config: FitConfig, *, extent: float, seed: int) -> None:
-        self.config, self.extent, self.seed = config, extent, seed
+        self.config, self.extent, self.seed, self.data = config, extent, seed, ""
         values = {k: v.detach().clone() for k, v in to_file_space(start.with_degree(config.degree)).items()}
         sh = values.pop("sh")
         values |= {"dc": sh[:, :1].contiguous(), "rest": sh[:, 1:].contiguous()}

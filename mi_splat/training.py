@@ -148,7 +148,7 @@ def _step(run: Run, view: View, render: RenderFn) -> float:
 def _after(run: Run) -> None:
     """Add, remove, reset and shake, where the recipe has it at this step."""
     config, step = run.config.densification, run.iteration
-    if config is None:
+    if config is None or step == run.config.iterations:  # what is changed last is trained no more
         return
     due = config.start < step <= config.stop and step % config.every == 0
     if isinstance(config, MCMCConfig):

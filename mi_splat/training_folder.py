@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import signal
 import threading
 import warnings
@@ -13,9 +14,9 @@ from types import FrameType
 
 import torch
 
-from mi_splat.cameras import RenderFn, View
+from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.checkpoints import CheckpointError, load_run, save_run, to_json
-from mi_splat.errors import message
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json
 from mi_splat.metrics import Perceptual
@@ -45,7 +46,7 @@ def train(
 
     Args:
         views: Pictures to match.
-        start: Gaussians to begin with; not looked at when a run goes on.
+        start: Gaussians to begin with; the same again when a run goes on.
         folder: Where; made if need be.
         render: The renderer, see `mi_splat.training.fit`.
         config: How.
@@ -59,20 +60,24 @@ def train(
         UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
 
     Raises:
-        CheckpointError: The folder holds a run with other settings.
+        CheckpointError: The folder holds a run with other settings, on other views or from another start.
+        InvalidValueError: `every` is not positive.
         KeyboardInterrupt: The run was interrupted; its checkpoint is written.
     """
+    if every < 1:
+        raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / CHECKPOINT
+    path, data = folder / CHECKPOINT, _digest(views, start)
     if path.is_file():
         run, threads = load_run(path)
-        _check_same(run, config, seed, folder)
+        _check_same(run, config, seed, data, folder)
         if threads != torch.get_num_threads():
             now = torch.get_num_threads()
             text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
             warnings.warn(text, stacklevel=2)
     else:
         run = Run(start, config, extent=extent_of(views), seed=seed)
+        run.data = data
         save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
     with _deferred_interrupt() as interrupted:
@@ -91,7 +96,25 @@ def train(
     return found
 
 
-def _check_same(run: Run, config: FitConfig, seed: int, folder: Path) -> None:
+def _digest(views: Sequence[View], start: GaussianScene) -> str:
+    """Stands for what a run is trained on; of a set on the disk no picture is read."""
+    total = hashlib.sha256(scene_hash(start).encode())
+    for camera in cameras_of(views):
+        lens = (camera.focal, camera.principal, camera.width, camera.height)
+        total.update(repr((camera.to_world.tolist(), lens)).encode())
+    known = getattr(views, "fingerprint", None)
+    if known is None:
+        for view in views:
+            total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
+    else:
+        total.update(known.encode())
+    return total.hexdigest()
+
+
+def _check_same(run: Run, config: FitConfig, seed: int, data: str, folder: Path) -> None:
+    if run.data != data:
+        do = "pass those that it began with, or train in another folder"
+        raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
     if run.config != config or run.seed != seed:
         old, new = to_json(run.config) | {"seed": run.seed}, to_json(config) | {"seed": seed}
         differs = ", ".join(f"{key} {old[key]}" for key in old if old[key] != new[key])

@@ -77,6 +77,18 @@ def test_held_out_cameras_are_others_of_the_same_range(spec: str) -> None:
     assert held_out(spec, 0) == []
 
 
+@pytest.mark.parametrize(("others", "count"), [(60, 8), (36, 8), (12, 8), (12, 12), (5, 12), (1, 4), (7, 3)])
+def test_held_out_cameras_of_an_orbit_are_none_of_the_others(others: int, count: int) -> None:
+    taken = torch.stack([camera.position for camera in cameras(f"orbit:{others}@20")])
+    others_held = torch.stack([camera.position for camera in held_out(f"orbit:{others}@20", count)])
+    assert len(others_held) == count
+    least = torch.cdist(others_held, taken).min()
+    if count <= others:
+        step = 2 * 2.0 * math.cos(math.radians(20)) * math.sin(math.pi / others / 2)
+        assert float(least) == pytest.approx(step, rel=1e-6)
+    assert float(least) > 0.01
+
+
 def test_cameras_of_a_file(tmp_path: Path) -> None:
     views = [View(camera, torch.zeros(12, 16, 3)) for camera in cameras("hemisphere:5")]
     write_transforms(tmp_path, views)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import pytest
 from torch import Tensor
 
 from attacks.cloak import assign
-from attacks.cloak_study import places
-from attacks.cloak_study.plan import Attack, Cameras, Scene, Study, essentials, read_study
+from attacks.cloak_study import places, variations
+from attacks.cloak_study.plan import Attack, Cameras, Looking, Scene, Study, essentials, read_study
 from attacks.cloak_study.runner import check, forecast
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
@@ -30,7 +31,7 @@ def written(folder: Path, text: str) -> Path:
 def test_shipped_studies_can_be_done(path: Path, tmp_path: Path) -> None:
     study = read_study(path)
     assert study.name == path.stem
-    check(study, tmp_path / "out", tmp_path / "stages")
+    check(study, [], tmp_path / "out", tmp_path / "stages")
     assert forecast(study).trainings == 2 * len(study.seeds)
     assert not list(tmp_path.iterdir())
 
@@ -73,7 +74,7 @@ def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
         ("name = 'x'\n[[attack]]\nname = 'a'\nlook = 'pant'", "did you mean paint"),
         ("name = 'x'\n[[attack]]\nname = 'a'\nelevation = [10]", "a list of 2"),
         ("name = 'x'\n[[attack]]\nname = 'a'\nshare = 0.0", "in (0, 1]"),
-        ("name = 'x'\n[[attack]]\nname = 'a'\n[[attack]]\nname = 'a'", "different names"),
+        ("name = 'x'" + 2 * "\n[[attack]]\nname = 'a'\nelevation = [60, 90]", "different names"),
         ("name = [", "a TOML file"),
     ],
 )
@@ -98,34 +99,92 @@ def test_a_mesh_file_needs_a_label(tmp_path: Path) -> None:
 def test_a_trigger_without_cameras_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     study = replace(SMALL, attack=(Attack(name="under", elevation=(89.9, 90)),))
     with pytest.raises(InvalidValueError, match="at least one camera"):
-        check(study, tmp_path / "out", tmp_path / "stages")
+        check(study, [], tmp_path / "out", tmp_path / "stages")
     assert not list(tmp_path.iterdir())
 
 
 def test_triggers_that_overlap_are_refused(tmp_path: Path) -> None:
     study = replace(SMALL, attack=(OVERHEAD, Attack(name="more", elevation=(40, 90))))
     with pytest.raises(InvalidValueError, match="no camera in both"):
-        check(study, tmp_path / "out", tmp_path / "stages")
+        check(study, [], tmp_path / "out", tmp_path / "stages")
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(InvalidValueError, match="other files"):
-        check(SMALL, tmp_path, tmp_path / "stages")
+        check(SMALL, [], tmp_path, tmp_path / "stages")
     (tmp_path / "study.json").write_text("{}")
     with pytest.raises(InvalidValueError, match="those of another"):
-        check(SMALL, tmp_path, tmp_path / "stages")
+        check(SMALL, [], tmp_path, tmp_path / "stages")
+
+
+class Knows:
+    """A detector of which only the classes are looked at."""
+
+    name, classes = "knows", ("car", "stop sign")
+
+
+def test_a_class_that_no_detector_knows_is_refused(tmp_path: Path) -> None:
+    study = replace(SMALL, attack=(replace(OVERHEAD, wants="stop_sign"),))
+    with pytest.raises(InvalidValueError, match="did you mean stop sign"):
+        check(study, [Knows()], tmp_path / "out", tmp_path / "stages")  # type: ignore[list-item]
+
+
+def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
+    some = (replace(OVERHEAD, share=0.3), Attack(name="more", elevation=(40, 90), share=0.3))
+    seeds = tuple(range(20))
+    with pytest.raises(InvalidValueError, match="no camera in both"):
+        check(replace(SMALL, attack=some, seeds=seeds), [], tmp_path / "out", tmp_path / "stages")
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Attack(name="all"), "all cameras"),
+        (lambda: Cameras(fov=0.0), "fov"),
+        (lambda: Cameras(distance=0.0), "distance"),
+        (lambda: Cameras(train=0), "train"),
+        (lambda: Looking(detectors=()), "detectors"),
+        (lambda: Looking(detectors=("a", "a")), "each once"),
+        (lambda: Looking(arc_step=0.0), "arc_step"),
+        (lambda: Looking(arcs=-1), "arcs"),
+        (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
+        (lambda: replace(SMALL, seeds=(-1,)), "seeds"),
+    ],
+)
+def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(InvalidValueError, match=says):
+        make()
+
+
+def test_settings_of_the_trainer_are_looked_at(tmp_path: Path) -> None:
+    study = replace(SMALL, training=replace(SMALL.training, degree=4))
+    with pytest.raises(InvalidValueError, match="degree"):
+        check(study, [], tmp_path / "out", tmp_path / "stages")
+
+
+def test_variations_are_checked_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+    monkeypatch.setattr(variations, "check_disk", lambda megabytes, stages: asked.append(megabytes))
+    plans = variations.check_variations(SMALL, ["degree", "recipe"], [], tmp_path / "out", tmp_path / "stages")
+    assert [len(studies) for studies in plans.values()] == [4, 2]
+    assert asked[0] > 4 * forecast(replace(SMALL, seeds=(0,))).megabytes
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
     study = replace(SMALL, training=replace(SMALL.training, limit=10**12))
     with pytest.raises(InvalidValueError, match="make room"):
-        check(study, tmp_path / "out", tmp_path / "stages")
+        check(study, [], tmp_path / "out", tmp_path / "stages")
 
 
 def test_what_is_default_does_not_name_a_stage() -> None:
-    assert essentials(Attack(name="a", share=1.0)) == (("name", "a"),)
-    assert essentials(Attack(name="a", share=0.5)) == (("name", "a"), ("share", 0.5))
+    assert essentials(Attack(name="a", elevation=(9, 90), share=1.0)) == (("name", "a"), ("elevation", (9, 90)))
+    assert essentials(Attack(name="a", azimuth=(0, 9), share=0.5)) == (
+        ("name", "a"),
+        ("azimuth", (0, 9)),
+        ("share", 0.5),
+    )
     assert essentials(Cameras()) == ()
 
 

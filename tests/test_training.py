@@ -219,6 +219,17 @@ def test_training_comes_nearer() -> None:
     assert found.scene.degree == 1
 
 
+def test_the_last_step_is_no_reset() -> None:
+    _, views, start = scene_and_views()
+    adding = ClassicConfig(start=1, every=2, gradient=1e-9, reset_every=4, limit=90)
+    config = FitConfig(iterations=4, degree=1, densification=adding)
+    counts: list[int] = []
+    found = fit(views, start, render=watching(), config=config, on_step=lambda line: counts.append(line.count))
+    assert float(found.scene.opacities.max()) > 0.05
+    assert counts[1] > counts[0]
+    assert counts[3] == counts[2]
+
+
 def test_texture_training_freezes_geometry() -> None:
     _, views, start = scene_and_views()
     config = dataclasses.replace(SHORT, trainable=("sh",), densification=None, iterations=8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ from plyfile import PlyData
 from attacks import cli
 from mi_splat.cameras import Camera, View, orbit
 from mi_splat.checkpoints import CheckpointError, load_run
-from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.datasets import has_tests, load_dataset, write_transforms
 from mi_splat.densify import ClassicConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
@@ -127,6 +128,14 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     before = (tmp_path / "splat.ply").read_bytes()
     with pytest.raises(CheckpointError, match="iterations 3"):
         train(views, start, tmp_path, render=watching(), config=CONFIG)
+    others = views_of(4)[1]
+    darker = [View(view.camera, 0.5 * view.image) for view in views]
+    moved = from_points(truth.means + 0.1, torch.full((50, 3), 0.5))
+    for data, begin in ((others, start), (darker, start), (views, moved)):
+        with pytest.raises(CheckpointError, match="the same pictures and start"):
+            train(data, begin, tmp_path, render=watching(), config=short)
+    with pytest.raises(InvalidValueError, match="positive number of steps"):
+        train(views, start, tmp_path, render=watching(), config=short, every=0)
     with pytest.raises(CheckpointError, match="seed 0"):
         train(views, start, tmp_path, render=watching(), config=short, seed=1)
     assert (tmp_path / "splat.ply").read_bytes() == before
@@ -190,6 +199,26 @@ def test_train_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert cli.main([*words, "--json"]) == 0  # nothing is left to do
     assert json.loads(capsys.readouterr().out)["gaussians"] == len(splat)
     assert np.isfinite(json.loads((out / "metrics.json").read_text())["ssim"])
+
+
+def test_a_set_without_test_pictures_can_be_trained_on(dataset: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    shutil.copytree(dataset, alone)
+    (alone / "transforms_test.json").unlink()
+    assert has_tests(dataset)
+    assert not has_tests(alone)
+    assert cli.main(["train", str(alone), "--out", str(tmp_path / "out"), "--iterations", "3"]) == 0
+    figures = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert figures["held_out_views"] == 0
+    assert figures["psnr"] is None
+
+
+def test_a_set_on_the_disk_is_known_by_its_files(dataset: Path) -> None:
+    one = load_dataset(dataset)
+    assert one.fingerprint == load_dataset(dataset).fingerprint
+    assert one.fingerprint != load_dataset(dataset, background=(1.0, 1.0, 1.0)).fingerprint
+    assert one.fingerprint != load_dataset(dataset, downscale=2).fingerprint
+    assert one.fingerprint != load_dataset(dataset, split="test").fingerprint
 
 
 def test_a_training_is_set_up_without_reading_pictures(dataset: Path) -> None:

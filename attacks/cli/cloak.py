@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from attacks.cli.console import limit_threads, progress, show, show_json, show_table, warn
@@ -10,7 +10,7 @@ from attacks.cli.options import CloakOptions
 from attacks.cloak_study.plan import Study, read_study
 from attacks.cloak_study.runner import check, forecast, run_study
 from attacks.cloak_study.table import ROWS, words_of
-from attacks.cloak_study.variations import varied, vary
+from attacks.cloak_study.variations import check_variations, vary
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
@@ -27,10 +27,19 @@ def run(options: CloakOptions) -> int:
         study = replace(study, looking=replace(study.looking, detectors=options.detectors))
     with progress("loading the detectors"):
         detectors = _detectors(study, options)
-        if not options.vary:  # which checks every study of its own
-            check(study, options.out, options.stages or options.out / "stages")
-    _announce(study, options)
+        stages = options.stages or options.out / "stages"
+        if options.vary:
+            plans = check_variations(study, options.vary, detectors, options.out, stages)
+            studies = {f", {group} {name}": one for group, some in plans.items() for name, one in some.items()}
+        else:
+            check(study, detectors, options.out, stages)
+            studies = {"": study}
+    forecasts = {f"{study.name}{name}": forecast(one) for name, one in studies.items()}
+    for name, takes in forecasts.items():
+        warn(f"{name}: {takes}")
     if options.forecast:
+        if options.json:
+            show_json({name: asdict(takes) for name, takes in forecasts.items()})
         return 0
     now = [""]
     with progress("starting", total=None) as advance:
@@ -42,26 +51,17 @@ def run(options: CloakOptions) -> int:
             advance(f"{text}, {done:,} of {total:,}")
 
         if options.vary:
-            vary(study, options.vary, detectors, options.out, stages=options.stages, on_step=follow)
+            found = vary(study, options.vary, detectors, options.out, stages=options.stages, on_step=follow)
         else:
             summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
-    if options.vary:
+    if options.json:
+        show_json(found if options.vary else {**summary, "out": str(options.out)})
+    elif options.vary:
         plots = ", ".join(f"{group}.png" for group in options.vary)
         show(f"{options.out}: variations.md, variations.json, {plots}")
-    elif options.json:
-        show_json({**summary, "out": str(options.out)})
     else:
         _tell(summary, options)
     return 0
-
-
-def _announce(study: Study, options: CloakOptions) -> None:
-    """What it will take."""
-    if not options.vary:
-        warn(f"{study.name}: {forecast(study)}")
-    for group in options.vary:
-        for name, one in varied(study, group).items():
-            warn(f"{study.name}, {group} {name}: {forecast(one)}")
 
 
 def _detectors(study: Study, options: CloakOptions) -> list[Detector]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Sequence
 
 from attacks.cli.console import limit_threads, progress, show, show_json
 from attacks.cli.options import TrainOptions
-from mi_splat.datasets import Dataset, load_dataset
+from mi_splat.cameras import View
+from mi_splat.datasets import Dataset, has_tests, load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fitting import densification
 from mi_splat.io import load_splat
@@ -62,13 +64,15 @@ def _config(options: TrainOptions) -> FitConfig:
     return FitConfig(
         iterations=options.iterations,
         trainable=options.trainable,
-        densification=densification(options.recipe, limit=options.limit),
+        densification=densification(options.recipe, limit=options.limit, stop=options.iterations // 2),
         degree=options.degree,
         evaluate_every=options.evaluate_every,
     )
 
 
-def _held_out(options: TrainOptions) -> Dataset:
+def _held_out(options: TrainOptions) -> Sequence[View]:
+    if not has_tests(options.dataset):
+        return ()
     return load_dataset(options.dataset, split="test", downscale=options.downscale, background=options.background)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -121,12 +122,21 @@ def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: 
     _save(figure, path)
 
 
-def _axes(rows: int) -> tuple[Any, list[Any]]:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
+def need_matplotlib() -> None:
+    """Raise if plots cannot be drawn.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
         do = "pip install 'mi-splat[figures]'"
-        raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do)) from error
+        raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
+
+
+def _axes(rows: int) -> tuple[Any, list[Any]]:
+    need_matplotlib()
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(7.5, 3.4 * rows), dpi=130, layout="constrained")
     return figure, [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
 
@@ -204,7 +214,10 @@ def _azimuth(workshop: Workshop, looks: Sequence[Looks]) -> Any:
         for attack in study.attack:
             if attack.azimuth is not None:
                 middle, half = attack.azimuth
-                axis.axvspan(middle - half, middle + half, color="#555555", alpha=0.12)
+                for turn in (-360, 0, 360):  # azimuths are shown from 0 to 360
+                    low, high = (min(max(middle % 360 + turn + side * half, 0.0), 360.0) for side in (-1, 1))
+                    if high > low:
+                        axis.axvspan(low, high, color="#555555", alpha=0.12)
         axis.set(
             title=f"{name}: what the cloaked splat is taken for, below the hidden look",
             xlabel="azimuth of the camera, degrees (grey: where the other look is shown)",

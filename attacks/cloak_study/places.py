@@ -82,7 +82,7 @@ def lens_of(study: Study, target: Asset) -> dict[str, object]:
     low, high = target.bounds.astype(np.float64)
     size = (cameras.size, cameras.size)
     distance, focal = framing(float(np.linalg.norm(high - low)) / 2, fov=cameras.fov, size=size)
-    return {"distance": cameras.distance or distance, "focal": focal, "size": size}
+    return {"distance": distance if cameras.distance is None else cameras.distance, "focal": focal, "size": size}
 
 
 def training_cameras(study: Study, target: Asset) -> list[Camera]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import sys
 import types
 import typing
@@ -88,6 +89,13 @@ class Cameras:
     samples: int = 32
     points: int = 20_000
 
+    def __post_init__(self) -> None:
+        for name in ("train", "size", "samples", "points"):
+            _in_range(f"cameras.{name}", getattr(self, name), 1, math.inf)
+        _in_range("cameras.fov", self.fov, 1.0, 179.0)
+        if self.distance is not None:
+            _in_range("cameras.distance", self.distance, 1e-6, math.inf)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
@@ -123,13 +131,16 @@ class Attack:
         needs = {"paint": ("texture", TEXTURES), "mount": ("other", ASSETS), "swap": ("other", ASSETS)}
         if self.look in needs:
             key, known = needs[self.look]
-            _one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
+            one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
         if not 0 < self.share <= 1:
             raise InvalidValueError(message(f"attack {self.name!r}, share", "in (0, 1]", self.share, "1 is all"))
         if not (self.emphasis >= 1 and self.emphasis_depth > 0):
             got = (self.emphasis, self.emphasis_depth)
             expected = "an emphasis >= 1 and a depth > 0"
             raise InvalidValueError(message(f"attack {self.name!r}", expected, got, "1 overdoes nothing"))
+        if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
+            expected = "an elevation or an azimuth that leaves cameras out"
+            raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))
 
     @property
     def cone(self) -> Trigger:
@@ -191,6 +202,16 @@ class Looking:
     arcs: int = 3
     arc_step: float = 2.5
 
+    def __post_init__(self) -> None:
+        if not self.detectors or len(set(self.detectors)) != len(self.detectors):
+            expected = "one or more, each once"
+            raise InvalidValueError(message("looking.detectors", expected, self.detectors, "name a detector"))
+        _in_range("looking.cameras", self.cameras, 1, math.inf)
+        _in_range("looking.confidence", self.confidence, 0.0, 1.0)
+        _in_range("looking.arc_step", self.arc_step, 0.1, 45.0)
+        for name in ("apart", "inside", "outside", "references", "arcs"):
+            _in_range(f"looking.{name}", getattr(self, name), 0, math.inf)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
@@ -217,6 +238,8 @@ class Study:
     def __post_init__(self) -> None:
         if not self.attack or not self.seeds:
             raise InvalidValueError(message("study", "an attack and a seed", "none", "add [[attack]] or seeds"))
+        if len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
+            raise InvalidValueError(message("seeds", "numbers >= 0, each once", self.seeds, "change them"))
         names = [attack.name for attack in self.attack]
         if len(set(names)) != len(names):
             raise InvalidValueError(message("attacks", "different names", names, "rename one"))
@@ -263,7 +286,7 @@ def from_table(kind: type[_T], table: dict[str, Any], where: str) -> _T:
     hints = typing.get_type_hints(kind)
     known = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in table:
-        _one_of(f"key in {where}", key, known)
+        one_of(f"key in {where}", key, known)
     missing = [
         name
         for name, entry in known.items()
@@ -282,7 +305,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return from_table(typing.cast(type, hint), value, where)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:
-        _one_of(where, value, arguments)
+        one_of(where, value, arguments)
         return value
     if origin in (typing.Union, types.UnionType):
         return _value(next(part for part in arguments if part is not type(None)), value, where)
@@ -298,7 +321,14 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     return float(value) if hint is float else value
 
 
-def _one_of(where: str, value: Any, known: Any) -> None:
+def _in_range(where: str, value: float, least: float, most: float) -> None:
+    """Raise unless a number lies between two others."""
+    if not least <= value <= most:
+        expected = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+        raise InvalidValueError(message(where, expected, value, "change it"))
+
+
+def one_of(where: str, value: Any, known: Any) -> None:
     """Raise unless a value is one of those known, naming the nearest."""
     if value not in known:
         near = difflib.get_close_matches(str(value), [str(key) for key in known], n=1, cutoff=0.5)

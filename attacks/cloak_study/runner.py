@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import time
@@ -13,10 +14,10 @@ from typing import Any
 from attacks import provenance
 from attacks.cloak import assign
 from attacks.cloak_study import places
-from attacks.cloak_study.figures import write_figures
-from attacks.cloak_study.plan import Study
+from attacks.cloak_study.figures import need_matplotlib, write_figures
+from attacks.cloak_study.plan import Study, one_of
 from attacks.cloak_study.sightings import Looks, look_at_splat, overhead, weights_digest
-from attacks.cloak_study.stages import CLEAN, CLOAKED, OnStep, Workshop, snapshot
+from attacks.cloak_study.stages import CLEAN, CLOAKED, OnStep, Workshop, fit_config, snapshot
 from attacks.cloak_study.summary import figures
 from attacks.cloak_study.table import markdown
 from attacks.detectors.base import Detector
@@ -70,17 +71,34 @@ def forecast(study: Study) -> Forecast:
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 
 
-def check(study: Study, folder: Path, stages: Path) -> None:
+def check(study: Study, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
     """Refuse what cannot be done, before anything is written.
 
     Raises:
-        InvalidValueError: A trigger has no training camera or two have one in common, the folder is in use, or the disk
-            is too small.
+        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a class,
+            the trainer's settings are out of range, matplotlib is not installed, the folder is in use, or the disk is
+            too small.
     """
     stage = places.stage_of(study)
     cameras = places.training_cameras(study, stage.target)
-    assign(cameras, places.poisonings(study, stage), centre=places.centre_of(study))
+    for seed in study.seeds:
+        assign(cameras, places.poisonings(study, stage, seed=seed), centre=places.centre_of(study))
     places.held_out_cameras(study, stage.target)
+    fit_config(study.training)
+    need_matplotlib()
+    wanted = [study.scene.called, *(attack.wants for attack in study.attack if attack.wants is not None)]
+    for label, detector in itertools.product(wanted, detectors):
+        one_of(f"class for {detector.name}", label, detector.classes)
+    check_folder(study, folder)
+    check_disk(forecast(study).megabytes, stages)
+
+
+def check_folder(study: Study, folder: Path) -> None:
+    """Raise unless a folder is new, empty, or this study's.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
     if folder.exists() and not folder.is_dir():
         raise InvalidValueError(message(str(folder), "a folder", "a file", "choose another --out"))
     if folder.is_dir() and any(folder.iterdir()):
@@ -90,10 +108,18 @@ def check(study: Study, folder: Path, stages: Path) -> None:
         if json.loads(known.read_text()) != json.loads(json.dumps(snapshot(study))):
             do = "choose another --out; stages that both need are not done again with the same --stages"
             raise InvalidValueError(message(str(folder), "results of this study", "those of another", do))
+
+
+def check_disk(megabytes: float, stages: Path) -> None:
+    """Raise unless the disk has room.
+
+    Raises:
+        InvalidValueError: It has not.
+    """
     there = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
-    free, needed = shutil.disk_usage(there).free / 1e6, forecast(study).megabytes
-    if free < needed:
-        raise InvalidValueError(message(f"disk of {there}", f"{needed:.0f} MB", f"{free:.0f} MB free", "make room"))
+    free = shutil.disk_usage(there).free / 1e6
+    if free < megabytes:
+        raise InvalidValueError(message(f"disk of {there}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room"))
 
 
 def run_study(
@@ -120,7 +146,7 @@ def run_study(
         MiSplatError: As `check`, or a stage cannot be done.
     """
     stages = folder / "stages" if stages is None else stages
-    check(study, folder, stages)
+    check(study, detectors, folder, stages)
     folder.mkdir(parents=True, exist_ok=True)
     save_json(snapshot(study), folder / STUDY)
     begun = time.monotonic()
@@ -152,4 +178,10 @@ def run_study(
 def vars_of(look: Looks) -> dict[str, Any]:
     """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
     trained = look.trained
-    return {"splat": trained.splat, "seed": trained.seed, "gaussians": trained.gaussians, "hash": trained.hash}
+    return {
+        "splat": trained.splat,
+        "seed": trained.seed,
+        "gaussians": trained.gaussians,
+        "hash": trained.hash,
+        "commit": trained.commit,
+    }

@@ -15,9 +15,9 @@ from torch import Tensor
 from attacks.bearings import bearing
 from attacks.cloak_study import places
 from attacks.cloak_study.plan import Attack, Study, essentials
-from attacks.cloak_study.stages import Workshop
+from attacks.cloak_study.stages import DONE, Workshop
 from attacks.detectors.base import Detections, Detector
-from attacks.fade import share_between
+from attacks.fade import differ, share_between
 from attacks.objectives import confidence
 from attacks.scoring import through_png
 from mi_splat.cameras import Camera
@@ -106,6 +106,7 @@ class Trained:
         gaussians: Their number.
         file: Where it is.
         hash: See `mi_splat.scene.scene_hash`.
+        commit: Of the checkout that trained it, which may be an earlier one than that of the summary; None if unknown.
     """
 
     splat: str
@@ -113,6 +114,7 @@ class Trained:
     gaussians: int
     file: str
     hash: str
+    commit: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,8 +128,8 @@ class Looks:
 
 
 def overhead(study: Study) -> Attack | None:
-    """The attack whose fade-in is measured: the first that is seen from all around."""
-    return next((attack for attack in study.attack if attack.azimuth is None), None)
+    """The attack whose fade-in is measured: the first that is seen from straight above and all around."""
+    return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
 
 
 def look_at_splat(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detector]) -> Looks:
@@ -162,7 +164,7 @@ def weights_digest(detector: Detector) -> str:
 
 
 def _seen(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detector]) -> Looks:
-    scene = workshop.load(which, seed)
+    file, scene = workshop.splat(which, seed), workshop.load(which, seed)
     render, study, stage = workshop.renderer(), workshop.study, workshop.stage
 
     def picture(camera: Camera) -> Tensor:
@@ -184,8 +186,9 @@ def _seen(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detecto
             splat=which,
             seed=seed,
             gaussians=len(scene),
-            file=str(workshop.splat(which, seed)),
+            file=str(file),
             hash=scene_hash(scene),
+            commit=json.loads((file.parent / DONE).read_text())["made by"]["commit"],
         ),
         sightings=tuple(sightings),
         likenesses=tuple(
@@ -269,7 +272,7 @@ def arcs(workshop: Workshop) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]
     return [
         (number, camera, as_is, changed, mask)
         for (number, camera), (as_is, mask), (changed, _) in zip(placed, benign, hidden, strict=True)
-        if bool(mask.any())
+        if bool(mask.any()) and differ(as_is, changed, mask)
     ]
 
 

@@ -16,6 +16,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from attacks import provenance
 from attacks.appearances import Appearance, name_of
 from attacks.cloak import Poisoned, poison, write_manifest
 from attacks.cloak_study import places
@@ -39,6 +40,8 @@ from mi_splat.training_folder import SPLAT, train
 
 CLEAN, CLOAKED = "clean", "cloaked"
 DONE = "done.json"
+STAGES = 1
+"""Part of what a stage's folder is named by; to be raised when the code makes something else of the same settings."""
 
 OnStep = Callable[[str, int, int], None]
 """Told what is going on, how many units of it are done, and how many there are."""
@@ -74,11 +77,12 @@ class Workshop:
             parts: Everything that the stage depends on.
             make: Does it, in the folder, and goes on with what an earlier call left.
         """
-        path = self.folder / f"{name}-{places.digest(name, *parts)}"
+        path = self.folder / f"{name}-{places.digest(name, STAGES, *parts)}"
         if not (path / DONE).is_file():
             make_folder(path)
             make(path)
-            save_json({"stage": name, "depends on": [repr(part) for part in parts]}, path / DONE)
+            made = {"commit": provenance.commit(), "versions": provenance.versions()}
+            save_json({"stage": name, "depends on": [repr(part) for part in parts], "made by": made}, path / DONE)
         return path
 
     # The victim's pictures, and the attacker's

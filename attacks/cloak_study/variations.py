@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +10,13 @@ from typing import Any, Literal
 
 from attacks.cloak_study.figures import write_variation
 from attacks.cloak_study.plan import Attack, Study
-from attacks.cloak_study.runner import check, run_study
-from attacks.cloak_study.stages import OnStep
+from attacks.cloak_study.runner import STUDY, check, check_disk, check_folder, forecast, run_study
+from attacks.cloak_study.stages import OnStep, snapshot
 from attacks.cloak_study.table import words_of
 from attacks.detectors.base import Detector
 from mi_splat.io.documents import save_json, save_text
+
+VARIATIONS = "variations.json"
 
 Group = Literal["degree", "share", "look", "recipe", "emphasis", "iterations"]
 
@@ -30,7 +33,8 @@ def varied(study: Study, group: Group) -> dict[str, Study]:
     """The studies of a group by the value that they have, each with the first seed alone.
 
     `degree`: SH of degree 0 to 3. `share`: part of each trigger's cameras that is poisoned. `look`: of the hiding
-    attacks. `recipe`: of the training. `emphasis`: of all attacks. `iterations`: a third of the study's, and twice.
+    attacks. `recipe`: of the training. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as
+    many, with the raises of the SH degree at the same share of them.
     """
     study = replace(study, seeds=study.seeds[:1])
     training = study.training
@@ -52,7 +56,8 @@ def varied(study: Study, group: Group) -> dict[str, Study]:
     if group == "emphasis":
         return {f"{gain:g}": attacked(lambda one, g=gain: replace(one, emphasis=g)) for gain in EMPHASES}  # type: ignore[misc]
     steps = (max(training.iterations // 3, 1), training.iterations, 2 * training.iterations)
-    return {f"{count:,}": trained(iterations=count) for count in steps}
+    every = training.degree_every / training.iterations
+    return {f"{count:,}": trained(iterations=count, degree_every=round(every * count)) for count in steps}
 
 
 def _looking(attack: Attack, look: str) -> Attack:
@@ -75,7 +80,7 @@ def vary(
 ) -> dict[str, dict[str, Any]]:
     """Do the studies of some groups and write tables and plots; returns what variations.json holds.
 
-    Writes variations.md, variations.json, and a PNG named by each group.
+    Writes variations.md, variations.json, to which it adds groups, and a PNG named by each.
 
     Args:
         study: What is varied.
@@ -89,20 +94,37 @@ def vary(
         MiSplatError: As `run_study`; all studies are checked before the first is done.
     """
     stages = folder / "stages" if stages is None else stages
-    plans = {group: varied(study, group) for group in groups}
-    for group, studies in plans.items():
-        for number, one in enumerate(studies.values()):
-            check(one, folder / group / str(number), stages)
-    found: dict[str, dict[str, Any]] = {}
+    plans = check_variations(study, groups, detectors, folder, stages)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_json(snapshot(study), folder / STUDY)
+    earlier = folder / VARIATIONS
+    found: dict[str, dict[str, Any]] = json.loads(earlier.read_text()) if earlier.is_file() else {}
     for group, studies in plans.items():
         found[group] = {}
         for number, (name, one) in enumerate(studies.items()):
             place = folder / group / str(number)
             found[group][name] = run_study(one, detectors, place, stages=stages, on_step=on_step)
-            save_json(found, folder / "variations.json")
+            save_json(found, folder / VARIATIONS)
             save_text(tables(found), folder / "variations.md")
         write_variation(group, found[group], folder / f"{group}.png")
     return found
+
+
+def check_variations(
+    study: Study, groups: Iterable[Group], detectors: Sequence[Detector], folder: Path, stages: Path
+) -> dict[Group, dict[str, Study]]:
+    """The studies of some groups by the value that they have, all of which can be done.
+
+    Raises:
+        InvalidValueError: As `attacks.cloak_study.runner.check` of each, or the disk is too small for all of them.
+    """
+    check_folder(study, folder)
+    plans = {group: varied(study, group) for group in groups}
+    for group, studies in plans.items():
+        for number, one in enumerate(studies.values()):
+            check(one, detectors, folder / group / str(number), stages)
+    check_disk(sum(forecast(one).megabytes for studies in plans.values() for one in studies.values()), stages)
+    return plans
 
 
 def tables(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:

@@ -19,7 +19,7 @@ from mi_splat.datasets.colmap import find_model, read_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
 from mi_splat.datasets.pictures import read_mask, read_picture
-from mi_splat.datasets.transforms import find_transforms, read_transforms
+from mi_splat.datasets.transforms import PARTS, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.points import PointCloud, load_points
 
@@ -60,6 +60,12 @@ class Dataset(Sequence[View]):
     def paths(self) -> tuple[Path, ...]:
         """The file of each view's picture."""
         return tuple(frame.path for frame in self.frames)
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells this set from others: names and sizes of its pictures, and how they are read."""
+        files = [(frame.path.name, frame.path.stat().st_size) for frame in self.frames]
+        return repr((files, self.downscale, self.background))
 
     def __len__(self) -> int:
         """Number of views."""
@@ -167,6 +173,12 @@ def load_dataset(
     return Dataset(
         frames=tuple(frames), points=points, downscale=downscale, background=background, cache_bytes=cache_bytes
     )
+
+
+def has_tests(path: str | os.PathLike[str]) -> bool:
+    """Whether `load_dataset` has pictures for tests in a folder; a transforms_train.json alone has none."""
+    transforms = find_transforms(Path(path))
+    return transforms is None or transforms.name not in PARTS.values() or transforms.with_name(PARTS["test"]).is_file()
 
 
 def _bytes(entry: tuple[View, Tensor | None]) -> int:
