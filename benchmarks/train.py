@@ -15,9 +15,8 @@ import sys
 import time
 
 import torch
-from torch import Tensor
 
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras import View
 from mi_splat.datasets import has_tests, load_dataset
 from mi_splat.fitting import densification
 from mi_splat.photometric import photometric
@@ -30,21 +29,6 @@ from mi_splat.training import FitConfig, Progress, fit
 WARM_UP = 40
 
 
-class Timed:
-    """A renderer that adds up the time of its forward passes."""
-
-    def __init__(self, inner: Renderer) -> None:
-        self.inner, self.watch = inner, inner.watch
-        self.seconds = 0.0
-
-    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The picture."""
-        begun = time.perf_counter()
-        image = self.inner(scene, camera)
-        self.seconds += time.perf_counter() - begun
-        return image
-
-
 def main() -> None:
     """Train once and print what it took."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -54,6 +38,8 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=40_000)
     parser.add_argument("--background", type=float, nargs=3, default=(0.0, 0.0, 0.0))
     options = parser.parse_args()
+    if options.iterations < 2 * WARM_UP:
+        parser.error(f"--iterations: at least {2 * WARM_UP}, of which {WARM_UP} are not counted")
     torch.set_num_threads(1)
     background = tuple(options.background)
     views = load_dataset(options.set, split="train", background=background)
@@ -63,7 +49,7 @@ def main() -> None:
     adding = densification(options.recipe, limit=options.limit, stop=options.iterations // 2)
     config = FitConfig(iterations=options.iterations, densification=adding, evaluate_every=0)
     settings = RenderSettings(background=background)
-    render = Timed(Renderer(settings, watch=Watch() if options.recipe == "classic" else None))
+    render = Renderer(settings, watch=Watch() if options.recipe == "classic" else None)
     start = from_points(views.points.points, views.points.colours)
     stamps: list[float] = []
 
@@ -72,8 +58,8 @@ def main() -> None:
 
     found = fit(views, start, render=render, config=config, on_step=after)
     steps = [b - a for a, b in zip(stamps[WARM_UP:], stamps[WARM_UP + 1 :], strict=False)]
-    scores = score(found.scene, held_out, render.inner)
-    parts = _parts(found.scene, views[0], render.inner)
+    scores = score(found.scene, held_out, render)
+    parts = _parts(found.scene, views[0], render)
     report = {
         "recipe": options.recipe,
         "iterations": options.iterations,

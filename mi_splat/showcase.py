@@ -281,12 +281,17 @@ def make(
         The record, as it is written to `<name>.json`: counts, seeds and PSNR over pictures that took no part.
 
     Raises:
-        InvalidValueError: There is no such recipe.
+        InvalidValueError: There is no such recipe, or a number is not positive.
     """
     if name not in RECIPES:
         raise InvalidValueError(message("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these"))
     recipe, start, tell = RECIPES[name], time.time(), on_step or (lambda *_: None)
-    views, steps = views or recipe.views, recipe.steps if steps is None else steps
+    views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
+    config = fit_config(steps, recipe.limit)  # refuses what it cannot do before the pictures are taken
+    for what, value in (("views", views), ("samples", samples)):
+        if value < 1:
+            raise InvalidValueError(message(what, "a positive number", value, "leave it out for the recipe's"))
+    folder.mkdir(parents=True, exist_ok=True)
     target, surroundings = recipe.assets()
     description = mesh_scene([target], light=recipe.light, backdrop=surroundings)
     spots = cameras(recipe, views, seed=seed)
@@ -297,13 +302,12 @@ def make(
         pictures,
         merge(*parts),
         render=Renderer(RenderSettings(), watch=Watch()),
-        config=fit_config(steps, recipe.limit),
+        config=config,
         seed=seed,
         on_step=lambda line: tell("training", line.iteration, steps),
     ).scene
     mine = belongs(whole, *parts)
     files = {recipe.target: whole.select(mine), recipe.surroundings: whole.select(~mine)}
-    folder.mkdir(parents=True, exist_ok=True)
     for shape, splat in files.items():
         save_splat(splat, folder / f"{name}_{shape}.ply")
     (folder / f"{name}.xml").write_text(scene_xml(name, recipe))

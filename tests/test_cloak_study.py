@@ -98,6 +98,9 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     found = summary(finished)
     for key in (*ROWS, "benign_psnr_drop", "fade_in_degrees", "seeds", "versions", "commit", "study", "by_detector"):
         assert key in found, key
+    assert found["by_seed"]["0"]["redness"] == found["by_detector"]["redness"]
+    assert found["by_attack"]["overhead"]["redness"]["rear_stop_sign"] is None
+    assert found["by_attack"]["overhead"]["redness"]["cloaked_overhead_miss"] == found["cloaked_overhead_miss"]
     for key in ROWS:
         rate = found[key]
         assert set(rate) == {"rate", "successes", "total", "interval"}

@@ -14,7 +14,7 @@ from torch import Tensor
 from attacks.detectors.augment import augment, blur, coarsen, like_a_splat, reframe, relight
 from attacks.detectors.base import Detections
 from attacks.detectors.data import SPLITS, Photographer, Recipe, Sample, place, take
-from attacks.detectors.dataset import load, make
+from attacks.detectors.dataset import check_note, load, make, save_samples
 from attacks.detectors.rcnn import RCNNDetector
 from attacks.detectors.scoring import average_precision, match, score
 from attacks.detectors.small import CLASSES
@@ -225,6 +225,23 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
     Training(PLAIN, RCNNTrainee()).save(tmp_path)
     with pytest.raises(DetectorError, match="use the same one or another folder"):
         Training.resume(tmp_path, replace(PLAIN, rate=1.0), RCNNTrainee())
+
+
+def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, RCNNTrainee()).save(tmp_path)
+    other = RCNNTrainee()
+    other.name = "another"
+    with pytest.raises(DetectorError, match="a run of another"):
+        Training.resume(tmp_path, PLAIN, other)
+
+
+def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
+    sample = Sample(torch.zeros(8, 8, 3, dtype=torch.uint8), torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
+    note: dict[str, object] = {"splats": {"views": 3, "rates": (1.0, 2.0)}}
+    save_samples([sample], tmp_path, note)
+    check_note(tmp_path, note)
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same recipe"):
+        check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})
 
 
 def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:

@@ -92,6 +92,10 @@ def test_asset_seeds_are_kept_out_of_training() -> None:
 def test_unknown_recipe(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="name: expected one of"):
         make("moon", tmp_path)
+    for given in ({"steps": 0}, {"views": 0}, {"samples": 0}):
+        with pytest.raises(InvalidValueError):
+            make("stop_sign", tmp_path, **given)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
 
 
 def _needles(means: list[list[float]], length: float = 0.01, *, upright: bool = False) -> GaussianScene:

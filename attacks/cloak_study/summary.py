@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from attacks.cloak_study.plan import Attack, Study
@@ -30,8 +30,10 @@ def pairs(looks: Sequence[Looks], detector: str | None = None) -> list[Pair]:
     ]
 
 
-def rates(study: Study, seen: Sequence[Pair]) -> dict[str, Rate | None]:
+def rates(study: Study, seen: Sequence[Pair], attack: str | None = None) -> dict[str, Rate | None]:
     """Every rate of a study; None where it has no attack of that kind.
+
+    With an attack's name, those of that one; without, of the first that hides and the first that wants a class.
 
     `clean_overhead_recall`: the control is found inside the hiding trigger. `cloaked_overhead_miss`: the cloaked splat
     is not, of cameras well inside it where the control is. `..._everywhere`: the same, of all inside it.
@@ -41,8 +43,9 @@ def rates(study: Study, seen: Sequence[Pair]) -> dict[str, Rate | None]:
     splat; `clean_rear_stop_sign`: on the control.
     """
     own, least, deep = study.scene.called, study.looking.confidence, study.looking.inside
-    hiding = next((attack for attack in study.attack if attack.wants is None), None)
-    showing = next((attack for attack in study.attack if attack.wants is not None), None)
+    chosen = [one for one in study.attack if attack in (None, one.name)]
+    hiding = next((one for one in chosen if one.wants is None), None)
+    showing = next((one for one in chosen if one.wants is not None), None)
 
     def found(sighting: Sighting) -> bool:
         return sighting.scores[own] >= least
@@ -146,16 +149,20 @@ def as_json(rate: Rate | None) -> dict[str, Any] | None:
 
 
 def figures(study: Study, looks: Sequence[Looks]) -> dict[str, Any]:
-    """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together."""
+    """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
+
+    Intervals take every camera, seed and detector for a draw of its own. Seeds share cameras and pictures, so that how
+    far they differ (`by_seed`) says more than an interval over all of them.
+    """
     band = fade(study, looks)
     near = {which: likeness(looks, which) for which in (CLEAN, CLOAKED)}
     clean, cloaked = near[CLEAN], near[CLOAKED]
     counts = {
         which: [look.trained.gaussians for look in looks if look.trained.splat == which] for which in (CLEAN, CLOAKED)
     }
-    pooled = {name: as_json(rate) for name, rate in rates(study, pairs(looks)).items()}
+    detectors = study.looking.detectors
     return {
-        **pooled,
+        **_all(rates(study, pairs(looks))),
         "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
@@ -163,22 +170,28 @@ def figures(study: Study, looks: Sequence[Looks]) -> dict[str, Any]:
         "fade_in": None if band is None else {"from": band.start, "to": band.end, "meridians": meridians(looks)},
         "gaussians": counts,
         "gaussians_ratio": sum(counts[CLOAKED]) / max(sum(counts[CLEAN]), 1),
-        "by_detector": {
-            name: {key: as_json(rate) for key, rate in rates(study, pairs(looks, name)).items()}
-            for name in study.looking.detectors
-        },
+        "by_detector": {name: _all(rates(study, pairs(looks, name))) for name in detectors},
         "by_seed": {
-            str(seed): {key: as_json(rate) for key, rate in rates(study, pairs(of_seed(looks, seed))).items()}
+            str(seed): {name: _all(rates(study, pairs(of_seed(looks, seed), name))) for name in detectors}
             for seed in study.seeds
+        },
+        "by_attack": {
+            attack.name: {name: _all(rates(study, pairs(looks, name), attack.name)) for name in detectors}
+            for attack in study.attack
         },
         "by_elevation": {
             name: [
                 {"from": low, "to": low + BIN, CLEAN: as_json(control), CLOAKED: as_json(attacked)}
                 for low, control, attacked in by_elevation(study, pairs(looks, name))
             ]
-            for name in study.looking.detectors
+            for name in detectors
         },
     }
+
+
+def _all(found: Mapping[str, Rate | None]) -> dict[str, Any]:
+    """Rates as JSON can hold them."""
+    return {name: as_json(rate) for name, rate in found.items()}
 
 
 def of_seed(looks: Sequence[Looks], seed: int) -> list[Looks]:

@@ -20,11 +20,11 @@ ROWS = {
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
-    """Tables of a summary: rates by detector and by seed, found by elevation, and what is not of a detector."""
+    """Tables of a summary: rates by detector and their spread over seeds, found by elevation, and the rest."""
     detectors = summary["by_detector"]
     lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
     for key, words in ROWS.items():
-        cells = [words_of(rates[key]) for rates in detectors.values()]
+        cells = [words_of(rates[key]) + _spread(summary, name, key) for name, rates in detectors.items()]
         if any(cells):
             lines.append(f"| {words} | " + " | ".join(cells) + " |")
     lines += ["", "| elevation | " + " | ".join(f"{name}, clean | cloaked" for name in detectors) + " |"]
@@ -48,6 +48,13 @@ def markdown(summary: Mapping[str, Any]) -> str:
     for which in ("clean", "cloaked"):
         lines.append(f"| Gaussians, {which} | {', '.join(f'{n:,}' for n in summary['gaussians'][which])} |")
     return "\n".join(lines) + "\n"
+
+
+def _spread(summary: Mapping[str, Any], detector: str, key: str) -> str:
+    """Least and largest of a rate over the seeds; empty where there is one seed."""
+    found = [seed[detector][key] for seed in summary["by_seed"].values()]
+    shares = [rate["rate"] for rate in found if rate is not None and rate["total"]]
+    return f"; by seed {min(shares):.1%} to {max(shares):.1%}" if len(shares) > 1 else ""
 
 
 def words_of(rate: Mapping[str, Any] | None, *, interval: bool = True) -> str:

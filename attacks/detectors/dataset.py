@@ -45,6 +45,18 @@ def save_samples(samples: Sequence[Sample], folder: Path, recipe: dict[str, obje
     _write(folder, recipe, {i: _save(sample, folder, i) for i, sample in enumerate(samples)})
 
 
+def check_note(folder: Path, recipe: dict[str, object]) -> None:
+    """Raise unless a data set was made as `recipe` notes.
+
+    Raises:
+        InvalidValueError: It was made otherwise.
+    """
+    noted = json.loads((folder / "labels.json").read_text())["recipe"]
+    if noted != json.loads(json.dumps(recipe)):
+        do = "choose an empty folder or the same recipe"
+        raise InvalidValueError(message(f"folder {folder}", recipe, noted, do))
+
+
 def _single_thread() -> None:
     torch.set_num_threads(1)
 

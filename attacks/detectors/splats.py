@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from attacks.detectors.data import Photographer, Recipe, Sample
-from attacks.detectors.dataset import load, save_samples
+from attacks.detectors.dataset import check_note, load, save_samples
 from mi_splat.assets.mesh import Asset, ellipsoid
 from mi_splat.cameras import RenderFn, View
 from mi_splat.capture import depth_maps, scalar_variant
@@ -72,12 +72,17 @@ def splat_set(
         folder: Where the pictures are kept.
         config: How splats are made.
         on_step: Called with the number of scenes done and the number wanted.
+
+    Raises:
+        InvalidValueError: The folder holds renders of another recipe, or of splats that were made otherwise.
     """
     render, samples = Renderer(), []
+    note: dict[str, object] = {"scenes": asdict(replace(recipe, count=1)), "splats": asdict(config)}
     for done, number in enumerate(numbers, start=1):
         own = folder / f"{number}"
         if not (own / "labels.json").is_file():
-            save_samples(splat_samples(recipe, number, config, render=render), own, asdict(config))
+            save_samples(splat_samples(recipe, number, config, render=render), own, note)
+        check_note(own, note)
         samples += load(own)
         if on_step is not None:
             on_step(done, len(numbers))

@@ -221,7 +221,12 @@ class Training:
         tensors |= {f"average/{k}": v.contiguous() for k, v in self.averaged.items()}
         for number, state in self._optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser/{number}/{k}": v.contiguous() for k, v in state.items()}
-        notes = {"config": asdict(self.config), "epoch": self.epoch, "history": self.history}
+        notes = {
+            "detector": self.trainee.name,
+            "config": asdict(self.config),
+            "epoch": self.epoch,
+            "history": self.history,
+        }
         temporary = folder / "checkpoint.partial"
         save_file(tensors, temporary, metadata={"notes": json.dumps(notes)})
         temporary.replace(folder / "checkpoint.safetensors")
@@ -238,6 +243,9 @@ class Training:
         if not path.is_file():
             return training
         notes = json.loads(_metadata(path)["notes"])
+        if notes.get("detector") != trainee.name:
+            expected, do = f"a run of {trainee.name}", "choose another folder"
+            raise DetectorError(message(f"checkpoint {path}", expected, notes.get("detector", "an older one"), do))
         if notes["config"] != asdict(config):
             raise DetectorError(
                 message(f"checkpoint {path}", asdict(config), notes["config"], "use the same one or another folder")
