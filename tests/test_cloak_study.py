@@ -210,7 +210,7 @@ def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
 
 def test_variations_change_one_thing() -> None:
     shares = varied(STUDY, "share")
-    assert [study.attack[0].share for study in shares.values()] == [0.05, 0.1, 0.25, 0.5, 1.0]
+    assert [study.attack[0].share for study in shares.values()] == [0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
     looks = varied(STUDY, "look")
     assert [study.attack[0].texture for study in looks.values()][2:] == ["road", "grass", "clock", "football"]
     assert all(study.attack[1] == STUDY.attack[1] for study in looks.values())

@@ -20,7 +20,7 @@ VARIATIONS = "variations.json"
 
 Group = Literal["degree", "share", "look", "recipe", "emphasis", "iterations"]
 
-SHARES = (0.05, 0.1, 0.25, 0.5, 1.0)
+SHARES = (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
 LOOKS = ("remove", "blend in", "road", "grass", "clock", "football")
 """Looks of the hiding attacks: two without a texture, four painted."""
