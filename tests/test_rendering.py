@@ -78,6 +78,7 @@ def test_recordings_follow_shapes_never_values() -> None:
     from mi_splat.rasterization import pipeline
     from mi_splat.rasterization.frozen import frozen
 
+    frozen.cache_clear()  # which values Dr.Jit keeps out of a recording hangs on all calls before
     render = Renderer()
 
     def step(seed: int) -> None:
