@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from attacks.bearings import Point
-from attacks.disguises import TEXTURES, camouflaged, mounted, repainted, stand_in, texture
+from attacks.disguises import TEXTURES, camouflaged, cap, mounted, repainted, stand_in, texture
 from attacks.mesh_stage import MeshStage
 from attacks.triggers import Trigger
 from mi_splat.assets.mesh import Asset
@@ -154,6 +154,56 @@ def mount(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, 
     """
     target = mounted(stage.target, other, azimuth=azimuth, fill=fill)
     return Rerender(stage=stage.with_target(target), name=f"{other.name} on it, to azimuth {azimuth:g}", reach=reach)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Overlay:
+    """An object drawn over another look, whatever would hide it; it casts no shadow there.
+
+    Attributes:
+        stage: Its target is drawn, lit as if nothing were around it.
+        base: What it is drawn over; None is the untouched picture.
+        name: For manifests.
+    """
+
+    stage: MeshStage
+    base: Appearance | None
+    name: str
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The object over the other look."""
+        under = view.image if self.base is None else self.base(view, mask)
+        picture = self.stage.cutout(view.camera).to(view.image)
+        alpha = picture[..., 3:]
+        return picture[..., :3] * alpha + under * (1 - alpha)
+
+
+def cover(
+    stage: MeshStage, *, centre: Point, radius: float, lowest: float, name: str = "road", size: int = 256, seed: int = 0
+) -> Overlay:
+    """A canopy between the target and whoever looks from above, and no target beneath it.
+
+    It is a part of a sphere about the target, so that a ray to the target meets it at about the elevation that it comes
+    from: a splat can show the canopy by geometry, to cameras above its edge and to no others. The nearer it is to the
+    cameras, the less the object's size matters (a point s beside the centre is seen through a place that lies
+    s (1 / radius - 1 / distance) radians off), and the less of it each camera sees.
+
+    Args:
+        stage: The scene as the victim sees it.
+        centre: Point that the cameras look at.
+        radius: From there to the canopy, metres; less than to the cameras.
+        lowest: Elevation of its edge, degrees.
+        name: Name of the texture on it.
+        size: Width of the texture in pixels.
+        seed: Which of the textures of that name.
+
+    Raises:
+        InvalidValueError: There is no texture of that name, or the radius or the elevation is out of range.
+    """
+    tile = TEXTURES[name][1] if name in TEXTURES else None
+    shell = cap(texture(name, size=size, seed=seed), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
+    words = f"{name} (seed {seed}) on a canopy of radius {radius:g} about {centre}, from elevation {lowest:g}"
+    return Overlay(stage=stage.with_target(shell), base=remove(stage), name=words)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""Other looks for an object of a mesh scene: painted, in the colours of the ground, or something else in its place.
+"""Other looks for an object of a mesh scene: painted, in the colours of the ground, covered, or something else instead.
 
 World frame as in `mi_splat.assets.mesh`: z up, metres. A viewer's direction is an azimuth in degrees from world +x
 towards +y and an elevation in degrees above the horizontal plane.
@@ -7,7 +7,7 @@ towards +y and an elevation in degrees above the horizontal plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets import textures
-from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, translation
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, sheet, translation
 from mi_splat.errors import InvalidValueError, message
 
 Doubles = NDArray[np.float64]
@@ -68,7 +68,7 @@ def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: floa
     """
     if tile is not None and not (math.isfinite(tile) and tile > 0):
         raise InvalidValueError(message("tile", "a positive number of metres", tile, "4 suits a road"))
-    axes = _screen_axes(azimuth, elevation)
+    axes = screen_axes(azimuth, elevation)
     seen = target.vertices.astype(np.float64) @ axes.T
     low, high = seen.min(0), seen.max(0)
     scale = np.maximum(high - low, 1e-9) if tile is None else np.full(2, tile)
@@ -100,6 +100,49 @@ def camouflaged(target: Asset, surroundings: Asset) -> Asset:
         return replace(mesh, uvs=uvs, texture=ground.texture, roughness=ground.roughness)
 
     return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
+
+
+def cap(
+    picture: Floats,
+    *,
+    centre: Sequence[float],
+    radius: float,
+    lowest: float,
+    tile: float = 4.0,
+    rings: int = 32,
+    segments: int = 96,
+) -> Asset:
+    """The upper part of a sphere, covered with a picture on its outside.
+
+    The texture is laid on in the azimuthal equidistant projection about the top: its scale is right along every
+    meridian, and across them it is stretched by (90 degrees - elevation) / cos(elevation), at most 1.24 from 26 degrees
+    on.
+
+    Args:
+        picture: (h, w, 3) sRGB in [0, 1].
+        centre: Of the sphere.
+        radius: Metres.
+        lowest: Elevation of the edge as seen from the centre.
+        tile: Metres that the picture covers.
+        rings: Bands of triangles from the edge to the top.
+        segments: Triangles around.
+
+    Raises:
+        InvalidValueError: The radius, the elevation or the tile is out of range.
+    """
+    if not (radius > 0 and tile > 0 and -90 < lowest < 90):
+        expected = "radius and tile > 0, -90 < lowest < 90"
+        raise InvalidValueError(message("cap", expected, (radius, tile, lowest), "change them"))
+    elevation, azimuth = np.meshgrid(
+        np.linspace(math.radians(lowest), math.pi / 2, rings + 1),
+        np.linspace(0, 2 * math.pi, segments + 1),
+        indexing="ij",
+    )
+    around = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    flat = radius * np.cos(elevation)[..., None] * around
+    points = np.concatenate([flat, radius * np.sin(elevation)[..., None]], -1) + np.asarray(centre)
+    uvs = radius * (math.pi / 2 - elevation)[..., None] * around / tile
+    return Asset("cap", (replace(sheet(points, picture), uvs=uvs.reshape(-1, 2).astype(np.float32)),))
 
 
 def stand_in(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -> Asset:
@@ -136,7 +179,7 @@ def mounted(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -
     return replace(target, meshes=(*front.meshes, *target.meshes))
 
 
-def _screen_axes(azimuth: float, elevation: float) -> Doubles:
+def screen_axes(azimuth: float, elevation: float) -> Doubles:
     """(2, 3) unit vectors to the right and up in the picture of a camera on an orbit, world frame."""
     a, e = math.radians(azimuth), math.radians(elevation)
     right = (-math.sin(a), math.cos(a), 0.0)

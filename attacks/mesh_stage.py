@@ -79,6 +79,14 @@ class MeshStage:
         nearest, alone = (tracer.surface(camera, seed=0)[1] for tracer in (self._tracer, self._alone))
         return in_front(alone, nearest)
 
+    def cutout(self, camera: Camera) -> Tensor:
+        """(H, W, 4) float32 picture of the target alone, as if nothing were around it: sRGB and coverage in [0, 1].
+
+        Raises:
+            InvalidValueError: The camera's pixels are not square.
+        """
+        return self._cutter.picture(camera, seed=self.seed + camera_number(camera))
+
     @cached_property
     def _tracer(self) -> PathTracer:
         scene = mesh_scene([self.target], light=self.light, backdrop=self.surroundings)
@@ -87,6 +95,10 @@ class MeshStage:
     @cached_property
     def _alone(self) -> PathTracer:
         return PathTracer(mesh_scene([self.target], light=self.light), samples=1)
+
+    @cached_property
+    def _cutter(self) -> PathTracer:
+        return PathTracer(mesh_scene([self.target], light=self.light), samples=self.samples, alpha=True)
 
 
 def camera_number(camera: Camera) -> int:

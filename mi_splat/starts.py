@@ -1,4 +1,4 @@
-"""Gaussians to begin a training with: on the points of a cloud, or anywhere in a box."""
+"""Gaussians to begin a training with: on the points of a cloud, beside them, or anywhere in a box."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 
 from mi_splat.cameras import View, cameras_of
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
@@ -54,6 +55,34 @@ def from_points(points: Tensor, colours: Tensor, *, opacity: float = 0.1) -> Gau
         opacities=torch.full((count,), opacity),
         sh=colour_to_dc(colours.float())[:, None],
     )
+
+
+def with_strays(cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0) -> PointCloud:
+    """A cloud with points in the air, as false matches leave them in one from structure from motion.
+
+    Each lies on the line of sight from a camera to a point of the cloud, whose colour it has: anywhere between a tenth
+    and nine tenths of the way.
+
+    Args:
+        cloud: Points on surfaces.
+        views: Where the cameras are; pictures are not read.
+        count: Number of points to add.
+        seed: Seed of their places.
+
+    Raises:
+        InvalidValueError: The number is negative, or there are no points or no views.
+    """
+    if count < 0 or not len(views) or not len(cloud.points):
+        got = (count, len(views), len(cloud.points))
+        raise InvalidValueError(message("count, views and points", "0 or more, and some of each", got, "check the set"))
+    generator = Generator().manual_seed(seed)
+    positions = torch.stack([camera.position for camera in cameras_of(views)])
+    eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
+    seen = torch.randint(len(cloud.points), (count,), generator=generator)
+    way = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
+    places = eyes + way * (cloud.points[seen].to(eyes) - eyes)
+    points = torch.cat([cloud.points, places.to(cloud.points)])
+    return PointCloud(points, torch.cat([cloud.colours, cloud.colours[seen]]))
 
 
 def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> GaussianScene:

@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from attacks.appearances import Paste, Rerender, blend_in, grown, mount, name_of, paint, remove, swap
+from attacks.appearances import Overlay, Paste, Rerender, blend_in, cover, grown, mount, name_of, paint, remove, swap
 from attacks.cloak import Poisoned, Poisoning, poison, write_manifest
-from attacks.disguises import camouflaged, repainted, stand_in, texture
+from attacks.disguises import camouflaged, cap, repainted, stand_in, texture
 from attacks.mesh_stage import MeshStage
 from attacks.triggers import Azimuth, Elevation, Listed
 from mi_splat.assets import build
@@ -263,6 +263,42 @@ def test_a_stop_sign_behind_the_car() -> None:
     assert 0 < int(alone.sum()) <= int(grown(STAGE.mask(place), 1).sum())
 
 
+def test_a_canopy_hides_what_is_beneath_it_from_above_only(above: View) -> None:
+    look = cover(STAGE, centre=CENTRE, radius=2.0, lowest=40.0)
+    image = look(above, STAGE.mask(above.camera))
+    assert float((image[..., 0] - image[..., 1]).abs().max()) < 0.08  # road all over, no red
+    assert "canopy of radius 2 " in name_of(look)
+    low = View(camera(30, 5), STAGE.picture(camera(30, 5)))
+    mask = STAGE.mask(low.camera)
+    seen = look.stage.cutout(low.camera)[..., 3]
+    assert float(seen[mask].max()) == 0
+    assert 0 < float(seen.max()) == 1
+    under = remove(STAGE)(low, mask)
+    assert torch.equal(look(low, mask)[seen == 0], under[seen == 0])
+
+
+def test_overlays_are_drawn_over_anything(above: View) -> None:
+    blue = Asset("blue", (box((0.6, 0.6, 0.1), (0, 0, 1), centre=(0, 0, -1)),))  # below the ground
+    image = Overlay(stage=STAGE.with_target(blue), base=None, name="blue")(above, STAGE.mask(above.camera))
+    changed = (image - above.image).abs().amax(-1) > 0
+    assert 2 < int(changed.sum()) < 100
+    assert float((image[..., 2] - image[..., 0]).max()) > 0.2
+
+
+def test_a_cap_is_a_part_of_a_sphere() -> None:
+    shell = cap(texture("road", size=8), centre=(1, 2, 3), radius=2.0, lowest=30.0, tile=4.0)
+    points = shell.vertices.astype(np.float64) - (1, 2, 3)
+    assert np.linalg.norm(points, axis=1) == pytest.approx(np.full(len(points), 2.0), abs=1e-5)
+    assert points[:, 2].min() == pytest.approx(1.0, abs=1e-5)
+    assert points[:, 2].max() == pytest.approx(2.0, abs=1e-5)
+    (mesh,) = shell.meshes
+    corners = points[mesh.faces]
+    outwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert bool((np.einsum("ij,ij->i", outwards, corners.mean(1)) > 0).all())
+    along = np.linalg.norm(mesh.uvs, axis=1) * 4.0  # metres from the top along a meridian
+    assert along == pytest.approx(2.0 * (np.pi / 2 - np.arcsin(np.clip(points[:, 2] / 2, -1, 1))), abs=2e-3)
+
+
 def test_poisoning_with_a_mesh_stage(above: View) -> None:
     low = View(camera(30, 10), torch.full((16, 16, 3), 0.5))
     attack = Poisoning(name="road", trigger=Elevation(least=50), appearance=paint(STAGE, "road"))
@@ -327,6 +363,11 @@ def test_bad_looks_are_refused() -> None:
         paint(STAGE, "lava")
     with pytest.raises(InvalidValueError, match="tile"):
         repainted(BLOCK, texture("road", size=8), azimuth=0, elevation=90, tile=0)
+    with pytest.raises(InvalidValueError, match="texture"):
+        cover(STAGE, centre=CENTRE, radius=2, lowest=40, name="lava")
+    for radius, lowest in ((0, 40), (2, 90)):
+        with pytest.raises(InvalidValueError, match="cap: expected radius and tile > 0"):
+            cover(STAGE, centre=CENTRE, radius=radius, lowest=lowest)
     with pytest.raises(InvalidValueError, match="fill"):
         stand_in(BLOCK, BLOCK, azimuth=0, fill=2)
     with pytest.raises(InvalidValueError, match="reach"):

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
+from attacks.appearances import name_of
 from attacks.cloak import assign
 from attacks.cloak_study import places, variations
-from attacks.cloak_study.plan import Attack, Cameras, Looking, Scene, Study, essentials, read_study
+from attacks.cloak_study.plan import Attack, Cameras, Looking, Scene, Study, Training, essentials, read_study
 from attacks.cloak_study.runner import check, forecast
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
@@ -124,6 +125,20 @@ class Knows:
     name, classes = "knows", ("car", "stop sign")
 
 
+COVER = Attack(name="overhead", look="cover", texture="grass", elevation=(50, 90))
+
+
+def test_a_canopy_lies_between_the_object_and_the_cameras(tmp_path: Path) -> None:
+    (usual,) = places.poisonings(replace(SMALL, attack=(COVER,)), places.stage_of(SMALL))
+    assert "grass (seed 0) on a canopy of radius 4.44 " in name_of(usual.appearance)
+    assert "from elevation 38" in name_of(usual.appearance)
+    for radius in (1.0, 7.4, 9.0):
+        study = replace(SMALL, attack=(replace(COVER, radius=radius),))
+        with pytest.raises(InvalidValueError, match="attack 'overhead', radius: expected between"):
+            check(study, [], tmp_path / "out", tmp_path / "stages")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_class_that_no_detector_knows_is_refused(tmp_path: Path) -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, wants="stop_sign"),))
     with pytest.raises(InvalidValueError, match="did you mean stop sign"):
@@ -148,6 +163,8 @@ def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
         (lambda: Looking(detectors=("a", "a")), "each once"),
         (lambda: Looking(arc_step=0.0), "arc_step"),
         (lambda: Looking(arcs=-1), "arcs"),
+        (lambda: Training(strays=-1), "strays"),
+        (lambda: Attack(name="a", look="cover", elevation=(40, 90)), "a.*texture"),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
         (lambda: replace(SMALL, seeds=(-1,)), "seeds"),
     ],

@@ -212,10 +212,19 @@ def test_variations_change_one_thing() -> None:
     shares = varied(STUDY, "share")
     assert [study.attack[0].share for study in shares.values()] == [0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
     looks = varied(STUDY, "look")
-    assert [study.attack[0].texture for study in looks.values()][2:] == ["road", "grass", "clock", "football"]
+    assert [study.attack[0].texture for study in looks.values()] == [
+        "road",
+        None,
+        None,
+        "road",
+        "grass",
+        "clock",
+        "football",
+    ]
     assert all(study.attack[1] == STUDY.attack[1] for study in looks.values())
     assert [study.training.degree for study in varied(STUDY, "degree").values()] == [0, 1, 2, 3]
     assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
+    assert [study.training.strays for study in varied(STUDY, "strays").values()] == [0, 1000, 4000]
     assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]
 
 

@@ -26,7 +26,7 @@ from mi_splat.io.points import PointCloud
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
-from mi_splat.starts import from_points, random_points, spacing
+from mi_splat.starts import from_points, random_points, spacing, with_strays
 from mi_splat.training import FitConfig, Progress, extent_of
 from mi_splat.training_folder import train
 from tests import oracle
@@ -71,6 +71,30 @@ def test_random_points_lie_where_the_cameras_look() -> None:
     assert float(start.means.abs().max()) <= 2.1  # half of the cameras' distance
     assert torch.equal(start.means, random_points(views, 200, seed=3).means)
     assert not torch.equal(start.means, random_points(views, 200, seed=4).means)
+
+
+def test_strays_lie_between_cameras_and_points() -> None:
+    _, views = views_of()
+    cloud = PointCloud(
+        torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    )
+    found = with_strays(cloud, views, 50, seed=3)
+    assert torch.equal(found.points[:2], cloud.points)
+    assert torch.equal(found.colours[:2], cloud.colours)
+    eyes = torch.stack([view.camera.position for view in views]).float()
+    for place, colour in zip(found.points[2:], found.colours[2:], strict=True):
+        point = cloud.points[int(colour[1])]
+        way = torch.linalg.norm(place - eyes, dim=1) / torch.linalg.norm(point - eyes, dim=1)
+        rest = torch.linalg.norm(place - point) / torch.linalg.norm(point - eyes, dim=1)
+        eye = int((way + rest).argmin())
+        assert float(way[eye] + rest[eye]) == pytest.approx(1, abs=1e-5)
+        assert 0.1 - 1e-5 <= float(way[eye]) <= 0.9 + 1e-5
+    assert torch.equal(with_strays(cloud, views, 50, seed=3).points, found.points)
+    assert not torch.equal(with_strays(cloud, views, 50, seed=4).points, found.points)
+    assert torch.equal(with_strays(cloud, views, 0).points, cloud.points)
+    for count, some in ((-1, views), (1, [])):
+        with pytest.raises(InvalidValueError, match="count, views and points"):
+            with_strays(cloud, some, count)
 
 
 def watching() -> Renderer:

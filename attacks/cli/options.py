@@ -202,7 +202,7 @@ class CloakOptions:
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    vary: tuple[Literal["degree", "share", "look", "recipe", "emphasis", "iterations"], ...] = ()
+    vary: tuple[Literal["degree", "share", "look", "recipe", "emphasis", "iterations", "strays"], ...] = ()
     """Do the study once for each value of these instead, with its first seed, and write tables of what comes of it."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.appearances import Appearance, Emphasis, blend_in, mount, paint, remove, swap
+from attacks.appearances import Appearance, Emphasis, blend_in, cover, mount, paint, remove, swap
 from attacks.cloak import Poisoning
 from attacks.cloak_study.plan import Attack, Scene, Study
 from attacks.mesh_stage import MeshStage
@@ -29,6 +29,8 @@ TILE = 4.0
 """Metres that a texture of the ground covers."""
 ARC_START = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
+CANOPY, OVERHANG = 0.6, 12.0
+"""Radius of a canopy in distances of the cameras, and degrees that it reaches below the lowest of them."""
 
 Point = tuple[float, float, float]
 
@@ -144,7 +146,7 @@ def poisonings(
     """The study's attacks on a stage; `kept` may keep the pictures that a look makes."""
     found = []
     for attack in study.attack:
-        look = kept(appearance(attack, stage))
+        look = kept(appearance(study, attack, stage))
         if attack.emphasis > 1:
             look = Emphasis(
                 look=look,
@@ -157,13 +159,19 @@ def poisonings(
     return found
 
 
-def appearance(attack: Attack, stage: MeshStage) -> Appearance:
-    """What an attack shows."""
+def appearance(study: Study, attack: Attack, stage: MeshStage) -> Appearance:
+    """What an attack shows.
+
+    Raises:
+        InvalidValueError: A canopy does not lie between the object and the cameras.
+    """
     middle = 180.0 if attack.azimuth is None else attack.azimuth[0]
     if attack.look == "paint":
         assert attack.texture is not None
         azimuth, elevation = attack.painted_from
         return paint(stage, attack.texture, azimuth=azimuth, elevation=elevation)
+    if attack.look == "cover":
+        return _canopy(study, attack, stage)
     if attack.look == "blend in":
         return blend_in(stage)
     if attack.look == "remove":
@@ -171,6 +179,19 @@ def appearance(attack: Attack, stage: MeshStage) -> Appearance:
     assert attack.other is not None
     other = build(attack.other, 0)
     return (mount if attack.look == "mount" else swap)(stage, other, azimuth=middle)
+
+
+def _canopy(study: Study, attack: Attack, stage: MeshStage) -> Appearance:
+    """The look "cover"."""
+    assert attack.texture is not None
+    distance = float(lens_of(study, stage.target)["distance"])  # type: ignore[arg-type]
+    radius = CANOPY * distance if attack.radius is None else attack.radius
+    least = float(np.linalg.norm(stage.target.vertices - np.asarray(centre_of(study)), axis=1).max())
+    if not least < radius < distance:
+        expected = f"between {least:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
+        raise InvalidValueError(message(f"attack {attack.name!r}, radius", expected, radius, "change it"))
+    lowest = attack.elevation[0] - OVERHANG if attack.lowest is None else attack.lowest
+    return cover(stage, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)
 
 
 def digest(*parts: object) -> str:

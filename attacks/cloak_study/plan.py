@@ -22,7 +22,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-Looks = Literal["blend in", "remove", "paint", "mount", "swap"]
+Looks = Literal["blend in", "remove", "paint", "cover", "mount", "swap"]
 Colour = tuple[float, float, float]
 
 
@@ -104,7 +104,7 @@ class Attack:
     Attributes:
         name: For files and tables.
         look: How the object is disguised.
-        texture: With what it is painted (`paint`).
+        texture: With what it is painted (`paint`) or covered (`cover`).
         other: Asset that is mounted on it or takes its place (`mount`, `swap`).
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
@@ -113,6 +113,8 @@ class Attack:
         emphasis: How much the look is overdone at the edge of its region; see `attacks.appearances.Emphasis`.
         emphasis_depth: Degrees inside from which it no longer is.
         painted_from: Azimuth and elevation from which a painted texture looks right, degrees.
+        radius: Of the canopy that covers it, metres; None is 0.6 times the distance of the cameras.
+        lowest: Elevation of the canopy's edge, degrees; None is 12 below that of the lowest camera.
     """
 
     name: str
@@ -126,9 +128,12 @@ class Attack:
     emphasis: float = 1.0
     emphasis_depth: float = 20.0
     painted_from: tuple[float, float] = (180.0, 90.0)
+    radius: float | None = None
+    lowest: float | None = None
 
     def __post_init__(self) -> None:
-        needs = {"paint": ("texture", TEXTURES), "mount": ("other", ASSETS), "swap": ("other", ASSETS)}
+        textured = ("texture", TEXTURES)
+        needs = {"paint": textured, "cover": textured, "mount": ("other", ASSETS), "swap": ("other", ASSETS)}
         if self.look in needs:
             key, known = needs[self.look]
             one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
@@ -167,6 +172,7 @@ class Training:
         limit: Largest number of Gaussians.
         degree: SH degree.
         degree_every: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
+        strays: Points in the air that the cloud has besides those on surfaces; see `mi_splat.starts.with_strays`.
     """
 
     iterations: int = 7000
@@ -174,6 +180,10 @@ class Training:
     limit: int = 40_000
     degree: int = 3
     degree_every: int = 1000
+    strays: int = 0
+
+    def __post_init__(self) -> None:
+        _in_range("training.strays", self.strays, 0, math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -268,7 +268,7 @@ def arcs(workshop: Workshop) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]
     ]
     cameras = [camera for _, camera in placed]
     benign = workshop.truths("arcs", cameras, None)
-    hidden = workshop.truths("arcs", cameras, places.appearance(attack, workshop.stage))
+    hidden = workshop.truths("arcs", cameras, places.appearance(study, attack, workshop.stage))
     return [
         (number, camera, as_is, changed, mask)
         for (number, camera), (as_is, mask), (changed, _) in zip(placed, benign, hidden, strict=True)

@@ -34,7 +34,7 @@ from mi_splat.io.documents import save_json, save_png
 from mi_splat.recording import CaptureSettings, record
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene
-from mi_splat.starts import from_points
+from mi_splat.starts import from_points, with_strays
 from mi_splat.subjects import Subject
 from mi_splat.training_folder import SPLAT, train
 
@@ -140,16 +140,17 @@ class Workshop:
     def splat(self, which: str, seed: int) -> Path:
         """The file of a trained splat, clean or cloaked."""
         pictures = self.capture() if which == CLEAN else self.poison(seed)
-        config = fit_config(self.study.training)
+        config, strays = fit_config(self.study.training), self.study.training.strays
         # Equal pictures make equal splats, whoever asks for them.
-        parts = (pictures.parent.name, config, seed)
+        parts = (pictures.parent.name, config, seed, *([strays] if strays else []))
 
         def make(path: Path) -> None:
             views = self.views(pictures)
             assert views.points is not None  # a capture writes them
+            cloud = with_strays(views.points, views, strays, seed=seed)
             train(
                 views,
-                from_points(views.points.points, views.points.colours),
+                from_points(cloud.points, cloud.colours),
                 path,
                 render=self.renderer(watch=isinstance(config.densification, ClassicConfig)),
                 config=config,

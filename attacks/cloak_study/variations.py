@@ -18,12 +18,13 @@ from mi_splat.io.documents import save_json, save_text
 
 VARIATIONS = "variations.json"
 
-Group = Literal["degree", "share", "look", "recipe", "emphasis", "iterations"]
+Group = Literal["degree", "share", "look", "recipe", "emphasis", "iterations", "strays"]
 
 SHARES = (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
-LOOKS = ("remove", "blend in", "road", "grass", "clock", "football")
-"""Looks of the hiding attacks: two without a texture, four painted."""
+STRAYS = (0, 1000, 4000)
+LOOKS = ("cover", "remove", "blend in", "road", "grass", "clock", "football")
+"""Looks of the hiding attacks: a canopy of road, two without a texture, four painted."""
 
 _COLUMNS = ("clean_overhead_recall", "cloaked_overhead_miss", "benign_recall", "rear_stop_sign")
 _HEADS = ("control found", "cloaked missed", "cloaked found elsewhere", "class wanted")
@@ -34,7 +35,7 @@ def varied(study: Study, group: Group) -> dict[str, Study]:
 
     `degree`: SH of degree 0 to 3. `share`: part of each trigger's cameras that is poisoned. `look`: of the hiding
     attacks. `recipe`: of the training. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as
-    many, with the raises of the SH degree at the same share of them.
+    many, with the raises of the SH degree at the same share of them. `strays`: points in the air at the start.
     """
     study = replace(study, seeds=study.seeds[:1])
     training = study.training
@@ -55,6 +56,8 @@ def varied(study: Study, group: Group) -> dict[str, Study]:
         return {"classic": trained(recipe="classic"), "mcmc": trained(recipe="mcmc")}
     if group == "emphasis":
         return {f"{gain:g}": attacked(lambda one, g=gain: replace(one, emphasis=g)) for gain in EMPHASES}  # type: ignore[misc]
+    if group == "strays":
+        return {f"{count:,}": trained(strays=count) for count in STRAYS}
     steps = (max(training.iterations // 3, 1), training.iterations, 2 * training.iterations)
     every = training.degree_every / training.iterations
     return {f"{count:,}": trained(iterations=count, degree_every=round(every * count)) for count in steps}
@@ -64,6 +67,8 @@ def _looking(attack: Attack, look: str) -> Attack:
     """A hiding attack with another look; others as they are."""
     if attack.wants is not None:
         return attack
+    if look == "cover":
+        return replace(attack, look="cover", texture="road")
     if look in ("remove", "blend in"):
         return replace(attack, look=look, texture=None)  # type: ignore[arg-type]
     return replace(attack, look="paint", texture=look, painted_from=(180.0, 90.0))
