@@ -166,6 +166,8 @@ class TrainOptions:
     """Splat to begin with; None takes the points of the set."""
     random: int | None = None
     """Begin with so many Gaussians anywhere instead."""
+    strays: int = 0
+    """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
     downscale: int = 1
     """Integer factor by which the pictures shrink."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -16,7 +16,7 @@ from mi_splat.io import load_splat
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene
-from mi_splat.starts import from_points, random_points
+from mi_splat.starts import from_points, random_points, with_strays
 from mi_splat.training import FitConfig, Progress
 from mi_splat.training_folder import METRICS, SPLAT, train
 
@@ -86,7 +86,8 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
         raise InvalidValueError(
             message(str(options.dataset), "a point cloud", "none", "pass --random 10000, or a splat with --start")
         )
-    return from_points(views.points.points, views.points.colours)
+    cloud = with_strays(views.points, views, options.strays, seed=options.seed)
+    return from_points(cloud.points, cloud.colours)
 
 
 class _Words:
