@@ -172,10 +172,12 @@ class Overlay:
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The object over the other look."""
-        under = view.image if self.base is None else self.base(view, mask)
         picture = self.stage.cutout(view.camera).to(view.image)
-        alpha = picture[..., 3:]
-        return picture[..., :3] * alpha + under * (1 - alpha)
+        colours, alpha = picture[..., :3], picture[..., 3:]
+        if bool((alpha >= 1).all()):
+            return colours  # nothing of the other look is left to be seen
+        under = view.image if self.base is None else self.base(view, mask)
+        return colours * alpha + under * (1 - alpha)
 
 
 def cover(

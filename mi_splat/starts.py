@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Generator, Tensor
 
-from mi_splat.cameras import View, cameras_of
+from mi_splat.cameras import Camera, View, cameras_of, project_points
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene
@@ -15,6 +15,8 @@ from mi_splat.sh import colour_to_dc
 
 _BLOCK = 1 << 22
 """Distances that are held at once."""
+_MATCHED, _ROUNDS = 3, 32
+"""Pictures in which a stray lies at least, and how often as many as are wanted are drawn."""
 
 
 def spacing(points: Tensor, *, neighbours: int = 3) -> Tensor:
@@ -60,13 +62,13 @@ def from_points(points: Tensor, colours: Tensor, *, opacity: float = 0.1) -> Gau
 def with_strays(cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0) -> PointCloud:
     """A cloud with points in the air, as false matches leave them in one from structure from motion.
 
-    Each lies on the line of sight from a camera to a point of the cloud, whose colour it has: anywhere between a tenth
-    and nine tenths of the way.
+    Each lies on the line of sight from a camera to a point of the cloud, whose colour it has, between a tenth and nine
+    tenths of the way, and in the picture of three cameras or more: as many as agree by accident.
 
     Args:
         cloud: Points on surfaces.
         views: Where the cameras are; pictures are not read.
-        count: Number of points to add.
+        count: Number of points to add; fewer are where cameras have little in common.
         seed: Seed of their places.
 
     Raises:
@@ -76,13 +78,27 @@ def with_strays(cloud: PointCloud, views: Sequence[View], count: int, *, seed: i
         got = (count, len(views), len(cloud.points))
         raise InvalidValueError(message("count, views and points", "0 or more, and some of each", got, "check the set"))
     generator = Generator().manual_seed(seed)
-    positions = torch.stack([camera.position for camera in cameras_of(views)])
-    eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
-    seen = torch.randint(len(cloud.points), (count,), generator=generator)
-    way = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
-    places = eyes + way * (cloud.points[seen].to(eyes) - eyes)
+    cameras = cameras_of(views)
+    positions = torch.stack([camera.position for camera in cameras])
+    places, owners = cloud.points[:0].to(positions), torch.zeros(0, dtype=torch.int64)
+    for _ in range(_ROUNDS):
+        eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
+        seen = torch.randint(len(cloud.points), (count,), generator=generator)
+        way = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
+        drawn = eyes + way * (cloud.points[seen].to(eyes) - eyes)
+        kept = sum(_in_picture(drawn, camera).int() for camera in cameras) >= min(_MATCHED, len(cameras))
+        places, owners = torch.cat([places, drawn[kept]])[:count], torch.cat([owners, seen[kept]])[:count]
+        if len(places) == count:
+            break
     points = torch.cat([cloud.points, places.to(cloud.points)])
-    return PointCloud(points, torch.cat([cloud.colours, cloud.colours[seen]]))
+    return PointCloud(points, torch.cat([cloud.colours, cloud.colours[owners]]))
+
+
+def _in_picture(points: Tensor, camera: Camera) -> Tensor:
+    """(N,) bool, which of (N, 3) points lie in a camera's picture, whatever is in front of them."""
+    pixels, depth = project_points(points, camera)
+    size = pixels.new_tensor([camera.width, camera.height])
+    return (depth > 0) & ((pixels >= 0) & (pixels < size)).all(1)
 
 
 def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> GaussianScene:

@@ -142,7 +142,7 @@ class Workshop:
         pictures = self.capture() if which == CLEAN else self.poison(seed)
         config, strays = fit_config(self.study.training), self.study.training.strays
         # Equal pictures make equal splats, whoever asks for them.
-        parts = (pictures.parent.name, config, seed, *([strays] if strays else []))
+        parts = (pictures.parent.name, config, seed, *([("strays", strays)] if strays else []))
 
         def make(path: Path) -> None:
             views = self.views(pictures)
