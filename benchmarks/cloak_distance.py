@@ -29,9 +29,7 @@ from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
-FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.25, 1.5, 2.0)
-EVERY = 4
-"""Of the held-out cameras, each so manieth is used."""
+FACTORS = (0.5, 0.6, 0.7, 0.8, 1.0, 1.25, 1.5, 2.0)
 
 
 def main() -> None:
@@ -39,11 +37,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", type=Path)
     parser.add_argument("results", type=Path)
+    parser.add_argument("--every", type=int, default=4, help="use each so manieth of the held-out cameras")
     options = parser.parse_args()
     study = read_study(options.study)
     target = places.target_of(study.scene)
     detectors = [load_detector(name) for name in study.looking.detectors]
-    groups = _groups(study, target)
+    groups = {name: some[:: options.every] for name, some in _groups(study, target).items()}
     render = Renderer(RenderSettings(background=study.scene.background))
     report = []
     for which in ("clean", "cloaked"):
@@ -70,7 +69,7 @@ def _groups(study: Study, target: Asset) -> dict[str, list[Camera]]:
             groups["overhead"].append(camera)
         elif all(attack.cone.angle_to_edge(camera, centre=centre) < 0 for attack in study.attack):
             groups["elsewhere"].append(camera)
-    return {name: cameras[::EVERY] for name, cameras in groups.items()}
+    return groups
 
 
 def _moved(camera: Camera, factor: float, study: Study) -> Camera:
