@@ -115,8 +115,7 @@ def cap(
     """The upper part of a sphere, covered with a picture on its outside.
 
     The texture is laid on in the azimuthal equidistant projection about the top: its scale is right along every
-    meridian, and across them it is stretched by (90 degrees - elevation) / cos(elevation), at most 1.24 from 26 degrees
-    on.
+    meridian, and across them it is stretched by (pi / 2 - elevation) / cos(elevation), at most 1.24 from 26 degrees on.
 
     Args:
         picture: (h, w, 3) sRGB in [0, 1].
