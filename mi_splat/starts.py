@@ -63,7 +63,7 @@ def with_strays(cloud: PointCloud, views: Sequence[View], count: int, *, seed: i
     """A cloud with points in the air, as false matches leave them in one from structure from motion.
 
     Each lies on the line of sight from a camera to a point of the cloud, whose colour it has, between a tenth and nine
-    tenths of the way, and in the picture of three cameras or more: as many as agree by accident.
+    tenths of the way, and in the picture of three cameras or more, as a point matched over several pictures is.
 
     Args:
         cloud: Points on surfaces.

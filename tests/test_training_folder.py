@@ -261,6 +261,7 @@ def test_a_training_is_set_up_without_reading_pictures(dataset: Path) -> None:
         (["--start", "none.ply"], "none.ply"),
         (["--random", "0"], "count"),
         (["--strays", "-1"], "count, views and points"),
+        (["--strays", "5", "--random", "9"], "--strays: expected a start on the points of the set"),
         (["--trainable", "sh"], "densification"),
         (["--degree", "7"], "degree"),
     ],

@@ -78,6 +78,9 @@ def _held_out(options: TrainOptions) -> Sequence[View]:
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     """The Gaussians to begin with."""
+    if options.strays and not (options.start is None and options.random is None):
+        do = "leave out --start and --random"
+        raise InvalidValueError(message("--strays", "a start on the points of the set", "another", do))
     if options.start is not None:
         return load_splat(options.start)
     if options.random is not None:
