@@ -11,12 +11,12 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
-    from attacks.cloak import Poisoned, Poisoning, poison
-    from attacks.config import DaggerConfig
-    from attacks.dagger import attack
+    from attacks.cloak.poisoning import Poisoned, Poisoning, poison
+    from attacks.dagger.attack import attack
+    from attacks.dagger.config import DaggerConfig
+    from attacks.dagger.result import Result
     from attacks.detectors import DETECTORS, Candidates, Detections, Detector, load_detector
     from attacks.objectives import Objective, Target, hide, relabel, untargeted
-    from attacks.result import Result
 
 __all__ = [
     "DETECTORS",
@@ -42,11 +42,11 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "attacks.budgets": ("Budget",),
-        "attacks.cloak": ("Poisoned", "Poisoning", "poison"),
-        "attacks.config": ("DaggerConfig",),
-        "attacks.dagger": ("attack",),
+        "attacks.cloak.poisoning": ("Poisoned", "Poisoning", "poison"),
+        "attacks.dagger.config": ("DaggerConfig",),
+        "attacks.dagger.attack": ("attack",),
         "attacks.detectors": ("DETECTORS", "Candidates", "Detections", "Detector", "load_detector"),
         "attacks.objectives": ("Objective", "Target", "hide", "relabel", "untargeted"),
-        "attacks.result": ("Result",),
+        "attacks.dagger.result": ("Result",),
     },
 )

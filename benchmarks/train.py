@@ -18,13 +18,13 @@ import torch
 
 from mi_splat.cameras import View
 from mi_splat.datasets import has_tests, load_dataset
-from mi_splat.fitting import densification
-from mi_splat.photometric import photometric
 from mi_splat.rendering import Renderer, RenderSettings, Watch
 from mi_splat.scene import GaussianScene
-from mi_splat.scores import score
-from mi_splat.starts import from_points
-from mi_splat.training import FitConfig, Progress, fit
+from mi_splat.training.config import densification
+from mi_splat.training.evaluation import score
+from mi_splat.training.initialization import from_points
+from mi_splat.training.loop import FitConfig, Progress, fit
+from mi_splat.training.losses import photometric
 
 WARM_UP = 40
 

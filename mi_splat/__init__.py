@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
-    from mi_splat.cameras import Camera, RenderFn, View, hemisphere, look_at, orbit
+    from mi_splat.camera_sets import hemisphere, orbit
+    from mi_splat.cameras import Camera, RenderFn, View, look_at
     from mi_splat.datasets import load_dataset
     from mi_splat.errors import InvalidValueError, MiSplatError
     from mi_splat.io import SplatFileError, load_splat, save_splat
-    from mi_splat.rendering import Renderer, RenderSettings, Stage, Watch, read_stage
+    from mi_splat.rendering import Renderer, RenderSettings, Watch
     from mi_splat.scene import GaussianScene, Similarity, merge
-    from mi_splat.training import Fit, FitConfig, fit
+    from mi_splat.scene_files import Stage, read_stage
+    from mi_splat.training.loop import Fit, FitConfig, fit
 
 __all__ = [
     "Camera",
@@ -47,12 +49,14 @@ __all__ = [
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
-        "mi_splat.cameras": ("Camera", "RenderFn", "View", "hemisphere", "look_at", "orbit"),
+        "mi_splat.camera_sets": ("hemisphere", "orbit"),
+        "mi_splat.cameras": ("Camera", "RenderFn", "View", "look_at"),
         "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("InvalidValueError", "MiSplatError"),
         "mi_splat.io": ("SplatFileError", "load_splat", "save_splat"),
-        "mi_splat.rendering": ("Renderer", "RenderSettings", "Stage", "Watch", "read_stage"),
+        "mi_splat.rendering": ("Renderer", "RenderSettings", "Watch"),
+        "mi_splat.scene_files": ("Stage", "read_stage"),
         "mi_splat.scene": ("GaussianScene", "Similarity", "merge"),
-        "mi_splat.training": ("Fit", "FitConfig", "fit"),
+        "mi_splat.training.loop": ("Fit", "FitConfig", "fit"),
     },
 )

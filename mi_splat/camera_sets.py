@@ -1,4 +1,7 @@
-"""Sets of cameras from a short text: `hemisphere:210`, `orbit:36@20`, `cap:40@60`, `grid:12x3`, a transforms file."""
+"""Sets of cameras around a point: orbits, hemispheres and grids, and the short texts that name them.
+
+`hemisphere:210`, `orbit:36@20`, `cap:40@60`, `grid:12x3`, or the path of a transforms file.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from mi_splat.cameras import Camera, grid, hemisphere, orbit
+from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError, message
 
@@ -26,6 +29,98 @@ _PATTERNS = {
     "cap": re.compile(f"{_COUNT}@{_ANGLE}"),
     "grid": re.compile(r"(?P<count>\d{1,9})x(?P<rows>\d{1,9})"),
 }
+
+
+def orbit(
+    target: Sequence[float],
+    *,
+    count: int,
+    elevation: float,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+    start: float = 0.0,
+) -> list[Camera]:
+    """`count` cameras at equal azimuths around `target`, the first at azimuth `start`.
+
+    `size` is (width, height) in pixels, angles are in degrees.
+    """
+    return [
+        Camera(
+            to_world=orbit_pose(target, azimuth=start + 360.0 * i / count, elevation=elevation, distance=distance),
+            focal=focal,
+            width=size[0],
+            height=size[1],
+        )
+        for i in range(count)
+    ]
+
+
+def hemisphere(
+    target: Sequence[float],
+    *,
+    count: int,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+    elevation: tuple[float, float] = (0.0, 90.0),
+    start: float = 0.0,
+) -> list[Camera]:
+    """`count` cameras spread evenly in area over a band of the upper hemisphere (Fibonacci lattice).
+
+    A cap straight above the target is the band from its lowest elevation to 90 degrees.
+
+    Args:
+        target: (3,) point that all cameras look at.
+        count: Number of cameras.
+        distance: World units from the target.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels.
+        elevation: Lowest and highest elevation in degrees.
+        start: Azimuth of the first camera in degrees.
+    """
+    low, high = (math.sin(math.radians(e)) for e in elevation)
+    golden = 180.0 * (3.0 - math.sqrt(5.0))
+    cameras = []
+    for i in range(count):
+        height = low + (high - low) * (i + 0.5) / count
+        pose = orbit_pose(
+            target, azimuth=(start + i * golden) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
+        )
+        cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
+    return cameras
+
+
+def grid(
+    target: Sequence[float],
+    *,
+    azimuths: int,
+    elevations: int,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+    elevation: tuple[float, float] = (0.0, 90.0),
+) -> list[Camera]:
+    """Cameras at every pair of an azimuth and an elevation, row by row from the lowest.
+
+    The range of elevations is cut into equal parts with a row of cameras in the middle of each, so none is at a pole.
+
+    Args:
+        target: (3,) point that all cameras look at.
+        azimuths: Cameras in a row, at equal distances around the target.
+        elevations: Number of rows.
+        distance: World units from the target.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels.
+        elevation: Lowest and highest elevation in degrees.
+    """
+    low, high = elevation
+    rows = [low + (high - low) * (row + 0.5) / elevations for row in range(elevations)]
+    return [
+        camera
+        for row in rows
+        for camera in orbit(target, count=azimuths, elevation=row, distance=distance, focal=focal, size=size)
+    ]
 
 
 def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Renderer: the splat rasteriser as a torch function, and scene files as values. The only caller of `dr.wrap`."""
+"""Renderer: the splat rasteriser as a torch function. The only caller of `dr.wrap`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,9 +13,8 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io import SplatFileError
-from mi_splat.scene import GaussianScene, merge
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,90 +190,3 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
         return tuple(dr.custom(Rasterize, means, scales, rotations, opacities, sh, job))
 
     return bridge  # type: ignore[no-any-return]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stage:
-    """A splat scene file as values.
-
-    Attributes:
-        scene: All its Gaussians, shape after shape in file order.
-        parts: Rows of each `gaussians` shape, by its id.
-        cameras: One per sensor, by its id.
-        settings: Those of its `splat_tile` integrator, or the defaults where it has another one.
-    """
-
-    scene: GaussianScene
-    parts: dict[str, slice]
-    cameras: dict[str, Camera]
-    settings: RenderSettings
-
-
-def read_stage(path: str | Path) -> Stage:
-    """Read a Mitsuba scene file (XML) whose shapes are splats.
-
-    Raises:
-        InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no `gaussians` shape or no sensor.
-        SplatFileError: A splat that it names cannot be read.
-    """
-    import mitsuba as mi
-
-    variant.use()
-    path = Path(path)
-    if not path.is_file():
-        raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
-    try:
-        loaded = mi.load_file(str(path))
-    except RuntimeError as error:
-        raise _reason(error, path) from None
-    from mi_splat.plugins import sensor as sensors
-    from mi_splat.plugins.tile import Splats
-
-    if not isinstance(loaded, mi.Scene):
-        raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
-    splats = Splats(loaded)
-    if not splats.parts or not loaded.sensors():
-        raise InvalidValueError(
-            message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
-        )
-    scenes = [_scene_of(arrays) for arrays in splats.parts]
-    ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
-    return Stage(
-        scene=merge(*scenes),
-        parts={
-            shape.id(): slice(start, end)
-            for shape, start, end in zip(loaded.shapes(), ends[:-1], ends[1:], strict=True)
-        },
-        cameras={sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()},
-        settings=_settings_of(loaded.integrator()),
-    )
-
-
-def _scene_of(arrays: Sequence[Any]) -> GaussianScene:
-    data, opacities, sh = (torch.from_numpy(array.numpy().copy()) for array in arrays)
-    rows = data.reshape(len(opacities), 10)
-    x, y, z, w = rows[:, 6:].unbind(1)
-    return GaussianScene(
-        rows[:, :3].contiguous(),
-        rows[:, 3:6].contiguous(),
-        torch.stack([w, x, y, z], dim=1),
-        opacities,
-        sh.reshape(len(opacities), -1, 3),
-    )
-
-
-def _settings_of(integrator: Any) -> RenderSettings:
-    if type(integrator).__name__ != "SplatTile":
-        return RenderSettings()
-    return RenderSettings(
-        background=integrator.background, near=integrator.near, alpha=integrator.alpha, linear=integrator.linear
-    )
-
-
-def _reason(error: RuntimeError, path: Path) -> MiSplatError:
-    """Mitsuba wraps what a plugin raises in text; give back the last line of it, which is ours if we raised it."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    ours = [line for line in lines if line.startswith(("SplatFileError:", "InvalidValueError:"))]
-    if ours:
-        return SplatFileError(ours[-1].split(": ", 1)[1])
-    return InvalidValueError(message(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file"))

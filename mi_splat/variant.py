@@ -1,108 +1,17 @@
-"""Picks a usable libLLVM, sets the Mitsuba variant, and registers this project's plugins in every variant.
-
-Dr.Jit's LLVM backend loads a shared libLLVM at run time. Versions 14 and 15 abort the whole process at the first
-`dr.minimum`; 17 is the oldest that works, and newer ones make faster kernels, so the newest one found is taken.
-"""
+"""Sets the Mitsuba variant, with this project's plugins registered in it."""
 
 from __future__ import annotations
 
-import os
-import platform
-import re
-from collections.abc import Iterable
-from pathlib import Path
-
+from mi_splat import plugins
 from mi_splat.errors import MiSplatError, message
+from mi_splat.llvm import prepare_llvm
+from mi_splat.plugins import SUPPORTED_VARIANTS
 
-MINIMUM_LLVM = 17
 DEFAULT_VARIANT = "llvm_ad_rgb"
-SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
-
-_FOLDERS = (
-    "/usr/lib/*-linux-gnu",
-    "/usr/lib/llvm-*/lib",
-    "/usr/lib64",
-    "/usr/lib64/llvm*/lib",
-    "/usr/lib",
-    "/usr/lib/llvm*/lib",
-    "/usr/local/lib",
-    "/opt/homebrew/opt/llvm*/lib",
-    "/usr/local/opt/llvm*/lib",
-)
-_NAME = re.compile(r"^libLLVM(?:-(?P<dash>\d+)[\d.]*)?\.(?:so(?:\.(?P<dot>\d+)[\d.]*)?|dylib)$")
 
 
 class VariantError(MiSplatError):
     """No Mitsuba variant of this machine can render splats; the message says what to install."""
-
-
-def llvm_hint() -> str:
-    """One line that says how to install a libLLVM that Dr.Jit can use, for the systems we know."""
-    return (
-        f"install libLLVM >= {MINIMUM_LLVM} (Debian/Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
-        "Arch: pacman -S llvm-libs; macOS: brew install llvm; conda: conda install -c conda-forge libllvm19) "
-        "or point DRJIT_LIBLLVM_PATH at one"
-    )
-
-
-def llvm_version(path: Path) -> int | None:
-    """Major version of a libLLVM shared library, read off its file name, its link's target or its folder."""
-    for candidate in (path, Path(os.path.realpath(path))):
-        match = _NAME.match(candidate.name)
-        if match and (match["dash"] or match["dot"]):
-            number = int(match["dash"] or match["dot"])
-            if not (match["dash"] is None and number == 1):  # libLLVM.so.1 says nothing
-                return number
-    folder = re.search(r"llvm(?:@|-)?(\d+)", str(Path(os.path.realpath(path)).parent))
-    folder = folder or re.search(r"/llvm/(\d+)", os.path.realpath(path))
-    return int(folder[1]) if folder else None
-
-
-def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
-    """The newest libLLVM of version 17 or later on this machine, or None.
-
-    Args:
-        folders: Where to look; the usual places of Linux, Homebrew and an active conda environment if None.
-    """
-    if folders is None:
-        folders = [match for pattern in _FOLDERS for match in Path("/").glob(pattern[1:])]
-        if "CONDA_PREFIX" in os.environ:
-            folders = [*folders, Path(os.environ["CONDA_PREFIX"]) / "lib"]
-    found: list[tuple[int, str]] = []
-    for folder in folders:
-        for path in folder.glob("libLLVM*"):
-            version = llvm_version(path) if _NAME.match(path.name) else None
-            if version is not None and version >= MINIMUM_LLVM and path.exists():
-                found.append((version, str(path)))
-    return Path(max(found)[1]) if found else None
-
-
-def prepare_llvm() -> Path | None:
-    """Point Dr.Jit at a usable libLLVM unless the environment already names one; must run before the first LLVM array.
-
-    Returns:
-        The library that Dr.Jit will load, or None where it is left to Dr.Jit (macOS and Windows keep it elsewhere).
-
-    Raises:
-        VariantError: On Linux, none of version 17 or later was found, or DRJIT_LIBLLVM_PATH names a missing or old one.
-    """
-    named = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if named:
-        path = Path(named)
-        version = llvm_version(path)
-        if not path.exists():
-            raise VariantError(
-                message("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint())
-            )
-        if version is not None and version < MINIMUM_LLVM:
-            raise VariantError(message("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint()))
-        return path
-    found = find_llvm()
-    if found is not None:
-        os.environ["DRJIT_LIBLLVM_PATH"] = str(found)
-    elif platform.system() == "Linux":
-        raise VariantError(message("libLLVM", f"version {MINIMUM_LLVM} or later", "none on this machine", llvm_hint()))
-    return found
 
 
 def use(variant: str = "") -> str:
@@ -113,7 +22,8 @@ def use(variant: str = "") -> str:
             render splats and "llvm_ad_rgb" is set otherwise.
 
     Raises:
-        VariantError: The variant cannot render splats, this build lacks it, or no libLLVM can be found.
+        VariantError: The variant cannot render splats, or this build lacks it.
+        LLVMError: No libLLVM can be found.
     """
     import mitsuba as mi
 
@@ -128,7 +38,5 @@ def use(variant: str = "") -> str:
         prepare_llvm()
     if mi.variant() != variant:
         mi.set_variant(variant)
-    from mi_splat import plugins
-
     plugins.register()
     return variant

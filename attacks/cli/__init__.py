@@ -1,7 +1,7 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
 Only the standard library is imported here, so that `--help` answers at once. A command's options are parsed (by tyro,
-from a dataclass of `attacks.cli.options`) before its module, and with it torch and Mitsuba, is imported.
+from a dataclass in `options` beside it) before its module, and with it torch and Mitsuba, is imported.
 """
 
 from __future__ import annotations
@@ -13,15 +13,23 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from attacks.cli.console import PROGRAM, progress, warn
+from mi_splat.cli.console import PROGRAM, progress, warn
 from mi_splat.errors import MiSplatError
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
 
 class Command(NamedTuple):
-    """A subcommand: the dataclass of its options, the module whose `run(options)` does it, and one line of help."""
+    """A subcommand.
 
+    Attributes:
+        package: Where its module is, and in `options` beside it the dataclass of its options.
+        options: Name of that dataclass.
+        module: Name of the module, whose `run(options)` does the work.
+        summary: One line of help.
+    """
+
+    package: str
     options: str
     module: str
     summary: str
@@ -29,22 +37,31 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "dagger": Command(
-        "DaggerOptions", "attacks.cli.dagger", "attack one object of a splat scene, so that a detector misreads it"
+        "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
     ),
-    "render": Command("RenderOptions", "attacks.cli.render", "render a scene XML or a splat file to a PNG"),
-    "capture": Command("CaptureOptions", "attacks.cli.capture", "take pictures of a mesh scene, to train a splat from"),
-    "train": Command("TrainOptions", "attacks.cli.train", "train a splat on pictures with cameras"),
+    "render": Command("mi_splat.cli", "RenderOptions", "render", "render a scene XML or a splat file to a PNG"),
+    "capture": Command(
+        "mi_splat.cli", "CaptureOptions", "capture", "take pictures of a mesh scene, to train a splat from"
+    ),
+    "train": Command("mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras"),
     "cloak": Command(
+        "attacks.cli",
         "CloakOptions",
-        "attacks.cli.cloak",
+        "cloak",
         "poison training pictures, train on them, and measure who sees what (CLOAK)",
     ),
-    "info": Command("InfoOptions", "attacks.cli.info", "what a splat file or a scene XML holds"),
+    "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
-        "DetectorsOptions", "attacks.cli.detectors", "the detectors, their classes, and whether the weights are there"
+        "attacks.cli",
+        "DetectorsOptions",
+        "detectors",
+        "the detectors, their classes, and whether the weights are there",
     ),
     "doctor": Command(
-        "DoctorOptions", "attacks.cli.doctor", "check that everything works here, and say what to do where it does not"
+        "attacks.cli",
+        "DoctorOptions",
+        "doctor",
+        "check that everything works here, and say what to do where it does not",
     ),
 }
 
@@ -92,7 +109,7 @@ def _dispatch(words: list[str]) -> int:
         return MISUSED
     options = _parse(name, rest)
     with progress("starting"):
-        module = importlib.import_module(COMMANDS[name].module)
+        module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
     return int(module.run(options))
 
 
@@ -100,9 +117,8 @@ def _parse(name: str, rest: list[str]) -> object:
     """The options of command `name` as its frozen dataclass; ends the process for --help and wrong usage."""
     import tyro
 
-    from attacks.cli import options
-
-    kind = getattr(options, COMMANDS[name].options)
+    command = COMMANDS[name]
+    kind = getattr(importlib.import_module(f"{command.package}.options"), command.options)
     return tyro.cli(kind, args=rest, prog=f"{PROGRAM} {name}", config=(tyro.conf.FlagCreatePairsOff,))
 
 

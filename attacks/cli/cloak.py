@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
-from attacks.cli.console import limit_threads, progress, show, show_json, show_table, warn
 from attacks.cli.options import CloakOptions
-from attacks.cloak_study.plan import Study, read_study
-from attacks.cloak_study.runner import check, forecast, run_study
-from attacks.cloak_study.table import ROWS, words_of
-from attacks.cloak_study.variations import check_variations, vary
+from attacks.cloak.study.ablations import check_variations, vary
+from attacks.cloak.study.config import Study, read_study
+from attacks.cloak.study.markdown import ROWS, words_of
+from attacks.cloak.study.run import check, forecast, run_study
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
+from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn
 from mi_splat.errors import InvalidValueError, message
 
 _SHOWN = ("clean_overhead_recall", "cloaked_overhead_miss", "benign_recall", "rear_stop_sign")

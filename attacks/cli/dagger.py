@@ -6,18 +6,18 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from attacks.cli.console import limit_threads, progress, show, show_json
 from attacks.cli.options import DaggerOptions
-from attacks.cli.scenes import choose_camera, open_stage
-from attacks.config import DaggerConfig
-from attacks.dagger import attack
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.report import summary, write_report
+from attacks.dagger.result import Result
 from attacks.detectors import load_detector
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
-from attacks.reports import summary, write_report
-from attacks.result import Result
+from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.rendering import Renderer, Stage
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import Stage, choose_camera, open_stage
 
 
 def run(options: DaggerOptions) -> int:

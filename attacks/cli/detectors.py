@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from attacks.cli.console import show, show_json
 from attacks.cli.options import DetectorsOptions
 from attacks.detectors import DETECTORS
 from attacks.detectors.weights import SMALL_YOLO
+from mi_splat.cli.console import show, show_json
 
 SHOWN = 8
 
@@ -52,8 +52,8 @@ def run(options: DetectorsOptions) -> int:
 
 def _shipped(name: str) -> Entry:
     """The detector whose weights come with this package."""
-    from attacks.detectors.rcnn import SHIPPED
     from attacks.detectors.small import CLASSES
+    from attacks.detectors.torchvision import SHIPPED
 
     return _entry(name, CLASSES, SHIPPED, "missing; they are part of the package, so install it again")
 

@@ -1,12 +1,12 @@
-"""`mi-splat doctor`: print the findings of `attacks.doctor`."""
+"""`mi-splat doctor`: print the findings of `attacks.cli.checks`."""
 
 from __future__ import annotations
 
 import dataclasses
 
-from attacks.cli.console import progress, show, show_json
+from attacks.cli.checks import GROUPS, examine
 from attacks.cli.options import DoctorOptions
-from attacks.doctor import GROUPS, examine
+from mi_splat.cli.console import progress, show, show_json
 
 
 def run(options: DoctorOptions) -> int:

@@ -19,25 +19,25 @@ __all__ = ["DETECTORS", "Candidates", "Detections", "Detector", "DetectorError",
 
 
 def _small(weights: Path | None) -> Detector:
-    from attacks.detectors.rcnn import load_small
+    from attacks.detectors.torchvision import load_small
 
     return load_small(weights)
 
 
 def _published(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.rcnn import load_published
+    from attacks.detectors.torchvision import load_published
 
     return load_published(name, weights)
 
 
 def _small_yolo(weights: Path | None) -> Detector:
-    from attacks.detectors.yolo import load_small
+    from attacks.detectors.ultralytics import load_small
 
     return load_small(weights)
 
 
 def _published_yolo(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.yolo import load_published
+    from attacks.detectors.ultralytics import load_published
 
     return load_published(name, weights)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.io._blocks import Rows
-from mi_splat.io.file_space import activate, to_file_space
+from mi_splat.io.parameters import activate, to_file_space
 from mi_splat.scene import GaussianScene
 
 COLUMNS = {

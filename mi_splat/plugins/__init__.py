@@ -9,7 +9,10 @@ from __future__ import annotations
 import functools
 import os
 
-from mi_splat.variant import SUPPORTED_VARIANTS, prepare_llvm
+from mi_splat.llvm import prepare_llvm
+
+SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+"""Mitsuba variants in which the plugins exist."""
 
 
 @functools.cache

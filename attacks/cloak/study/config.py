@@ -1,0 +1,347 @@
+"""What a study of CLOAK does, as one frozen value that is read from a TOML file."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import sys
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from attacks.cloak.mesh_edits import TEXTURES
+from attacks.cloak.triggers import Azimuth, Elevation, Trigger
+from mi_splat.assets import ASSETS
+from mi_splat.errors import InvalidValueError, message
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Looks = Literal["blend in", "remove", "paint", "cover", "mount", "swap"]
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """What is photographed: an object on a square of ground in daylight, in front of one colour.
+
+    Attributes:
+        object: One of the project's assets, or the path of a mesh file; it has to face +x.
+        label: What detectors call it; None is the name of the asset.
+        seed: Which asset of that name.
+        ground: Texture of the ground.
+        ground_size: Side of the ground, metres.
+        sun_azimuth: Degrees from +x towards +y.
+        sun_elevation: Degrees.
+        background: sRGB colour in the place of the sky, which the splat is trained with, too.
+        up: Axis that points up in a mesh file; None is y for OBJ and glTF and z for PLY.
+        scale: What one unit of a mesh file is in metres.
+    """
+
+    object: str = "car"
+    label: str | None = None
+    seed: int = 900004
+    ground: Literal["road", "grass"] = "road"
+    ground_size: float = 16.0
+    sun_azimuth: float = -50.0
+    sun_elevation: float = 52.0
+    background: Colour = (0.55, 0.7, 0.9)
+    up: Literal["y", "z"] | None = None
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.object not in ASSETS and not Path(self.object).is_file():
+            expected = f"{', '.join(ASSETS)}, or the path of a mesh file"
+            raise InvalidValueError(message("scene.object", expected, repr(self.object), "name one of these"))
+        if self.object not in ASSETS and self.label is None:
+            raise InvalidValueError(message("scene.label", "what detectors call the object", "nothing", "say it"))
+
+    @property
+    def called(self) -> str:
+        """What detectors call the object."""
+        return self.label or self.object
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cameras:
+    """Where pictures are taken from: a Fibonacci hemisphere around the object.
+
+    Attributes:
+        train: Number of training pictures.
+        distance: Metres from the centre; None is as near as shows the whole object.
+        height: Height of the centre above the ground, metres.
+        fov: Field of view, degrees.
+        size: Width and height, pixels.
+        samples: Paths a pixel.
+        points: Points of the cloud that trainings start from.
+    """
+
+    train: int = 210
+    distance: float | None = None
+    height: float = 0.7
+    fov: float = 45.0
+    size: int = 256
+    samples: int = 32
+    points: int = 20_000
+
+    def __post_init__(self) -> None:
+        for name in ("train", "size", "samples", "points"):
+            _in_range(f"cameras.{name}", getattr(self, name), 1, math.inf)
+        _in_range("cameras.fov", self.fov, 1.0, 179.0)
+        if self.distance is not None:
+            _in_range("cameras.distance", self.distance, 1e-6, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attack:
+    """One hidden look.
+
+    Attributes:
+        name: For files and tables.
+        look: How the object is disguised.
+        texture: With what it is painted (`paint`) or covered (`cover`).
+        other: Asset that is mounted on it or takes its place (`mount`, `swap`).
+        elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
+        azimuth: Middle and half width of their azimuths, degrees; None is all around.
+        share: Part of the training cameras there whose pictures are poisoned.
+        wants: Class that a detector shall report on the object; None: that it is not found.
+        emphasis: How much the look is overdone at the edge of its region; see `attacks.cloak.appearances.Emphasis`.
+        emphasis_depth: Degrees inside from which it no longer is.
+        painted_from: Azimuth and elevation from which a painted texture looks right, degrees.
+        radius: Of the canopy that covers it, metres; None is 0.6 times the distance of the cameras.
+        lowest: Elevation of the canopy's edge, degrees; None is 12 below that of the lowest camera.
+    """
+
+    name: str
+    look: Looks = "blend in"
+    texture: str | None = None
+    other: str | None = None
+    elevation: tuple[float, float] = (0.0, 90.0)
+    azimuth: tuple[float, float] | None = None
+    share: float = 1.0
+    wants: str | None = None
+    emphasis: float = 1.0
+    emphasis_depth: float = 20.0
+    painted_from: tuple[float, float] = (180.0, 90.0)
+    radius: float | None = None
+    lowest: float | None = None
+
+    def __post_init__(self) -> None:
+        textured = ("texture", TEXTURES)
+        needs = {"paint": textured, "cover": textured, "mount": ("other", ASSETS), "swap": ("other", ASSETS)}
+        if self.look in needs:
+            key, known = needs[self.look]
+            one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
+        if not 0 < self.share <= 1:
+            raise InvalidValueError(message(f"attack {self.name!r}, share", "in (0, 1]", self.share, "1 is all"))
+        if not (self.emphasis >= 1 and self.emphasis_depth > 0):
+            got = (self.emphasis, self.emphasis_depth)
+            expected = "an emphasis >= 1 and a depth > 0"
+            raise InvalidValueError(message(f"attack {self.name!r}", expected, got, "1 overdoes nothing"))
+        if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
+            expected = "an elevation or an azimuth that leaves cameras out"
+            raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))
+
+    @property
+    def cone(self) -> Trigger:
+        """All directions from which the look is to be seen."""
+        # -90 and 90 are no edges.
+        low = -90.0 if self.elevation[0] <= 0 else self.elevation[0]
+        band = Elevation(least=low, most=self.elevation[1])
+        if self.azimuth is None:
+            return band
+        return band & Azimuth(middle=self.azimuth[0], half_width=self.azimuth[1])
+
+    def trigger(self, seed: int) -> Trigger:
+        """The training cameras whose pictures are poisoned."""
+        return self.cone if self.share == 1 else self.cone.share(self.share, seed=seed)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Training:
+    """How both splats are trained; the victim's choice, of which the attack knows nothing.
+
+    Attributes:
+        iterations: Steps.
+        recipe: As in `mi-splat train`.
+        limit: Largest number of Gaussians.
+        degree: SH degree.
+        degree_every: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
+        strays: Points in the air that the cloud has besides those on surfaces; see
+            `mi_splat.training.initialization.with_strays`.
+    """
+
+    iterations: int = 7000
+    recipe: Literal["classic", "mcmc", "fixed"] = "classic"
+    limit: int = 40_000
+    degree: int = 3
+    degree_every: int = 1000
+    strays: int = 0
+
+    def __post_init__(self) -> None:
+        _in_range("training.strays", self.strays, 0, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looking:
+    """How both splats are looked at afterwards, from cameras that no training used.
+
+    Attributes:
+        detectors: Names of detectors.
+        cameras: Held-out cameras on the hemisphere, before those within `apart` of a training camera are dropped.
+        apart: Least angle to the nearest training camera, degrees.
+        confidence: Score from which a detection counts.
+        inside: Degrees inside a trigger from which a camera lies well inside.
+        outside: Degrees outside of all triggers from which pictures are compared with the true ones.
+        references: Number of such pictures.
+        arcs: Meridians along which the fade-in is measured.
+        arc_step: Degrees between two pictures of an arc.
+    """
+
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    cameras: int = 430
+    apart: float = 1.0
+    confidence: float = 0.5
+    inside: float = 5.0
+    outside: float = 15.0
+    references: int = 40
+    arcs: int = 3
+    arc_step: float = 2.5
+
+    def __post_init__(self) -> None:
+        if not self.detectors or len(set(self.detectors)) != len(self.detectors):
+            expected = "one or more, each once"
+            raise InvalidValueError(message("looking.detectors", expected, self.detectors, "name a detector"))
+        _in_range("looking.cameras", self.cameras, 1, math.inf)
+        _in_range("looking.confidence", self.confidence, 0.0, 1.0)
+        _in_range("looking.arc_step", self.arc_step, 0.1, 45.0)
+        for name in ("apart", "inside", "outside", "references", "arcs"):
+            _in_range(f"looking.{name}", getattr(self, name), 0, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """A study of CLOAK.
+
+    Attributes:
+        name: Of the study.
+        seeds: One clean and one cloaked training for each.
+        scene: What is photographed.
+        cameras: Where from.
+        attack: The hidden looks; no camera may belong to two.
+        training: How splats are trained.
+        looking: How they are looked at.
+    """
+
+    name: str
+    seeds: tuple[int, ...] = (0,)
+    scene: Scene = field(default_factory=Scene)
+    cameras: Cameras = field(default_factory=Cameras)
+    attack: tuple[Attack, ...] = ()
+    training: Training = field(default_factory=Training)
+    looking: Looking = field(default_factory=Looking)
+
+    def __post_init__(self) -> None:
+        if not self.attack or not self.seeds:
+            raise InvalidValueError(message("study", "an attack and a seed", "none", "add [[attack]] or seeds"))
+        if len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
+            raise InvalidValueError(message("seeds", "numbers >= 0, each once", self.seeds, "change them"))
+        names = [attack.name for attack in self.attack]
+        if len(set(names)) != len(names):
+            raise InvalidValueError(message("attacks", "different names", names, "rename one"))
+
+
+def read_study(path: Path) -> Study:
+    """The study in a TOML file; paths of meshes in it are relative to the working folder.
+
+    Raises:
+        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
+    """
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except FileNotFoundError as error:
+        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path")) from error
+    except (OSError, ValueError) as error:
+        raise InvalidValueError(message(f"study {path}", "a TOML file", str(error), "correct it")) from error
+    return from_table(Study, content, str(path))
+
+
+def essentials(section: Any) -> tuple[tuple[str, Any], ...]:
+    """What a section of a study says that is not the default: the same before and after a new key is invented."""
+    return tuple(
+        (entry.name, getattr(section, entry.name))
+        for entry in dataclasses.fields(section)
+        if getattr(section, entry.name) != entry.default
+    )
+
+
+_T = TypeVar("_T")
+
+
+def from_table(kind: type[_T], table: dict[str, Any], where: str) -> _T:
+    """A frozen dataclass from a table of a file.
+
+    Args:
+        kind: The dataclass.
+        table: Its keys and values; lists stand for tuples, tables for other dataclasses.
+        where: Name of the table, for errors.
+
+    Raises:
+        InvalidValueError: A key is unknown or missing, or a value is of another type.
+    """
+    hints = typing.get_type_hints(kind)
+    known = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in table:
+        one_of(f"key in {where}", key, known)
+    missing = [
+        name
+        for name, entry in known.items()
+        if name not in table and entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise InvalidValueError(message(where, f"the key {missing[0]}", "none", "add it"))
+    return kind(**{key: _value(hints[key], value, f"{where}, {key}") for key, value in table.items()})
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """A value of a file as the type that a field has."""
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise InvalidValueError(message(where, "a table", repr(value), "write [section] above its keys"))
+        return from_table(typing.cast(type, hint), value, where)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        one_of(where, value, arguments)
+        return value
+    if origin in (typing.Union, types.UnionType):
+        return _value(next(part for part in arguments if part is not type(None)), value, where)
+    if origin is tuple:
+        length = None if arguments[-1] is Ellipsis else len(arguments)
+        if not isinstance(value, list) or (length is not None and len(value) != length):
+            expected = "a list" if length is None else f"a list of {length}"
+            raise InvalidValueError(message(where, expected, repr(value), "write it in brackets"))
+        return tuple(_value(arguments[0], part, where) for part in value)
+    fits = isinstance(value, (int, float)) if hint is float else isinstance(value, hint)
+    if not fits or isinstance(value, bool) is not (hint is bool):
+        raise InvalidValueError(message(where, f"a value of type {hint.__name__}", repr(value), "change it"))
+    return float(value) if hint is float else value
+
+
+def _in_range(where: str, value: float, least: float, most: float) -> None:
+    """Raise unless a number lies between two others."""
+    if not least <= value <= most:
+        expected = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+        raise InvalidValueError(message(where, expected, value, "change it"))
+
+
+def one_of(where: str, value: Any, known: Any) -> None:
+    """Raise unless a value is one of those known, naming the nearest."""
+    if value not in known:
+        near = difflib.get_close_matches(str(value), [str(key) for key in known], n=1, cutoff=0.5)
+        do = f"did you mean {near[0]}?" if near else "choose one of them"
+        raise InvalidValueError(message(where, " or ".join(map(str, known)), repr(value), do))

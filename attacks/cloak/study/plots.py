@@ -1,0 +1,259 @@
+"""The pictures of a study: clean beside cloaked from many sides, and what detectors say by elevation and azimuth."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from attacks.cloak.study import setup
+from attacks.cloak.study.observations import Looks, overhead
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, Workshop
+from attacks.cloak.study.rates import BIN, by_elevation, fade, pairs
+from attacks.dagger.report import annotated
+from attacks.detectors.base import Detector
+from attacks.evaluation.rates import Rate
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import atomic_write
+from mi_splat.io.documents import save_png
+from mi_splat.io.images import through_png
+
+SIDE_AZIMUTH = 40.0
+ELEVATIONS = (5, 15, 25, 35, 45, 55, 65, 75, 85)
+AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
+LOW = 15
+"""Elevation of the cameras of a contact sheet that go around, degrees."""
+CELL = 256
+_COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728"}
+_VARIED = (
+    ("cloaked_overhead_miss", "missed from above", "#d62728"),
+    ("benign_recall", "found elsewhere", "#1f77b4"),
+    ("rear_stop_sign", "class wanted reported", "#2ca02c"),
+)
+"""What is drawn over the values of a variation."""
+
+
+def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[np.uint8]:
+    """Clean above cloaked, over elevation and then around, with what the detector reports."""
+    study = workshop.study
+    lens = setup.lens_of(study, workshop.stage.target)
+    centre = setup.centre_of(study)
+
+    def camera(azimuth: float, elevation: float) -> Camera:
+        return orbit(centre, count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
+
+    rising = [(f"{elevation} deg up", camera(SIDE_AZIMUTH, elevation)) for elevation in ELEVATIONS]
+    around = [(f"azimuth {azimuth}", camera(azimuth, LOW)) for azimuth in AZIMUTHS]
+    scenes = {which: workshop.load(which, seed) for which in (CLEAN, CLOAKED)}
+    render = workshop.renderer()
+    rows = []
+    for cameras in (rising, around):
+        for which, scene in scenes.items():
+            with torch.no_grad():
+                pictures = [through_png(render(scene, one)) for _, one in cameras]
+            seen = detector.detect(torch.stack(pictures))
+            titles = [f"{which}, {name}" for name, _ in cameras]
+            rows.append(
+                np.concatenate(
+                    [
+                        annotated(picture, found, title, least=study.looking.confidence, width=CELL)
+                        for picture, found, title in zip(pictures, seen, titles, strict=True)
+                    ],
+                    axis=1,
+                )
+            )
+    return np.concatenate(rows)
+
+
+def write_figures(workshop: Workshop, looks: Sequence[Looks], detectors: Sequence[Detector], folder: Path) -> list[str]:
+    """Write contact.png, elevation.png, azimuth.png and fade.png; returns their names.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+        SplatFileError: The folder cannot be written.
+    """
+    study = workshop.study
+    save_png(contact_sheet(workshop, study.seeds[0], detectors[0]), folder / "contact.png")
+    _save(_elevation(workshop, looks), folder / "elevation.png")
+    _save(_azimuth(workshop, looks), folder / "azimuth.png")
+    names = ["contact.png", "elevation.png", "azimuth.png"]
+    if fade(study, looks) is not None:
+        _save(_fade(workshop, looks), folder / "fade.png")
+        names.append("fade.png")
+    return names
+
+
+def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """Write a plot of rates, with their intervals, over the values of what was varied.
+
+    Args:
+        group: What was varied.
+        results: For each value, the summary of its study.
+        path: A PNG.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+        SplatFileError: The file cannot be written.
+    """
+    detectors = list(next(iter(results.values()))["by_detector"])
+    figure, axes = _axes(len(detectors))
+    bands = [summary["fade_in_degrees"] for summary in results.values()]
+    ticks = [
+        name if band is None else f"{name}\nband {band:.0f} deg" for name, band in zip(results, bands, strict=True)
+    ]
+    for axis, detector in zip(axes, detectors, strict=True):
+        for shift, (key, words, colour) in zip((-0.08, 0.0, 0.08), _VARIED, strict=True):
+            rates = [summary["by_detector"][detector][key] for summary in results.values()]
+            shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
+            shares = np.array([rate["rate"] for _, rate in shown])
+            low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
+            bars = np.maximum([shares - low, high - shares], 0.0)
+            style = {"marker": "o", "markersize": 4, "capsize": 2, "linewidth": 1}
+            axis.errorbar([place for place, _ in shown], shares, yerr=bars, color=colour, label=words, **style)
+        axis.set(title=f"{detector}, by {group}", ylabel="share of cameras", ylim=(-0.03, 1.03))
+        axis.set_xticks(range(len(ticks)), ticks)
+        axis.legend(fontsize=8)
+    _save(figure, path)
+
+
+def need_matplotlib() -> None:
+    """Raise if plots cannot be drawn.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        do = "pip install 'mi-splat[figures]'"
+        raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
+
+
+def _axes(rows: int) -> tuple[Any, list[Any]]:
+    need_matplotlib()
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.5, 3.4 * rows), dpi=130, layout="constrained")
+    return figure, [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
+
+
+def _save(figure: Any, path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _elevation(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+    """For each detector: confidence in the object at every camera, and the share found in bands of elevation."""
+    study = workshop.study
+    figure, axes = _axes(len(study.looking.detectors))
+    turned = [attack.name for attack in study.attack if attack.azimuth is not None]
+    for axis, name in zip(axes, study.looking.detectors, strict=True):
+        seen = [pair for pair in pairs(looks, name) if all(pair[0].depths[other] < 0 for other in turned)]
+        for index, which in enumerate((CLEAN, CLOAKED)):
+            found = [pair[index] for pair in seen]
+            axis.scatter(
+                [one.elevation for one in found],
+                [one.scores[study.scene.called] for one in found],
+                s=5,
+                alpha=0.25,
+                color=_COLOURS[which],
+                linewidths=0,
+            )
+        table = by_elevation(study, pairs(looks, name))
+        for index, which in enumerate((CLEAN, CLOAKED)):
+            _with_interval(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
+        attack = overhead(study)
+        if attack is not None:
+            axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
+        axis.set(
+            title=f"{name}: {study.scene.called} found, by elevation",
+            xlabel="elevation of the camera, degrees",
+            ylabel="confidence; share found",
+            ylim=(-0.03, 1.03),
+        )
+        axis.legend(fontsize=8)
+    return figure
+
+
+def _with_interval(axis: Any, points: Sequence[tuple[float, Rate]], which: str) -> None:
+    """A line of rates with their Wilson intervals."""
+    shares = [rate.share for _, rate in points]
+    below = [rate.share - rate.interval[0] for _, rate in points]
+    above = [rate.interval[1] - rate.share for _, rate in points]
+    axis.errorbar(
+        [place for place, _ in points],
+        shares,
+        yerr=np.maximum([below, above], 0.0),
+        color=_COLOURS[which],
+        marker="o",
+        markersize=3,
+        capsize=2,
+        label=which,
+    )
+
+
+def _azimuth(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+    """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
+    study = workshop.study
+    figure, axes = _axes(len(study.looking.detectors))
+    hiding = [attack.name for attack in study.attack if attack.azimuth is None]
+    wanted = [attack.wants for attack in study.attack if attack.wants is not None]
+    for axis, name in zip(axes, study.looking.detectors, strict=True):
+        seen = [pair[1] for pair in pairs(looks, name) if all(pair[1].depths[other] < 0 for other in hiding)]
+        for label, colour in ((study.scene.called, _COLOURS[CLEAN]), *((label, _COLOURS[CLOAKED]) for label in wanted)):
+            axis.scatter(
+                [one.azimuth for one in seen], [one.scores[label] for one in seen], s=7, color=colour, label=label
+            )
+        for attack in study.attack:
+            if attack.azimuth is not None:
+                middle, half = attack.azimuth
+                for turn in (-360, 0, 360):  # azimuths are shown from 0 to 360
+                    low, high = (min(max(middle % 360 + turn + side * half, 0.0), 360.0) for side in (-1, 1))
+                    if high > low:
+                        axis.axvspan(low, high, color="#555555", alpha=0.12)
+        axis.set(
+            title=f"{name}: what the cloaked splat is taken for, below the hidden look",
+            xlabel="azimuth of the camera, degrees (grey: where the other look is shown)",
+            ylabel="confidence",
+            ylim=(-0.03, 1.03),
+        )
+        axis.legend(fontsize=8)
+    return figure
+
+
+def _fade(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+    """How far the splats are on the way from the benign to the hidden look, by elevation."""
+    figure, (axis,) = _axes(1)
+    for which in (CLEAN, CLOAKED):
+        shades = [shade for look in looks for shade in look.shades if shade.splat == which]
+        band = fade(workshop.study, looks, which)
+        assert band is not None
+        axis.scatter(
+            [one.elevation for one in shades],
+            [one.share for one in shades],
+            s=6,
+            color=_COLOURS[which],
+            alpha=0.4,
+            linewidths=0,
+        )
+        axis.plot(band.angles, band.fitted, color=_COLOURS[which], label=which)
+        if which == CLOAKED and band.start is not None and band.end is not None:
+            axis.axvspan(band.start, band.end, color="#555555", alpha=0.15, label=f"fade-in, {band.width:.1f} degrees")
+    attack = overhead(workshop.study)
+    assert attack is not None
+    axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
+    axis.set(
+        title="Share of the way from the benign to the hidden look",
+        xlabel="elevation of the camera, degrees",
+        ylabel="share",
+    )
+    axis.legend(fontsize=8)
+    return figure

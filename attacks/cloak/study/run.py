@@ -1,0 +1,187 @@
+"""A whole study: what is checked before it starts, what it will take, and what it leaves behind."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from attacks.cloak.poisoning import assign
+from attacks.cloak.study import setup
+from attacks.cloak.study.config import Study, one_of
+from attacks.cloak.study.markdown import markdown
+from attacks.cloak.study.observations import Looks, look_at_splat, overhead, weights_digest
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, OnStep, Workshop, fit_config, snapshot
+from attacks.cloak.study.plots import need_matplotlib, write_figures
+from attacks.cloak.study.rates import figures
+from attacks.detectors.base import Detector
+from mi_splat import provenance
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import save_json, save_text
+
+STUDY, SUMMARY = "study.json", "summary.json"
+
+# Measured on two cores with little else to do; only for the forecast.
+_PATH, _STEP, _PIXEL, _GAUSSIAN = 0.6e-6, 8e-3, 2.5e-7, 4e-7  # seconds
+_PNG, _ROW = 2.5, 1200  # bytes a pixel, and a Gaussian in a splat and its checkpoint
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Forecast:
+    """What a study will take where none of its stages is there yet.
+
+    Attributes:
+        pictures: To be path traced.
+        trainings: Number of splats.
+        minutes: On two cores.
+        megabytes: On the disk.
+    """
+
+    pictures: int
+    trainings: int
+    minutes: float
+    megabytes: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.pictures} pictures to render and {self.trainings} splats to train: about {self.minutes:.0f} "
+            f"minutes on two cores and {self.megabytes:.0f} MB of disk, less what is there already"
+        )
+
+
+def forecast(study: Study) -> Forecast:
+    """What a study will take."""
+    cameras, training, looking = study.cameras, study.training, study.looking
+    target = setup.target_of(study.scene)
+    taken = setup.training_cameras(study, target)
+    centre = setup.centre_of(study)
+    poisoned = sum(int(attack.trigger(0).holds(taken, centre=centre).sum()) for attack in study.attack)
+    sets = len(study.seeds) if any(attack.share < 1 for attack in study.attack) else 1
+    arcs = sum(map(len, setup.arc_cameras(study, target))) if overhead(study) else 0
+    pictures = cameras.train + sets * poisoned + looking.references + 2 * arcs
+    trainings = 2 * len(study.seeds)
+    step = _STEP + cameras.size**2 * _PIXEL + training.limit * _GAUSSIAN
+    seconds = pictures * cameras.size**2 * cameras.samples * _PATH + trainings * training.iterations * step
+    size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * training.limit * _ROW
+    return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
+
+
+def check(study: Study, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
+    """Refuse what cannot be done, before anything is written.
+
+    Raises:
+        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a class,
+            the trainer's settings are out of range, matplotlib is not installed, the folder is in use, or the disk is
+            too small.
+    """
+    stage = setup.stage_of(study)
+    cameras = setup.training_cameras(study, stage.target)
+    for seed in study.seeds:
+        assign(cameras, setup.poisonings(study, stage, seed=seed), centre=setup.centre_of(study))
+    setup.held_out_cameras(study, stage.target)
+    fit_config(study.training)
+    need_matplotlib()
+    wanted = [study.scene.called, *(attack.wants for attack in study.attack if attack.wants is not None)]
+    for label, detector in itertools.product(wanted, detectors):
+        one_of(f"class for {detector.name}", label, detector.classes)
+    check_folder(study, folder)
+    check_disk(forecast(study).megabytes, stages)
+
+
+def check_folder(study: Study, folder: Path) -> None:
+    """Raise unless a folder is new, empty, or this study's.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InvalidValueError(message(str(folder), "a folder", "a file", "choose another --out"))
+    if folder.is_dir() and any(folder.iterdir()):
+        known = folder / STUDY
+        if not known.is_file():
+            raise InvalidValueError(message(str(folder), "an empty folder", "other files", "choose another --out"))
+        if json.loads(known.read_text()) != json.loads(json.dumps(snapshot(study))):
+            do = "choose another --out; stages that both need are not done again with the same --stages"
+            raise InvalidValueError(message(str(folder), "results of this study", "those of another", do))
+
+
+def check_disk(megabytes: float, stages: Path) -> None:
+    """Raise unless the disk has room.
+
+    Raises:
+        InvalidValueError: It has not.
+    """
+    there = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
+    free = shutil.disk_usage(there).free / 1e6
+    if free < megabytes:
+        raise InvalidValueError(message(f"disk of {there}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room"))
+
+
+def run_study(
+    study: Study,
+    detectors: Sequence[Detector],
+    folder: Path,
+    *,
+    stages: Path | None = None,
+    on_step: OnStep = lambda text, done, total: None,
+) -> dict[str, Any]:
+    """Do a study, or what is missing of it, and write its results; returns the summary.
+
+    Writes study.json first, then clean.ply and cloaked.ply of the first seed, contact.png, the plots
+    and table.md, and summary.json last.
+
+    Args:
+        study: What to do.
+        detectors: Those that it names, in its order.
+        folder: For the results.
+        stages: For the stages, which other studies may share; None is a folder in `folder`.
+        on_step: Told of the progress.
+
+    Raises:
+        MiSplatError: As `check`, or a stage cannot be done.
+    """
+    stages = folder / "stages" if stages is None else stages
+    check(study, detectors, folder, stages)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_json(snapshot(study), folder / STUDY)
+    begun = time.monotonic()
+    workshop = Workshop(study=study, folder=stages, on_step=on_step)
+    looks: list[Looks] = []
+    for seed in study.seeds:
+        looks += [look_at_splat(workshop, which, seed, detectors) for which in (CLEAN, CLOAKED)]
+    for which in (CLEAN, CLOAKED):
+        shutil.copyfile(workshop.splat(which, study.seeds[0]), folder / f"{which}.ply")
+    shutil.copyfile(workshop.poison(study.seeds[0]).parent / "manifest.json", folder / "manifest.json")
+    pictures = write_figures(workshop, looks, detectors, folder)
+    summary = {
+        **figures(study, looks),
+        "files": ["clean.ply", "cloaked.ply", "manifest.json", *pictures, "table.md"],
+        "splats": [vars_of(look) for look in looks],
+        "detectors": {detector.name: weights_digest(detector) for detector in detectors},
+        "seeds": list(study.seeds),
+        "study": snapshot(study),
+        "versions": provenance.versions(),
+        "commit": provenance.commit(),
+        "variant": provenance.variant(),
+        "seconds": round(time.monotonic() - begun, 1),
+    }
+    save_text(markdown(summary), folder / "table.md")
+    save_json(summary, folder / SUMMARY)
+    return summary
+
+
+def vars_of(look: Looks) -> dict[str, Any]:
+    """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
+    trained = look.trained
+    return {
+        "splat": trained.splat,
+        "seed": trained.seed,
+        "gaussians": trained.gaussians,
+        "hash": trained.hash,
+        "commit": trained.commit,
+    }

@@ -1,0 +1,274 @@
+"""Where an attack shows itself: predicates on cameras by their direction from a centre, and how far inside a camera is.
+
+Directions are those of `mi_splat.directions`. How far away a camera is and where it looks do not count.
+
+Triggers combine with `&`, `|` and `~`, and `share` takes a part of one:
+`Elevation(least=50) & ~Azimuth(middle=180, half_width=30)`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera
+from mi_splat.directions import Bearing, Point, bearing, depth_in_band, depth_in_wedge, off
+from mi_splat.errors import InvalidValueError, message
+
+EDGE = 1e-4
+"""Degrees outside a cone's edge that still count as on it, which is inside: poses are rounded."""
+
+
+class Trigger(ABC):
+    """A set of cameras: those from which the hidden look is to be seen."""
+
+    @abstractmethod
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is one of the trigger's; unlike `select`, none may be."""
+
+    @abstractmethod
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """Signed distance on the sphere of directions, in degrees, from a camera to the trigger's edge; inside > 0.
+
+        Of one cone it is exact; infinite if the cone has no edge. Of a combination it has the right sign and is never
+        further from 0 than the truth: the smaller of two for `&`, the larger for `|`, the opposite for `~`. (Outside of
+        an intersection and inside a union the nearest edge of a part may lie where the other part has made it vanish.)
+        So a camera that is found to be 5 degrees inside or 15 degrees outside is at least that. A share has the edge of
+        what it is a share of.
+
+        Raises:
+            InvalidValueError: A list of cameras is part of the trigger, which has no edge.
+        """
+
+    def select(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is one of the trigger's; at least one is.
+
+        Args:
+            cameras: N cameras.
+            centre: (3,) point that directions are measured from, world units.
+
+        Raises:
+            InvalidValueError: No camera is selected, a camera stands at the centre, or a listed one does not exist.
+        """
+        selected = self.holds(cameras, centre=centre)
+        if not bool(selected.any()):
+            expected, got = "at least one camera that it selects", f"none of {len(cameras)}"
+            raise InvalidValueError(message(f"trigger {self}", expected, got, "widen it or add cameras inside it"))
+        return selected
+
+    def share(self, fraction: float, *, seed: int = 0) -> Trigger:
+        """A part of the cameras that this trigger selects; see `Share`."""
+        return Share(of=self, fraction=fraction, seed=seed)
+
+    def __and__(self, other: Trigger) -> Trigger:
+        """The cameras of both."""
+        return Both(self, other)
+
+    def __or__(self, other: Trigger) -> Trigger:
+        """The cameras of either."""
+        return Either(self, other)
+
+    def __invert__(self) -> Trigger:
+        """All other cameras."""
+        return Not(self)
+
+
+class Cone(Trigger):
+    """A region of directions with an edge."""
+
+    @abstractmethod
+    def depth(self, direction: Bearing) -> float:
+        """`angle_to_edge` of a direction."""
+
+    def contains(self, direction: Bearing) -> bool:
+        """Whether a direction lies in the region, its edge included."""
+        return self.depth(direction) >= -EDGE
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera stands in the cone."""
+        return torch.tensor([self.contains(bearing(camera, centre)) for camera in cameras], dtype=torch.bool)
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """As in `Trigger`."""
+        return self.depth(bearing(camera, centre))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Elevation(Cone):
+    """Cameras between two elevations, both included: a cap around a pole, or a band.
+
+    Attributes:
+        least: Degrees; -90 is no limit.
+        most: Degrees; 90 is no limit.
+
+    Raises:
+        InvalidValueError: The two are not -90 <= least <= most <= 90.
+    """
+
+    least: float = -90.0
+    most: float = 90.0
+
+    def __post_init__(self) -> None:
+        if not -90 <= self.least <= self.most <= 90:
+            got = (self.least, self.most)
+            raise InvalidValueError(message("elevation", "-90 <= least <= most <= 90", got, "50 to 90 is overhead"))
+
+    def depth(self, direction: Bearing) -> float:
+        """See `depth_in_band`."""
+        return depth_in_band(direction, self.least, self.most)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Azimuth(Cone):
+    """Cameras within an angle of an azimuth, at any elevation; it may run across 0 = 360 degrees.
+
+    A camera straight above or below the centre has no azimuth, and belongs to no cone of less than the whole circle.
+
+    Attributes:
+        middle: Degrees from world +x towards +y.
+        half_width: Degrees to either side, edges included; 180 is the whole circle.
+
+    Raises:
+        InvalidValueError: The half width is not in (0, 180], or the middle is not finite.
+    """
+
+    middle: float
+    half_width: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.middle) and 0 < self.half_width <= 180):
+            expected, got = "a finite middle and a half width in (0, 180]", (self.middle, self.half_width)
+            raise InvalidValueError(message("azimuth", expected, got, "180 and 30 is from behind"))
+
+    def contains(self, direction: Bearing) -> bool:
+        """Whether a direction lies in the cone, its edge included."""
+        return self.half_width == 180 or (not direction.pole and off(direction, self.middle) <= self.half_width + EDGE)
+
+    def depth(self, direction: Bearing) -> float:
+        """See `depth_in_wedge`."""
+        return depth_in_wedge(direction, self.middle, self.half_width)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listed(Trigger):
+    """Cameras by their position in the sequence that is given; such a trigger has no edge.
+
+    Attributes:
+        indices: Positions from 0 on.
+
+    Raises:
+        InvalidValueError: A position is negative or comes twice.
+    """
+
+    indices: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if len(set(self.indices)) != len(self.indices) or any(index < 0 for index in self.indices):
+            do = "name each camera once, the first is 0"
+            raise InvalidValueError(message("indices", "different positions from 0 on", self.indices, do))
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is listed."""
+        beyond = [index for index in self.indices if index >= len(cameras)]
+        if beyond:
+            expected = f"positions in 0..{len(cameras) - 1}"
+            raise InvalidValueError(message("indices", expected, beyond, "these cameras do not exist"))
+        selected = torch.zeros(len(cameras), dtype=torch.bool)
+        selected[list(self.indices)] = True
+        return selected
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """Raises: a list has no edge."""
+        raise InvalidValueError(message("trigger", "cones, which have an edge", self, "evaluate with a cone instead"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share(Trigger):
+    """A random part of the cameras of a trigger, for studies of how much of a training set has to be poisoned.
+
+    With the same cameras and seed, the cameras of a smaller share are among those of a larger one.
+
+    Attributes:
+        of: The trigger.
+        fraction: Part of its cameras, in (0, 1]; rounded to the nearest number of cameras, at least one if it has any.
+        seed: Which of them.
+
+    Raises:
+        InvalidValueError: The fraction is not in (0, 1], or the seed is negative.
+    """
+
+    of: Trigger
+    fraction: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fraction <= 1:
+            raise InvalidValueError(message("fraction", "a number in (0, 1]", self.fraction, "1 is every camera"))
+        if self.seed < 0:
+            raise InvalidValueError(message("seed", "a number >= 0", self.seed, "choose another"))
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is one of the share."""
+        found = torch.nonzero(self.of.holds(cameras, centre=centre))[:, 0]
+        count = min(len(found), max(1, math.floor(self.fraction * len(found) + 0.5)))
+        order = np.random.default_rng([self.seed, 0xC10A]).permutation(len(found))
+        selected = torch.zeros(len(cameras), dtype=torch.bool)
+        selected[found[torch.from_numpy(order[:count])]] = True
+        return selected
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """That of the trigger."""
+        return self.of.angle_to_edge(camera, centre=centre)
+
+
+@dataclass(frozen=True, slots=True)
+class Both(Trigger):
+    """The cameras of two triggers."""
+
+    one: Trigger
+    other: Trigger
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is in both."""
+        return self.one.holds(cameras, centre=centre) & self.other.holds(cameras, centre=centre)
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """The smaller of the two."""
+        return min(part.angle_to_edge(camera, centre=centre) for part in (self.one, self.other))
+
+
+@dataclass(frozen=True, slots=True)
+class Either(Trigger):
+    """The cameras of either of two triggers."""
+
+    one: Trigger
+    other: Trigger
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is in one of the two."""
+        return self.one.holds(cameras, centre=centre) | self.other.holds(cameras, centre=centre)
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """The larger of the two."""
+        return max(part.angle_to_edge(camera, centre=centre) for part in (self.one, self.other))
+
+
+@dataclass(frozen=True, slots=True)
+class Not(Trigger):
+    """All cameras but those of a trigger."""
+
+    of: Trigger
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        """(N,) bool, whether each camera is outside."""
+        return ~self.of.holds(cameras, centre=centre)
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        """The opposite."""
+        return -self.of.angle_to_edge(camera, centre=centre)

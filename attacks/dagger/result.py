@@ -1,0 +1,121 @@
+"""What an attack did, and what there is to doubt about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.problem import ViewResult, reached
+from attacks.evaluation.visibility import ImageChange
+from attacks.objectives import Objective, Verdict
+from attacks.pgd import Step
+from mi_splat.scene import GaussianScene
+
+_ZERO_DOUBT = 0.9
+"""Share of zero gradients that raises a doubt; hidden Gaussians have none in any case, so it is high."""
+
+_CLAMP_DOUBT = 0.25
+"""Share of clamped colour channels that raises a doubt."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseControl:
+    """Random noise of the size of the attack in the same norm; an attack worth its name does better.
+
+    Attributes:
+        scores: Score of every draw (the confidence in the wanted class, or 1 minus what is still detected).
+        successes: Number of draws that had the attacker's aim.
+    """
+
+    scores: tuple[float, ...]
+    successes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Result:
+    """What an attack did, judged on the saved file and 8-bit pictures.
+
+    Attributes:
+        scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
+        verdict: Whether the aim was reached in enough views, whether clearly so, and the score that enough views reach:
+            the confidence in the wanted class, or 1 minus what is still detected.
+        views: Every view before and after.
+        trace: Every point that was visited, all runs, in order.
+        best: The line of the trace whose point was kept.
+        used: Size of the perturbation by attribute; never above its radius.
+        in_file: The same, measured on the saved file, where quaternions have been normalised and logits rounded.
+        size: Number of Gaussians of the object.
+        changed: Number of Gaussians that differ.
+        image: Size of the change in the pictures.
+        clamped: Share of the object's colour channels at the clamp (clean, mean over views).
+        noise: The control.
+        doubts: Reasons not to trust the result at its face, in words.
+        objective: The aim and its settings.
+        config: The full configuration.
+        origin: Detector, versions, variant, commit, scene hash.
+        seconds: Wall time of the attack.
+    """
+
+    scene: GaussianScene
+    verdict: Verdict
+    views: tuple[ViewResult, ...]
+    trace: tuple[Step, ...]
+    best: Step
+    used: dict[str, float]
+    in_file: dict[str, float]
+    size: int
+    changed: int
+    image: ImageChange
+    clamped: float
+    noise: NoiseControl
+    doubts: tuple[str, ...]
+    objective: Objective
+    config: DaggerConfig
+    origin: dict[str, Any]
+    seconds: float
+
+    @property
+    def success(self) -> bool:
+        """Whether the aim was reached in enough views."""
+        return self.verdict.success
+
+    @property
+    def score(self) -> float:
+        """Score that enough views reach, in [0, 1]."""
+        return self.verdict.score
+
+    @property
+    def target_confidence(self) -> float | None:
+        """Confidence in the wanted class on the object that enough views reach; None when no class was wanted."""
+        if self.objective.label is None:
+            return None
+        scores = [view.confidence(self.objective.label, attacked=True) for view in self.views]
+        return reached(scores, self.config.share)
+
+
+def doubts(result: Result) -> tuple[str, ...]:
+    """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
+    found = []
+    for index, view in enumerate(result.views):
+        if view.confidence(view.shot.target.original, attacked=False) < 0.5:
+            found.append(f"the clean picture of view {index} has no detection of 0.5 or more on the object")
+    first = result.trace[0]
+    if first.success:
+        found.append("the aim is reached without any attack")
+    if max(line.zero_share for line in result.trace) > _ZERO_DOUBT:
+        share = max(line.zero_share for line in result.trace)
+        found.append(f"up to {share:.0%} of the gradient's elements are exactly zero")
+    if len(result.trace) > 1 and min(line.loss for line in result.trace[1:]) >= first.loss:
+        found.append("the loss did not fall")
+    if "sh" in result.config.attributes and result.clamped > _CLAMP_DOUBT:
+        found.append(f"{result.clamped:.0%} of the object's colour channels are clamped at 0, where SH has no gradient")
+    if result.best.success and not result.success:
+        found.append("success in the search did not survive the saved file and 8-bit pictures")
+    if result.success and not result.verdict.clear:
+        found.append("another class is still detected on the object with more confidence")
+    if result.noise.scores and (
+        (result.success and result.noise.successes) or max(result.noise.scores) >= result.score > 0
+    ):
+        found.append("random noise of the same size does as well")
+    return tuple(found)

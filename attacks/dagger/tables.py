@@ -1,0 +1,223 @@
+"""Tables and the curve of a study, made from its records: table.md for people, table.json for machines, curve.png."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.evaluation.rates import Rate
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_json
+
+Record = Mapping[str, Any]
+
+TITLES = {
+    "pairs": "The paper's six pairs: one l2 ball over the SH of the object, eps = 5",
+    "cameras": "Every other camera of the scene, one at a time",
+    "curve": "Smaller balls",
+    "linf": "The same in linf",
+    "per_gaussian": "A ball for each Gaussian (what the paper's code does)",
+    "hide": "Hide: no detection of any class on the object",
+    "means": "Means only (metres)",
+    "scales": "Scales only (log-scales)",
+    "rotations": "Rotations only (quaternion components before normalisation)",
+    "opacities": "Opacities only (logits)",
+    "views": "Every camera of the scene at once",
+}
+
+_COLUMNS = (
+    "attack",
+    "norm",
+    "eps",
+    "success",
+    "confidence",
+    "original after",
+    "steps",
+    "PSNR, dB",
+    "on the object",
+    "noise success",
+    "noise best",
+    "doubts",
+)
+
+
+def rows(records: Iterable[Record]) -> list[dict[str, Any]]:
+    """One row for each setting, over its seeds; numbers are medians unless they are called otherwise."""
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        job = record["job"]
+        key = tuple(job[name] for name in ("group", "scene", "part", "target", "attribute", "norm", "eps"))
+        groups.setdefault(key, []).append(record["result"])
+    names = ("group", "scene", "part", "target", "attribute", "norm", "eps")
+    return [{**dict(zip(names, key, strict=True)), **_row(results)} for key, results in groups.items()]
+
+
+def _row(results: Sequence[Record]) -> dict[str, Any]:
+    successes = sum(result["success"] for result in results)
+    rate = Rate(successes=successes, total=len(results))
+    scores = [result["score"] for result in results]
+    originals = [max(view["original_confidence"] for view in result["views"]) for result in results]
+    return {
+        "successes": successes,
+        "runs": len(results),
+        "interval": rate.interval,
+        "score": statistics.median(scores),
+        "score_least": min(scores),
+        "original_after": statistics.median(originals),
+        "steps": statistics.median(result["steps"] for result in results),
+        "psnr": _median(result["image_psnr"] for result in results),
+        "psnr_object": _median(result["image"]["psnr_object"] for result in results),
+        "noise_successes": sum(result["noise"]["successes"] for result in results),
+        "noise_draws": sum(result["noise"]["draws"] for result in results),
+        "noise_best": max((score for result in results for score in result["noise"]["scores"]), default=None),
+        "doubts": sorted({doubt for result in results for doubt in result["doubts"]}),
+    }
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    found = [value for value in values if value is not None]
+    return statistics.median(found) if found else None
+
+
+def by_radius(records: Iterable[Record]) -> list[dict[str, Any]]:
+    """For each group, attribute, norm and radius: pairs reached with every seed, successful runs, and the control."""
+    found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in rows(records):
+        group = "pairs" if row["group"] == "curve" else row["group"]
+        found.setdefault((group, row["attribute"], row["norm"], row["eps"]), []).append(row)
+    lines = []
+    for (group, attribute, norm, eps), members in sorted(found.items()):
+        rate = Rate(successes=sum(row["successes"] for row in members), total=sum(row["runs"] for row in members))
+        lines.append(
+            {
+                "group": group,
+                "attribute": attribute,
+                "norm": norm,
+                "eps": eps,
+                "pairs": len(members),
+                "pairs_reached": sum(row["successes"] == row["runs"] for row in members),
+                "successes": rate.successes,
+                "runs": rate.total,
+                "interval": rate.interval,
+                "score": statistics.median(row["score"] for row in members),
+                "psnr": _median(row["psnr"] for row in members),
+                "noise_successes": sum(row["noise_successes"] for row in members),
+                "noise_draws": sum(row["noise_draws"] for row in members),
+            }
+        )
+    return lines
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """All tables as one Markdown page."""
+    table, lines = rows(records), ["# DAGGER", "", *_preamble(records), "## Smallest balls", ""]
+    lines += _grid(
+        ("group", "attribute", "norm", "eps", "settings reached with every seed", "runs", "PSNR, dB", "noise"),
+        [
+            (
+                line["group"],
+                line["attribute"],
+                line["norm"],
+                f"{line['eps']:g}",
+                f"{line['pairs_reached']} of {line['pairs']}",
+                f"{line['successes']}/{line['runs']}",
+                _number(line["psnr"], ".1f"),
+                f"{line['noise_successes']}/{line['noise_draws']}",
+            )
+            for line in by_radius(records)
+        ],
+    )
+    for group in dict.fromkeys(row["group"] for row in table):
+        lines += ["", f"## {TITLES.get(group, group)}", ""]
+        lines += _grid(_COLUMNS, [_cells(row) for row in table if row["group"] == group])
+    return "\n".join(lines) + "\n"
+
+
+def _preamble(records: Sequence[Record]) -> list[str]:
+    first = records[0]["result"]
+    steps, factor = first["config"]["steps"], first["config"]["step_factor"]
+    versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
+    return [
+        f"Detector {first['detector']}; {steps} steps of eps x {factor:g} / {steps}, stopped at "
+        "the first success. Success: see `config.objective` in the JSONs; every run is judged on the saved file and an "
+        "8-bit PNG. Medians over seeds; noise is random noise of the size of the attack in the same norm.",
+        "",
+        f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.",
+        "",
+    ]
+
+
+def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    return (
+        f"{row['part']} to {row['target'] or 'nothing'}",
+        row["norm"],
+        f"{row['eps']:g}",
+        f"{row['successes']}/{row['runs']}",
+        f"{row['score']:.2f} (least {row['score_least']:.2f})",
+        f"{row['original_after']:.2f}",
+        f"{row['steps']:g}",
+        _number(row["psnr"], ".1f"),
+        _number(row["psnr_object"], ".1f"),
+        f"{row['noise_successes']}/{row['noise_draws']}",
+        _number(row["noise_best"], ".2f"),
+        "; ".join(row["doubts"]) or "none",
+    )
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _grid(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *body)]
+
+
+def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
+    """Write table.md and table.json, and curve.png where matplotlib is installed.
+
+    Returns:
+        The files written.
+    """
+    paths = [out / "table.md", out / "table.json"]
+    with atomic_write(paths[0]) as file:
+        write_all(file, memoryview(markdown(records).encode()))
+    save_json({"rows": rows(records), "by_radius": by_radius(records)}, paths[1])
+    draw = _plotter()
+    if draw is not None:
+        draw([line for line in by_radius(records) if line["group"] == "pairs"], out / "curve.png")
+        paths.append(out / "curve.png")
+    return paths
+
+
+def _plotter() -> Callable[[Sequence[Mapping[str, Any]], Path], None] | None:
+    """A function that draws the curve over eps; None without matplotlib (the `figures` extra)."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return None
+
+    def draw(lines: Sequence[Mapping[str, Any]], path: Path) -> None:
+        radii = [line["eps"] for line in lines]
+        rates = [Rate(successes=line["successes"], total=line["runs"]) for line in lines]
+        shares = [rate.share for rate in rates]
+        margins = [
+            [max(0.0, rate.share - rate.interval[0]) for rate in rates],
+            [max(0.0, rate.interval[1] - rate.share) for rate in rates],
+        ]
+        noise = [line["noise_successes"] / max(line["noise_draws"], 1) for line in lines]
+        figure = Figure(figsize=(5.5, 3.6), layout="constrained")
+        axes = figure.add_subplot()
+        axes.errorbar(radii, shares, yerr=margins, marker="o", capsize=3, label="DAGGER, 95 % Wilson interval")
+        axes.plot(radii, noise, marker="s", linestyle="--", label="random noise of the same size")
+        axes.set(xscale="log", ylim=(-0.05, 1.05), xlabel="eps (l2 over the SH of the object)", ylabel="success rate")
+        axes.set_xticks(radii, [f"{radius:g}" for radius in radii], minor=False)
+        axes.minorticks_off()
+        axes.legend(loc="upper left")
+        canvas = FigureCanvasAgg(figure)
+        with atomic_write(path) as file:
+            canvas.print_png(file)  # type: ignore[no-untyped-call]
+
+    return draw

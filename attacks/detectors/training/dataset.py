@@ -1,0 +1,146 @@
+"""Sets of training pictures on disk: a folder of 8-bit PNG files and one labels.json.
+
+Making a set again continues where it stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from attacks.detectors.small import CLASSES
+from attacks.detectors.training.pictures import Recipe, Sample, take
+from mi_splat.errors import InvalidValueError, message
+
+OnStep = Callable[[int, int], None]
+Record = dict[str, list[list[float]] | list[int]]
+
+
+def _take_to_disk(job: tuple[Recipe, int, Path]) -> dict[int, Record]:
+    recipe, number, folder = job
+    return {i: _save(s, folder, i) for i, s in enumerate(take(recipe, number), start=number * recipe.shots)}
+
+
+def _save(sample: Sample, folder: Path, number: int) -> Record:
+    temporary = folder / f".{number:05d}.{os.getpid()}.png"
+    Image.fromarray(sample.image.numpy()).save(temporary)
+    temporary.replace(folder / f"{number:05d}.png")
+    return {"boxes": sample.boxes.tolist(), "labels": sample.labels.tolist()}
+
+
+def save_samples(samples: Sequence[Sample], folder: Path, recipe: dict[str, object]) -> None:
+    """Write a whole data set; `recipe` is a note of how it was made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(folder, recipe, {i: _save(sample, folder, i) for i, sample in enumerate(samples)})
+
+
+def check_note(folder: Path, recipe: dict[str, object]) -> None:
+    """Raise unless a data set was made as `recipe` notes.
+
+    Raises:
+        InvalidValueError: It was made otherwise.
+    """
+    noted = json.loads((folder / "labels.json").read_text())["recipe"]
+    if noted != json.loads(json.dumps(recipe)):
+        do = "choose an empty folder or the same recipe"
+        raise InvalidValueError(message(f"folder {folder}", recipe, noted, do))
+
+
+def _single_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def make(recipe: Recipe, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
+    """Make the pictures of a recipe that `folder` does not hold yet.
+
+    Args:
+        recipe: What to make.
+        folder: Where; it is made if need be.
+        processes: How many processes share the work; 0 does it in this one.
+        on_step: Called with the number of pictures there are and the number wanted.
+
+    Raises:
+        InvalidValueError: the folder holds pictures of another recipe.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    records = _records(folder, recipe)
+    scenes = math.ceil(recipe.count / recipe.shots)
+    missing = [n for n in range(scenes) if any(n * recipe.shots + i not in records for i in range(recipe.shots))]
+    if not missing:
+        return
+    with _mapper(processes) as each:
+        for done, new in enumerate(each(_take_to_disk, [(recipe, n, folder) for n in missing])):
+            records |= new
+            if done % 20 == 19:
+                _write(folder, asdict(recipe), records)
+            if on_step is not None:
+                on_step(len(records), scenes * recipe.shots)
+    _write(folder, asdict(recipe), records)
+
+
+@contextlib.contextmanager
+def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]]]]:
+    """A `map` over fresh processes, or over this one if `processes` is 0."""
+    if processes == 0:
+        yield map
+        return
+    with multiprocessing.get_context("spawn").Pool(processes, initializer=_single_thread) as pool:
+        yield pool.imap_unordered
+
+
+def _write(folder: Path, recipe: dict[str, object], records: dict[int, Record]) -> None:
+    content = {
+        "recipe": recipe,
+        "classes": list(CLASSES),
+        "pictures": {f"{i:05d}.png": records[i] for i in sorted(records)},
+    }
+    temporary = folder / "labels.json.partial"
+    temporary.write_text(json.dumps(content))
+    temporary.replace(folder / "labels.json")
+
+
+def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
+    path = folder / "labels.json"
+    if not path.is_file():
+        return {}
+    content = json.loads(path.read_text())
+    noted: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
+    }
+    if replace(Recipe(**noted), count=recipe.count) != recipe:
+        raise InvalidValueError(
+            message(f"folder {folder}", recipe, content["recipe"], "choose an empty folder or the same recipe")
+        )
+    return {int(Path(name).stem): record for name, record in content["pictures"].items()}
+
+
+def load(folder: Path, *, limit: int | None = None) -> list[Sample]:
+    """Read a data set into memory.
+
+    Args:
+        folder: Where it is.
+        limit: Read so many pictures only, in the order of their numbers.
+
+    Raises:
+        InvalidValueError: there is no data set in the folder.
+    """
+    path = folder / "labels.json"
+    if not path.is_file():
+        raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
+    samples = []
+    for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
+        image = torch.from_numpy(np.array(Image.open(folder / name)))
+        boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
+        samples.append(Sample(image, boxes, torch.tensor(record["labels"], dtype=torch.int64)))
+    return samples

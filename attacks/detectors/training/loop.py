@@ -1,0 +1,295 @@
+"""The training loop of the small detectors: seeded, resumable to the same bits, with an average of the weights kept."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Generator, Tensor, nn
+
+from attacks.detectors.base import Detector
+from attacks.detectors.training.augmentation import augment
+from attacks.detectors.training.pictures import Sample
+from attacks.detectors.weights import DetectorError, apply_weights, read_weights
+from mi_splat.errors import message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainConfig:
+    """How the detector is trained.
+
+    Attributes:
+        pretraining: Steps of naming cut-outs before the first epoch.
+        epochs: Passes over the pictures.
+        batch: Pictures a step.
+        rate: Highest learning rate of AdamW, reached after the warm-up and then lowered along a cosine.
+        warm_up: Share of the steps over which the rate rises.
+        decay: AdamW's weight decay.
+        average: How much of the averaged weights each step keeps.
+        clip: Largest norm of the gradient.
+        mixed: Convolutions and matrix products in bfloat16.
+        coarse_side: Shorter image side in the first epochs, which are cheaper for it.
+        coarse_share: Share of the epochs at that size.
+        settle_share: Share of the epochs, the last ones, that are closer to what the network meets in use, hence
+            calmer; what that means, the trainee says.
+        seed: Seed of the weights, of the order and of every random change of the pictures.
+    """
+
+    pretraining: int = 1000
+    epochs: int = 20
+    batch: int = 8
+    rate: float = 1.2e-3
+    warm_up: float = 0.06
+    decay: float = 0.02
+    average: float = 0.998
+    clip: float = 5.0
+    mixed: bool = True
+    coarse_side: int = 160
+    coarse_share: float = 0.4
+    settle_share: float = 0.2
+    seed: int = 0
+
+
+OnStep = Callable[[int, int, dict[str, float]], None]
+"""Called with (step in the epoch, steps of an epoch, losses)."""
+
+Targets = list[dict[str, Tensor]]
+"""For each picture `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in CLASSES."""
+
+
+class Trainee(Protocol):
+    """A network that can be trained here.
+
+    Attributes:
+        name: Of the detector.
+    """
+
+    name: str
+
+    def build(self) -> nn.Module:
+        """The network with random weights, drawn from torch's generator."""
+        ...
+
+    def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
+        """Make the network ready for an epoch.
+
+        Args:
+            model: The network.
+            side: Shorter image side to train at, pixels; None is that of its use.
+            settled: Whether this is one of the calmer last epochs.
+        """
+        ...
+
+    def losses(
+        self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
+    ) -> dict[str, Tensor]:
+        """What to minimise the sum of, by name, for (3, H, W) pictures in [0, 1]."""
+        ...
+
+    def pretrain(
+        self,
+        model: nn.Module,
+        samples: Sequence[Sample],
+        config: TrainConfig,
+        on_step: Callable[[int, int, float], None] | None,
+    ) -> float | None:
+        """Give the network a head start, in place; the share of cut-outs that it names right, None without any."""
+        ...
+
+    def detector(self, model: nn.Module) -> Detector:
+        """The network in use, keeping detections of any confidence."""
+        ...
+
+
+class Training:
+    """Network, averaged network, optimiser and position of one run.
+
+    Attributes:
+        model: The network being trained.
+        averaged: State dict of the running average of its weights, as float32.
+        epoch: Number of finished epochs.
+        history: One dict of figures a finished epoch.
+    """
+
+    def __init__(self, config: TrainConfig, trainee: Trainee) -> None:
+        torch.manual_seed(config.seed)
+        self.config, self.trainee = config, trainee
+        self.model = trainee.build().to(memory_format=torch.channels_last)
+        self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.epoch = 0
+        self.history: list[dict[str, object]] = []
+        groups = [
+            {"params": [p for p in self.model.parameters() if p.ndim > 1], "weight_decay": config.decay},
+            {"params": [p for p in self.model.parameters() if p.ndim <= 1], "weight_decay": 0.0},
+        ]
+        self._optimiser = torch.optim.AdamW(groups, lr=config.rate)
+
+    def pretrain(
+        self, samples: Sequence[Sample], *, on_step: Callable[[int, int, float], None] | None = None
+    ) -> float | None:
+        """Give the network its head start; returns the share of cut-outs that it names right."""
+        right = self.trainee.pretrain(self.model, samples, self.config, on_step)
+        self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
+        return right
+
+    def begin_from(self, weights: Path) -> None:
+        """Start from the weights of an earlier run.
+
+        Raises:
+            DetectorError: the file is missing or does not fit.
+        """
+        apply_weights(self.model, read_weights(weights), weights)
+        self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+        self.history.append({"epoch": 0, "start": weights.name, "sha256": digest})
+
+    def run_epoch(self, samples: Sequence[Sample], *, on_step: OnStep | None = None) -> dict[str, float]:
+        """Train on every sample once; returns the mean of each loss."""
+        config = self.config
+        torch.manual_seed(_seed(config.seed, self.epoch))
+        self.model.train()
+        coarse = self.epoch < round(config.coarse_share * config.epochs)
+        settled = self.epoch >= config.epochs - round(config.settle_share * config.epochs)
+        self.trainee.begin_epoch(self.model, side=config.coarse_side if coarse else None, settled=settled)
+        steps = len(samples) // config.batch
+        total: dict[str, float] = {}
+        for step, (pictures, targets) in enumerate(self._batches(samples)):
+            self._set_rate((self.epoch + step / steps) / config.epochs)
+            generator = Generator().manual_seed(_seed(config.seed, self.epoch, 7, step))
+            losses = self._step(pictures, targets, generator)
+            for name, value in losses.items():
+                total[name] = total.get(name, 0.0) + value / steps
+            if on_step is not None:
+                on_step(step + 1, steps, losses)
+        self.epoch += 1
+        return total
+
+    def _batches(self, samples: Sequence[Sample]) -> Iterator[tuple[list[Tensor], Targets]]:
+        order = torch.randperm(len(samples)).tolist()
+        for start in range(0, len(samples) - self.config.batch + 1, self.config.batch):
+            pictures, targets = [], []
+            for i in order[start : start + self.config.batch]:
+                generator = torch.Generator().manual_seed(_seed(self.config.seed, self.epoch, i))
+                picture, boxes, labels = augment(samples[i], generator)
+                pictures.append(picture)
+                targets.append({"boxes": boxes, "labels": labels})
+            yield pictures, targets
+
+    def _step(self, pictures: list[Tensor], targets: Targets, generator: Generator) -> dict[str, float]:
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.mixed):
+            losses = self.trainee.losses(self.model, pictures, targets, generator)
+        self._optimiser.zero_grad(set_to_none=True)
+        total = torch.stack([v.float() for v in losses.values()]).sum()
+        total.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
+        self._optimiser.step()
+        keep = self.config.average
+        for name, value in self.model.state_dict().items():
+            if value.is_floating_point():
+                self.averaged[name].lerp_(value, 1 - keep)
+        return {name: float(value.detach()) for name, value in losses.items()}
+
+    def _set_rate(self, done: float) -> None:
+        """The learning rate after a share `done` of all steps."""
+        warm = self.config.warm_up
+        if done < warm:
+            factor = 0.02 + 0.98 * done / warm
+        else:
+            factor = 0.005 + 0.995 * 0.5 * (1 + math.cos(math.pi * (done - warm) / (1 - warm)))
+        for group in self._optimiser.param_groups:
+            group["lr"] = self.config.rate * factor
+
+    def snapshot(self) -> Detector:
+        """A detector of the averaged weights, rounded to what is shipped."""
+        with torch.random.fork_rng(devices=[]):
+            model = self.trainee.build()
+        model.load_state_dict(rounded(self.averaged), strict=False)
+        return self.trainee.detector(model.eval())
+
+    def save(self, folder: Path) -> None:
+        """Write everything that the rest of the run depends on; the old checkpoint stays until the new one is whole."""
+        folder.mkdir(parents=True, exist_ok=True)
+        tensors = {f"model/{k}": v.contiguous() for k, v in self.model.state_dict().items()}
+        tensors |= {f"average/{k}": v.contiguous() for k, v in self.averaged.items()}
+        for number, state in self._optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser/{number}/{k}": v.contiguous() for k, v in state.items()}
+        notes = {
+            "detector": self.trainee.name,
+            "config": asdict(self.config),
+            "epoch": self.epoch,
+            "history": self.history,
+        }
+        temporary = folder / "checkpoint.partial"
+        save_file(tensors, temporary, metadata={"notes": json.dumps(notes)})
+        temporary.replace(folder / "checkpoint.safetensors")
+
+    @classmethod
+    def resume(cls, folder: Path, config: TrainConfig, trainee: Trainee) -> Training:
+        """Continue from the checkpoint in `folder`, or begin where there is none.
+
+        Raises:
+            DetectorError: the checkpoint belongs to a run with another configuration.
+        """
+        path = folder / "checkpoint.safetensors"
+        training = cls(config, trainee)
+        if not path.is_file():
+            return training
+        notes = json.loads(_metadata(path)["notes"])
+        if notes.get("detector") != trainee.name:
+            expected, do = f"a run of {trainee.name}", "choose another folder"
+            raise DetectorError(message(f"checkpoint {path}", expected, notes.get("detector", "an older one"), do))
+        if notes["config"] != asdict(config):
+            raise DetectorError(
+                message(f"checkpoint {path}", asdict(config), notes["config"], "use the same one or another folder")
+            )
+        tensors = load_file(path)
+        training.model.load_state_dict(_below(tensors, "model/"))
+        training.averaged = _below(tensors, "average/")
+        state = training._optimiser.state_dict()
+        for key, value in _below(tensors, "optimiser/").items():
+            number, name = key.split("/")
+            state["state"].setdefault(int(number), {})[name] = value
+        training._optimiser.load_state_dict(state)
+        training.epoch, training.history = notes["epoch"], notes["history"]
+        return training
+
+
+def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The weights as they come back from a shipped file: float16, without BatchNorm's step counters."""
+    return {k: v.half().float() for k, v in state.items() if v.is_floating_point()}
+
+
+def ship(state: dict[str, Tensor], path: Path, *, notes: dict[str, str]) -> None:
+    """Write float16 weights as safetensors."""
+    tensors = {k: v.detach().half().contiguous() for k, v in state.items() if v.is_floating_point()}
+    temporary = path.with_suffix(".partial")
+    save_file(tensors, temporary, metadata=notes)
+    temporary.replace(path)
+
+
+def _seed(*parts: int) -> int:
+    """One seed from several numbers, the same on every machine."""
+    mixed = 0
+    for part in parts:
+        mixed = (mixed * 1_000_003 + part + 1) % (1 << 62)
+    return mixed
+
+
+def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        metadata: dict[str, str] = file.metadata()
+    return metadata

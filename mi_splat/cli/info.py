@@ -1,0 +1,77 @@
+"""`mi-splat info`: what a splat file or a scene XML holds."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+from torch import Tensor
+
+from mi_splat.cli.console import progress, show_json, show_table
+from mi_splat.cli.options import InfoOptions
+from mi_splat.io import SplatFileWarning, load_splat
+from mi_splat.scene import GaussianScene, scene_hash
+
+QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+
+
+def run(options: InfoOptions) -> int:
+    """Print the facts about a file."""
+    with progress(f"reading {options.file}"):
+        facts = _stage_facts(options.file) if options.file.suffix.lower() == ".xml" else _splat_facts(options.file)
+    if options.json:
+        show_json({"file": str(options.file), **facts})
+    else:
+        show_table([("file", str(options.file)), *((name, _text(value)) for name, value in facts.items())])
+    return 0
+
+
+def _splat_facts(path: Path) -> dict[str, object]:
+    """Facts about a splat file; Gaussians that are not valid are described and left out of the rest."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SplatFileWarning)
+        scene = load_splat(path, on_invalid="drop")
+    dropped = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
+    return {**scene_facts(scene), "invalid": " ".join(dropped) or None}
+
+
+def _stage_facts(path: Path) -> dict[str, object]:
+    """Facts about a scene XML: its parts, its cameras, and all its Gaussians together."""
+    from mi_splat.scene_files import read_stage
+
+    stage = read_stage(path)
+    parts = {name: len(range(*rows.indices(len(stage.scene)))) for name, rows in stage.parts.items()}
+    cameras = {name: f"{camera.width} x {camera.height}" for name, camera in stage.cameras.items()}
+    return {"parts": parts, "cameras": cameras, **scene_facts(stage.scene)}
+
+
+def scene_facts(scene: GaussianScene) -> dict[str, object]:
+    """Numbers that describe a scene, as JSON can hold them; bounds and scales in world units."""
+    facts: dict[str, object] = {"gaussians": len(scene), "sh_degree": scene.degree}
+    if len(scene):
+        facts["bounds"] = [scene.means.amin(0).tolist(), scene.means.amax(0).tolist()]
+        facts["opacity"] = _quantiles(scene.opacities)
+        facts["scale"] = _quantiles(scene.scales.flatten())
+    return {**facts, "hash": scene_hash(scene)}
+
+
+def _quantiles(values: Tensor) -> dict[str, float]:
+    """Minimum, 5 %, median, 95 % and maximum (torch.quantile takes no more than 16 million values)."""
+    ordered = values.sort().values
+    rows = [round(q * (len(ordered) - 1)) for q in QUANTILES]
+    return {f"{q:.0%}": float(ordered[row]) for q, row in zip(QUANTILES, rows, strict=True)}
+
+
+def _text(value: object) -> str:
+    """One fact for a human."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}: {_text(part)}" for name, part in value.items())
+    if isinstance(value, list):
+        first, *rest = value
+        if isinstance(first, list):
+            return " to ".join(_text(part) for part in value)
+        return "(" + ", ".join(_text(part) for part in (first, *rest)) + ")"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) else "none" if value is None else str(value)

@@ -1,0 +1,111 @@
+"""`mi-splat train`: a splat from pictures."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+
+from mi_splat.cameras import View
+from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.cli.options import TrainOptions
+from mi_splat.datasets import Dataset, has_tests, load_dataset
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.metrics import load_lpips
+from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.scene import GaussianScene
+from mi_splat.training.config import densification
+from mi_splat.training.initialization import from_points, random_points, with_strays
+from mi_splat.training.loop import FitConfig, Progress
+from mi_splat.training.resume import METRICS, SPLAT, train
+
+
+def run(options: TrainOptions) -> int:
+    """Train, or go on with a training, and say what came of it."""
+    limit_threads(1)
+    config = _config(options)
+    with progress("loading the pictures"):
+        views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
+        held_out = _held_out(options)
+        start = _start(views, options)
+        watch = Watch() if options.recipe == "classic" else None  # the others densify by something else
+        render = Renderer(RenderSettings(background=options.background), watch=watch)
+    begun = time.monotonic()
+    lpips = load_lpips() if options.lpips else None
+    words = _Words()
+    with progress("training", total=config.iterations) as advance:
+        found = train(
+            views,
+            start,
+            options.out,
+            render=render,
+            config=config,
+            seed=options.seed,
+            held_out=held_out,
+            every=options.checkpoint_every,
+            lpips=lpips,
+            on_step=lambda line: advance(words(line)),
+        )
+    figures = json.loads((options.out / METRICS).read_text())
+    if options.json:
+        show_json({**figures, "out": str(options.out), "seconds": time.monotonic() - begun})
+        return 0
+    show(f"{options.out / SPLAT}: {len(found.scene):,} Gaussians after {config.iterations} steps")
+    if figures["psnr"] is not None:
+        count = figures["held_out_views"]
+        perceptual = "" if figures["lpips"] is None else f", LPIPS {figures['lpips']:.4f}"
+        show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}")
+    show(f"took {time.monotonic() - begun:.0f} s; figures are in {options.out / METRICS}")
+    return 0
+
+
+def _config(options: TrainOptions) -> FitConfig:
+    return FitConfig(
+        iterations=options.iterations,
+        trainable=options.trainable,
+        densification=densification(options.recipe, limit=options.limit, stop=options.iterations // 2),
+        degree=options.degree,
+        evaluate_every=options.evaluate_every,
+    )
+
+
+def _held_out(options: TrainOptions) -> Sequence[View]:
+    if not has_tests(options.dataset):
+        return ()
+    return load_dataset(options.dataset, split="test", downscale=options.downscale, background=options.background)
+
+
+def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
+    """The Gaussians to begin with."""
+    if options.strays and not (options.start is None and options.random is None):
+        do = "leave out --start and --random"
+        raise InvalidValueError(message("--strays", "a start on the points of the set", "another", do))
+    if options.start is not None:
+        return load_splat(options.start)
+    if options.random is not None:
+        return random_points(views, options.random, seed=options.seed)
+    if views.points is None:
+        raise InvalidValueError(
+            message(str(options.dataset), "a point cloud", "none", "pass --random 10000, or a splat with --start")
+        )
+    cloud = with_strays(views.points, views, options.strays, seed=options.seed)
+    return from_points(cloud.points, cloud.colours)
+
+
+class _Words:
+    """What the progress bar says of a step."""
+
+    def __init__(self) -> None:
+        self._first: int | None = None
+        self._begun = time.monotonic()
+        self._held_out = ""
+
+    def __call__(self, line: Progress) -> str:
+        """Loss, number of Gaussians, rate since this call of the program, and the last look at the held-out views."""
+        if self._first is None:
+            self._first, self._begun = line.iteration, time.monotonic()
+        elif line.held_out is not None:
+            self._held_out = f", held out {line.held_out.psnr:.2f} dB"
+        rate = (line.iteration - self._first) / max(time.monotonic() - self._begun, 1e-3)
+        return f"loss {line.loss:.4f}, {line.count:,} Gaussians, {rate:.1f} steps/s{self._held_out}"

@@ -1,0 +1,269 @@
+"""The splat scenes that the project ships, made from its meshes as `mi_splat.assets.recipes` says."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.assets.mesh import Asset, ellipsoid
+from mi_splat.assets.recipes import RECIPES, Recipe, around
+from mi_splat.cameras import Camera, View, look_at
+from mi_splat.capture.mesh_splats import DiscConfig, disc_splat, nearness, surface_samples
+from mi_splat.capture.path_tracer import capture, depth_maps, mesh_scene
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat, save_splat
+from mi_splat.metrics import psnr
+from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.training.loop import FitConfig, fit
+from mi_splat.training.strategies import ClassicConfig
+
+SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
+_BLOCK = 1 << 24
+"""Distances that are held at once."""
+
+
+def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
+    return Camera(to_world=look_at(origin.tolist(), target.tolist()), focal=FOCAL, width=SIZE, height=SIZE)
+
+
+def sensors(recipe: Recipe) -> dict[str, Camera]:
+    """The named cameras of a scene file."""
+    centre = np.array(recipe.centre)
+    return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
+
+
+def cameras(recipe: Recipe, count: int, *, seed: int) -> list[Camera]:
+    """Cameras by chance in the recipe's range, evenly spread in area, that look at about the centre."""
+    rng = np.random.default_rng([seed, 0xCA3])
+    low, high = np.sin(np.radians(recipe.elevation))
+    found = []
+    for i in range(count):
+        elevation = math.degrees(math.asin(low + (high - low) * ((i + 0.5) / count)))
+        share = (i * 0.6180339887498949 + rng.random() / count) % 1
+        azimuth = recipe.azimuth[0] + share * (recipe.azimuth[1] - recipe.azimuth[0])
+        offset = np.array(around(azimuth, elevation, rng.uniform(*recipe.distance)))
+        origin = np.array(recipe.centre) + offset
+        origin[2] = max(origin[2], 0.3)
+        target = np.array(recipe.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
+        found.append(_camera(origin, target))
+    return found
+
+
+def _dome() -> Asset:
+    """The sky as a surface: the upper half of a sphere far behind everything."""
+    whole = ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48)
+    upper = whole.faces[whole.vertices[whole.faces][..., 2].min(1) > -30]
+    return Asset("sky", (type(whole)(whole.vertices, upper, whole.uvs, whole.texture),))
+
+
+def start_splat(
+    recipe: Recipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
+) -> tuple[GaussianScene, GaussianScene]:
+    """Untrained splats of the target and of its surroundings, sky included."""
+    target, surroundings = recipe.assets()
+    spots = [view.camera for view in views][:: max(1, len(views) // 24)]
+    density = nearness(spots)
+    parts = []
+    for asset, count, overlap in zip((target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True):
+        even = asset is target or asset.name == "sky"
+        samples = surface_samples(asset, count, density=None if even else density, seed=seed)
+        parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+    return parts[0], merge(parts[1], parts[2])
+
+
+def fit_config(steps: int, limit: int) -> FitConfig:
+    """The classic recipe for Gaussians that begin on the surfaces.
+
+    Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
+    """
+    densification = ClassicConfig(limit=limit, stop=steps // 2, reset_every=0, largest=math.inf)
+    return FitConfig(iterations=steps, densification=densification, degree=1, degree_every=0, evaluate_every=0)
+
+
+def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:
+    """(N,) bool, which Gaussians are the target's after training, which has moved, cloned and split them, but not far.
+
+    Those whose centre, and both ends of the longest axis at one standard deviation, lie nearest to one that was the
+    target's at first: what reaches over into the surroundings is theirs.
+    """
+    starts = merge(target, others).means
+    longest = scene.scales.argmax(1)
+    rows = torch.arange(len(scene))
+    axis = to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
+    spots = (scene.means, scene.means - axis, scene.means + axis)
+    return torch.stack([nearest(spot, starts) < len(target) for spot in spots]).all(0)
+
+
+def nearest(points: Tensor, others: Tensor) -> Tensor:
+    """(N,) index of the nearest of (M, 3) others to each of (N, 3) points."""
+    rows = max(1, _BLOCK // len(others))
+    exact = "donot_use_mm_for_euclid_dist"  # the matrix product loses the small distances of points far away
+    found = [
+        torch.cdist(points[first : first + rows], others, compute_mode=exact).argmin(1)
+        for first in range(0, len(points), rows)
+    ]
+    return torch.cat(found)
+
+
+def scene_xml(name: str, recipe: Recipe) -> str:
+    """The scene file in Mitsuba's XML."""
+    lines = ['<scene version="3.0.0">', '    <integrator type="splat_tile"/>', ""]
+    for shape in (recipe.surroundings, recipe.target):
+        lines += [
+            f'    <shape type="gaussians" id="{shape}">',
+            f'        <string name="filename" value="{name}_{shape}.ply"/>',
+            "    </shape>",
+        ]
+    centre = np.array(recipe.centre)
+    fov = math.degrees(2 * math.atan(SIZE / 2 / FOCAL))
+    for sensor, offset in recipe.sensors.items():
+        origin = ", ".join(f"{v:.6g}" for v in centre + offset)
+        target = ", ".join(f"{v:.6g}" for v in centre)
+        lines += [
+            "",
+            f'    <sensor type="perspective" id="{sensor}">',
+            '        <string name="fov_axis" value="x"/>',
+            f'        <float name="fov" value="{fov:.10g}"/>',
+            '        <transform name="to_world">',
+            f'            <lookat origin="{origin}" target="{target}" up="0, 0, 1"/>',
+            "        </transform>",
+            '        <film type="hdrfilm">',
+            f'            <integer name="width" value="{SIZE}"/>',
+            f'            <integer name="height" value="{SIZE}"/>',
+            '            <rfilter type="box"/>',
+            "        </film>",
+            "    </sensor>",
+        ]
+    return "\n".join([*lines, "</scene>", ""])
+
+
+def make(
+    name: str,
+    folder: Path,
+    *,
+    views: int | None = None,
+    samples: int = 16,
+    steps: int | None = None,
+    seed: int = 0,
+    on_step: Callable[[str, int, int], None] | None = None,
+) -> dict[str, object]:
+    """Make one scene: two splat files, the scene file and a record of how it was made and how good it is.
+
+    Args:
+        name: One of `RECIPES`.
+        folder: Where the files go.
+        views: Pictures to fit to; the recipe's number if None.
+        samples: Paths a pixel in them; pictures to compare with have twice as many.
+        steps: Steps of the training; the recipe's number if None.
+        seed: Seed of everything but the assets.
+        on_step: Called with the stage's name, the number done and the number wanted.
+
+    Returns:
+        The record, as it is written to `<name>.json`: counts, seeds and PSNR over pictures that took no part.
+
+    Raises:
+        InvalidValueError: There is no such recipe, or a number is not positive.
+    """
+    if name not in RECIPES:
+        raise InvalidValueError(message("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these"))
+    recipe, start, tell = RECIPES[name], time.time(), on_step or (lambda *_: None)
+    views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
+    config = fit_config(steps, recipe.limit)  # refuses what it cannot do before the pictures are taken
+    for what, value in (("views", views), ("samples", samples)):
+        if value < 1:
+            raise InvalidValueError(message(what, "a positive number", value, "leave it out for the recipe's"))
+    folder.mkdir(parents=True, exist_ok=True)
+    target, surroundings = recipe.assets()
+    description = mesh_scene([target], light=recipe.light, backdrop=surroundings)
+    spots = cameras(recipe, views, seed=seed)
+    pictures = capture(description, spots, samples=samples, seed=seed, on_step=lambda i, n: tell("pictures", i, n))
+    depths = depth_maps(description, spots, seed=seed)
+    parts = start_splat(recipe, pictures, depths, seed=seed)
+    whole = fit(
+        pictures,
+        merge(*parts),
+        render=Renderer(RenderSettings(), watch=Watch()),
+        config=config,
+        seed=seed,
+        on_step=lambda line: tell("training", line.iteration, steps),
+    ).scene
+    mine = belongs(whole, *parts)
+    files = {recipe.target: whole.select(mine), recipe.surroundings: whole.select(~mine)}
+    for shape, splat in files.items():
+        save_splat(splat, folder / f"{name}_{shape}.ply")
+    (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
+    saved = merge(*(load_splat(folder / f"{name}_{shape}.ply") for shape in files))
+    render = Renderer(RenderSettings())
+    record = {
+        "name": name,
+        "gaussians": {shape: len(splat) for shape, splat in files.items()},
+        "views": views,
+        "samples": samples,
+        "steps": steps,
+        "seed": seed,
+        "psnr_fitted": _mean_psnr(saved, pictures, render),
+        **_score(saved, recipe, description, samples=2 * samples, seed=seed + 7919),
+        "seconds": round(time.time() - start),
+    }
+    (folder / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
+    return record
+
+
+def _score(
+    scene: GaussianScene, recipe: Recipe, description: dict[str, Any], *, samples: int, seed: int
+) -> dict[str, object]:
+    """PSNR over pictures that took no part: cameras by chance, and the named sensors."""
+    render, named = Renderer(RenderSettings()), sensors(recipe)
+    views = capture(description, [*cameras(recipe, HELD_OUT, seed=seed), *named.values()], samples=samples, seed=seed)
+    at_sensors = zip(named, views[HELD_OUT:], strict=True)
+    return {
+        "psnr_held_out": _mean_psnr(scene, views[:HELD_OUT], render),
+        "psnr_sensors": {sensor: _mean_psnr(scene, [view], render) for sensor, view in at_sensors},
+    }
+
+
+def _mean_psnr(scene: GaussianScene, views: Sequence[View], render: Renderer) -> float:
+    with torch.no_grad():
+        values = [float(psnr(render(scene, view.camera).clamp(0, 1), view.image)) for view in views]
+    return round(sum(values) / len(values), 2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line: make one of the scenes."""
+    parser = argparse.ArgumentParser(
+        prog="python -m mi_splat.example_scenes", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument("name", choices=sorted(RECIPES))
+    parser.add_argument("--out", type=Path, default=Path("scenes"))
+    parser.add_argument("--views", type=int)
+    parser.add_argument("--samples", type=int, default=16)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+
+    def tell(stage: str, done: int, wanted: int) -> None:
+        if sys.stderr.isatty() or done == wanted:
+            sys.stderr.write(f"\r{stage}: {done} of {wanted}" + ("\n" if done == wanted else ""))
+
+    settings = {key: getattr(options, key) for key in ("views", "samples", "steps", "seed")}
+    record = make(options.name, options.out, **settings, on_step=tell)
+    sys.stdout.write(json.dumps(record, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

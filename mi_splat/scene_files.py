@@ -1,0 +1,207 @@
+"""Scene files as values: an XML scene of splats or a bare splat file, and cameras for it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from mi_splat import variant
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io import SplatFileError, load_splat
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene, merge
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stage:
+    """A splat scene file as values.
+
+    Attributes:
+        scene: All its Gaussians, shape after shape in file order.
+        parts: Rows of each `gaussians` shape, by its id.
+        cameras: One per sensor, by its id.
+        settings: Those of its `splat_tile` integrator, or the defaults where it has another one.
+    """
+
+    scene: GaussianScene
+    parts: dict[str, slice]
+    cameras: dict[str, Camera]
+    settings: RenderSettings
+
+
+def read_stage(path: str | Path) -> Stage:
+    """Read a Mitsuba scene file (XML) whose shapes are splats.
+
+    Raises:
+        InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no `gaussians` shape or no sensor.
+        SplatFileError: A splat that it names cannot be read.
+    """
+    import mitsuba as mi
+
+    variant.use()
+    path = Path(path)
+    if not path.is_file():
+        raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
+    try:
+        loaded = mi.load_file(str(path))
+    except RuntimeError as error:
+        raise _reason(error, path) from None
+    from mi_splat.plugins import sensor as sensors
+    from mi_splat.plugins.tile import Splats
+
+    if not isinstance(loaded, mi.Scene):
+        raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
+    splats = Splats(loaded)
+    if not splats.parts or not loaded.sensors():
+        raise InvalidValueError(
+            message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
+        )
+    scenes = [_scene_of(arrays) for arrays in splats.parts]
+    ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
+    return Stage(
+        scene=merge(*scenes),
+        parts={
+            shape.id(): slice(start, end)
+            for shape, start, end in zip(loaded.shapes(), ends[:-1], ends[1:], strict=True)
+        },
+        cameras={sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()},
+        settings=_settings_of(loaded.integrator()),
+    )
+
+
+def _scene_of(arrays: Sequence[Any]) -> GaussianScene:
+    data, opacities, sh = (torch.from_numpy(array.numpy().copy()) for array in arrays)
+    rows = data.reshape(len(opacities), 10)
+    x, y, z, w = rows[:, 6:].unbind(1)
+    return GaussianScene(
+        rows[:, :3].contiguous(),
+        rows[:, 3:6].contiguous(),
+        torch.stack([w, x, y, z], dim=1),
+        opacities,
+        sh.reshape(len(opacities), -1, 3),
+    )
+
+
+def _settings_of(integrator: Any) -> RenderSettings:
+    if type(integrator).__name__ != "SplatTile":
+        return RenderSettings()
+    return RenderSettings(
+        background=integrator.background, near=integrator.near, alpha=integrator.alpha, linear=integrator.linear
+    )
+
+
+def _reason(error: RuntimeError, path: Path) -> MiSplatError:
+    """Mitsuba wraps what a plugin raises in text; give back the last line of it, which is ours if we raised it."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    ours = [line for line in lines if line.startswith(("SplatFileError:", "InvalidValueError:"))]
+    if ours:
+        return SplatFileError(ours[-1].split(": ", 1)[1])
+    return InvalidValueError(message(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file"))
+
+
+def open_stage(path: Path) -> Stage:
+    """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
+
+    A bare splat file becomes a stage of one part without cameras, in front of black.
+
+    Raises:
+        MiSplatError: The file cannot be read, or is of neither kind.
+    """
+    if path.suffix.lower() == ".xml":
+        stage = read_stage(path)
+        return dataclasses.replace(stage, settings=dataclasses.replace(stage.settings, alpha=False, linear=False))
+    if path.suffix.lower() != ".ply":
+        do = "pass a Mitsuba scene or a 3DGS splat"
+        raise InvalidValueError(message(str(path), "a file that ends in .xml or .ply", path.suffix or "no ending", do))
+    scene = load_splat(path)
+    return Stage(scene=scene, parts={path.stem: slice(0, len(scene))}, cameras={}, settings=RenderSettings())
+
+
+def choose_camera(stage: Stage, name: str | None, path: Path) -> Camera:
+    """The camera called `name` of a stage, or its first if None.
+
+    Raises:
+        InvalidValueError: There is no such camera.
+    """
+    if name is None and stage.cameras:
+        return next(iter(stage.cameras.values()))
+    if name not in stage.cameras:
+        expected = f"one of {', '.join(stage.cameras)}" if stage.cameras else "none, since it has no cameras"
+        raise InvalidValueError(message(f"camera of {path}", expected, name, "name one that is there"))
+    return stage.cameras[name]
+
+
+def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
+    """Middle and radius, world units, of the box around the middle 98 % of the means along each axis.
+
+    The rest are often floaters far away, which would make everything else tiny.
+
+    Raises:
+        InvalidValueError: The scene is empty.
+    """
+    if not len(scene):
+        raise InvalidValueError(message("scene", "Gaussians to look at", "none", "pass another file"))
+    ordered = scene.means.double().sort(dim=0).values
+    last = len(ordered) - 1
+    low, high = ordered[round(0.01 * last)], ordered[round(0.99 * last)]
+    x, y, z = ((low + high) / 2).tolist()
+    return (x, y, z), max(float(torch.linalg.vector_norm(high - low)) / 2, float(scene.scales.mean()))
+
+
+def orbit_camera(
+    scene: GaussianScene,
+    *,
+    azimuth: float,
+    elevation: float,
+    distance: float | None,
+    fov: float,
+    size: tuple[int, int],
+) -> Camera:
+    """A camera that looks at the middle of a scene.
+
+    Args:
+        scene: What to look at.
+        azimuth: Degrees from +x towards +y.
+        elevation: Degrees above the ground.
+        distance: World units; None is as near as shows all of `bounds`.
+        fov: Degrees over the shorter side of the picture.
+        size: Width and height in pixels.
+
+    Raises:
+        InvalidValueError: The scene is empty, or a number is out of range.
+    """
+    if not 0 < fov < 180:
+        raise InvalidValueError(message("fov", "degrees between 0 and 180", fov, "45 is usual"))
+    if min(size) < 1:
+        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance 640 480"))
+    middle, radius = bounds(scene)
+    half = math.radians(fov) / 2
+    if distance is None:
+        distance = radius / math.sin(half)
+    pose = orbit_pose(middle, azimuth=azimuth, elevation=elevation, distance=distance)
+    return Camera(to_world=pose, focal=min(size) / 2 / math.tan(half), width=size[0], height=size[1])
+
+
+def resized(camera: Camera, size: tuple[int, int]) -> Camera:
+    """The same camera with another picture size; what it saw from left to right, it still sees.
+
+    Raises:
+        InvalidValueError: The size is not positive.
+    """
+    width, height = size
+    factor = width / camera.width
+    offset = ((camera.cx - camera.width / 2) * factor, (camera.cy - camera.height / 2) * factor)
+    return Camera(
+        to_world=camera.to_world,
+        focal=(camera.fx * factor, camera.fy * factor),
+        width=width,
+        height=height,
+        principal=(width / 2 + offset[0], height / 2 + offset[1]),
+    )

@@ -1,0 +1,78 @@
+"""How a splat is trained: the settings of a run as one frozen value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.training.strategies import ClassicConfig, MCMCConfig
+
+Recipe = Literal["classic", "mcmc", "fixed"]
+Attribute = Literal["means", "scales", "rotations", "opacities", "sh"]
+TRAINABLE: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
+
+
+def densification(recipe: Recipe, *, limit: int, stop: int = 15_000) -> ClassicConfig | MCMCConfig | None:
+    """Where a recipe adds and removes Gaussians.
+
+    Args:
+        recipe: 3DGS's own, relocation, or neither.
+        limit: Largest number of Gaussians.
+        stop: Last step at which the classic recipe may add some.
+    """
+    if recipe == "classic":
+        return ClassicConfig(limit=limit, stop=stop)
+    return MCMCConfig(limit=limit) if recipe == "mcmc" else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitConfig:
+    """How a splat is trained; the defaults are the published recipe, shortened.
+
+    Attributes:
+        iterations: Number of steps; each sees one view.
+        trainable: What may change; `("sh",)` trains the texture of a frozen geometry.
+        densification: Where Gaussians are added and removed; None keeps their number. Any but None needs means,
+            scales, rotations and opacities trainable.
+        degree: SH degree of the result.
+        degree_every: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
+        structure: Weight of D-SSIM in the loss; the rest is L1.
+        means: First learning rate of the means, in units of the scene's extent.
+        means_last: Last one; between them it decays exponentially.
+        scales: Learning rate of the log-scales.
+        rotations: Learning rate of the quaternions.
+        opacities: Learning rate of the logit opacities.
+        sh: Learning rate of the first SH coefficient; the others have a twentieth of it.
+        evaluate_every: Steps between two looks at the held-out views; 0 looks at the end only.
+    """
+
+    iterations: int = 7000
+    trainable: tuple[Attribute, ...] = TRAINABLE
+    densification: ClassicConfig | MCMCConfig | None = field(default_factory=ClassicConfig)
+    degree: int = 3
+    degree_every: int = 1000
+    structure: float = 0.2
+    means: float = 1.6e-4
+    means_last: float = 1.6e-6
+    scales: float = 5e-3
+    rotations: float = 1e-3
+    opacities: float = 5e-2
+    sh: float = 2.5e-3
+    evaluate_every: int = 1000
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.trainable if name not in TRAINABLE]
+        if unknown or not self.trainable:
+            raise InvalidValueError(
+                message("trainable", f"some of {', '.join(TRAINABLE)}", self.trainable, "name what may change")
+            )
+        if self.densification is not None and set(self.trainable) != set(TRAINABLE):
+            raise InvalidValueError(
+                message("densification", "None where not everything is trained", self.densification, "pass None")
+            )
+        for name, value, least in (("iterations", self.iterations, 1), ("degree_every", self.degree_every, 0)):
+            if value < least:
+                raise InvalidValueError(message(name, f"a number >= {least}", value, "ask for more"))
+        if self.degree not in (0, 1, 2, 3):
+            raise InvalidValueError(message("degree", "0, 1, 2 or 3", self.degree, "3 is what 3DGS writes"))

@@ -1,0 +1,158 @@
+"""A training run in a folder: settings, checkpoints, figures and the splat, and going on where it stopped."""
+
+from __future__ import annotations
+
+import hashlib
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType
+
+import torch
+
+from mi_splat.cameras import RenderFn, View, cameras_of
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import save_splat
+from mi_splat.io.documents import save_json
+from mi_splat.metrics import Perceptual
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.training.checkpoints import CheckpointError, load_run, save_run, to_json
+from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress, Run, advance, extent_of
+
+CHECKPOINT, SPLAT, METRICS, CONFIG = "checkpoint.safetensors", "splat.ply", "metrics.json", "config.json"
+
+
+def train(
+    views: Sequence[View],
+    start: GaussianScene,
+    folder: Path,
+    *,
+    render: RenderFn,
+    config: FitConfig,
+    seed: int = 0,
+    held_out: Sequence[View] = (),
+    every: int = 1000,
+    lpips: Perceptual | None = None,
+    on_step: OnStep | None = None,
+) -> Fit:
+    """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
+
+    Writes config.json, checkpoint.safetensors every so many steps and when interrupted, and at the end splat.ply and
+    metrics.json.
+
+    Args:
+        views: Pictures to match.
+        start: Gaussians to begin with; the same again when a run goes on.
+        folder: Where; made if need be.
+        render: The renderer, see `mi_splat.training.loop.fit`.
+        config: How.
+        seed: Seed of everything random.
+        held_out: Views to score on.
+        every: Steps between two checkpoints.
+        lpips: A further score, see `mi_splat.metrics.load_lpips`.
+        on_step: Called after every step.
+
+    Warns:
+        UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
+
+    Raises:
+        CheckpointError: The folder holds a run with other settings, on other views or from another start.
+        InvalidValueError: `every` is not positive.
+        KeyboardInterrupt: The run was interrupted; its checkpoint is written.
+    """
+    if every < 1:
+        raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
+    folder.mkdir(parents=True, exist_ok=True)
+    path, data = folder / CHECKPOINT, _digest(views, start)
+    if path.is_file():
+        run, threads = load_run(path)
+        _check_same(run, config, seed, data, folder)
+        if threads != torch.get_num_threads():
+            now = torch.get_num_threads()
+            text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
+            warnings.warn(text, stacklevel=2)
+    else:
+        run = Run(start, config, extent=extent_of(views), seed=seed)
+        run.data = data
+        save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+
+    with _deferred_interrupt() as interrupted:
+
+        def after(line: Progress) -> None:
+            if on_step is not None:
+                on_step(line)
+            if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
+                save_run(run, path)
+            if interrupted():
+                raise KeyboardInterrupt
+
+        found = advance(run, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
+    save_splat(found.scene, folder / SPLAT)
+    save_json(_figures(found, len(held_out)), folder / METRICS)
+    return found
+
+
+def _digest(views: Sequence[View], start: GaussianScene) -> str:
+    """Stands for what a run is trained on; of a set on the disk no picture is read."""
+    total = hashlib.sha256(scene_hash(start).encode())
+    for camera in cameras_of(views):
+        lens = (camera.focal, camera.principal, camera.width, camera.height)
+        total.update(repr((camera.to_world.tolist(), lens)).encode())
+    known = getattr(views, "fingerprint", None)
+    if known is None:
+        for view in views:
+            total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
+    else:
+        total.update(known.encode())
+    return total.hexdigest()
+
+
+def _check_same(run: Run, config: FitConfig, seed: int, data: str, folder: Path) -> None:
+    if run.data != data:
+        do = "pass those that it began with, or train in another folder"
+        raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
+    if run.config != config or run.seed != seed:
+        old, new = to_json(run.config) | {"seed": run.seed}, to_json(config) | {"seed": seed}
+        differs = ", ".join(f"{key} {old[key]}" for key in old if old[key] != new[key])
+        raise CheckpointError(
+            message(str(folder), "a run with the same settings", differs, "use those, or train in another folder")
+        )
+
+
+def _figures(found: Fit, held_out: int) -> dict[str, object]:
+    """How true the held-out views are, and how it came about."""
+    scores = found.history[-1].held_out
+    return {
+        **dict.fromkeys(("psnr", "ssim", "lpips")),
+        **({} if scores is None else asdict(scores)),
+        "held_out_views": held_out,
+        "gaussians": len(found.scene),
+        "scene_hash": scene_hash(found.scene),
+        "threads": torch.get_num_threads(),
+        "seed": found.seed,
+        "history": [asdict(line) for line in found.history],
+    }
+
+
+@contextmanager
+def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C inside the block is only noted, so that a step is never left half done; a second one stops at once."""
+    pressed: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        if pressed:
+            raise KeyboardInterrupt
+        pressed.append(number)
+
+    if threading.current_thread() is not threading.main_thread():  # only the main thread gets signals
+        yield lambda: False
+        return
+    previous = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, previous)

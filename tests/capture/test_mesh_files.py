@@ -1,0 +1,184 @@
+"""Mesh files: geometry, axes, textures the right way up, colours, and what is wrong with a file."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.srgb import to_srgb
+from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.errors import InvalidValueError, MiSplatError
+
+pytest.importorskip("trimesh")
+
+# A square in the plane x = 0 of a y-up file: the corners in order of (z right to left, y up).
+SQUARE = [[0, 0, 0], [0, 0, -1], [0, 1, -1], [0, 1, 0]]
+FACES = [[0, 1, 2], [0, 2, 3]]
+UVS = [[0, 0], [1, 0], [1, 1], [0, 1]]
+
+
+def picture() -> Image.Image:
+    """Red and green above blue and white."""
+    values = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    return Image.fromarray(values)
+
+
+def colour_at(asset: Asset, corner: int) -> list[float]:
+    """Colour of the texel at a corner of the only mesh, as the path tracer looks it up (first row at v = 1)."""
+    (mesh,) = asset.meshes
+    height, width = mesh.texture.shape[:2]
+    u, v = mesh.uvs[corner]
+    row, column = int(np.clip((1 - v) * height, 0, height - 1)), int(np.clip(u * width, 0, width - 1))
+    return [float(value) for value in mesh.texture[row, column]]
+
+
+def write_obj(folder: Path, *, material: str = "map_Kd t.png") -> Path:
+    lines = ["mtllib m.mtl", *(f"v {x} {y} {z}" for x, y, z in SQUARE), *(f"vt {u} {v}" for u, v in UVS), "usemtl m"]
+    lines += ["f " + " ".join(f"{i + 1}/{i + 1}" for i in face) for face in FACES]
+    (folder / "m.obj").write_text("\n".join([*lines, ""]))
+    (folder / "m.mtl").write_text(f"newmtl m\n{material}\n")
+    picture().save(folder / "t.png")
+    return folder / "m.obj"
+
+
+def write_glb(folder: Path, *, factor: list[float] | None = None, move: float = 0.0, texture: bool = True) -> Path:
+    """A GLB written by hand: in glTF, v runs down from the top of the picture."""
+    buffer = io.BytesIO()
+    picture().save(buffer, format="PNG")
+    parts = [
+        np.array(SQUARE, "<f4").tobytes(),
+        (np.array(UVS, "<f4") * (1, -1) + (0, 1)).astype("<f4").tobytes(),
+        np.array(FACES, "<u2").tobytes(),
+        buffer.getvalue(),
+    ]
+    views, data = [], b""
+    for part in parts:
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(part)})
+        data += part + b"\0" * (-len(part) % 4)
+    physical: dict[str, object] = {"baseColorTexture": {"index": 0}} if texture else {}
+    if factor:
+        physical["baseColorFactor"] = factor
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, -1], "max": [0, 1, 0]},
+        {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+        {"bufferView": 2, "componentType": 5123, "count": 6, "type": "SCALAR"},
+    ]
+    document = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "translation": [move, 0, 0]}],
+        "meshes": [{"primitives": [
+            {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": physical}],
+        "textures": [{"source": 0}], "images": [{"bufferView": 3, "mimeType": "image/png"}],
+        "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}],
+    }  # fmt: skip
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + len(data)
+    head = struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<I4s", len(text), b"JSON")
+    (folder / "m.glb").write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
+    return folder / "m.glb"
+
+
+def write_ply(folder: Path, *, faces: bool = True, value: str = "0") -> Path:
+    rows = [f"{value} 0 0 255 0 0", "1 0 0 0 255 0", "0 1 0 0 0 255"]
+    names = [*(f"property float {axis}" for axis in "xyz"), *(f"property uchar {c}" for c in ("red", "green", "blue"))]
+    head = ["ply", "format ascii 1.0", "element vertex 3", *names]
+    if faces:
+        head += ["element face 1", "property list uchar int vertex_indices"]
+        rows += ["3 0 1 2"]
+    (folder / "m.ply").write_text("\n".join([*head, "end_header", *rows, ""]))
+    return folder / "m.ply"
+
+
+@pytest.mark.parametrize("kind", ["obj", "glb"])
+def test_textures_are_the_right_way_up(kind: str, tmp_path: Path) -> None:
+    asset = load_mesh(write_obj(tmp_path) if kind == "obj" else write_glb(tmp_path))
+    (mesh,) = asset.meshes
+    corners = {tuple(np.round(vertex, 5).tolist()): i for i, vertex in enumerate(mesh.vertices)}
+    # y up becomes z up: (x, y, z) -> (x, -z, y)
+    assert set(corners) == {(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)}
+    assert colour_at(asset, corners[0, 0, 1]) == [1, 0, 0]  # the first texel is at the top, where y is 0
+    assert colour_at(asset, corners[0, 1, 1]) == [0, 1, 0]
+    assert colour_at(asset, corners[0, 0, 0]) == [0, 0, 1]
+    assert colour_at(asset, corners[0, 1, 0]) == [1, 1, 1]
+    assert asset.name == "m"
+
+
+def test_axes_scale_and_placement(tmp_path: Path) -> None:
+    path = write_glb(tmp_path, move=3.0)
+    ply = write_ply(tmp_path)
+    for asset, bounds in (
+        (load_mesh(path), [[3, 0, 0], [3, 1, 1]]),
+        (load_mesh(path, scale=2.0), [[6, 0, 0], [6, 2, 2]]),
+        (load_mesh(path, up="z"), [[3, 0, -1], [3, 1, 0]]),
+        (load_mesh(ply), [[0, 0, 0], [1, 1, 0]]),
+    ):
+        assert np.allclose(asset.bounds, bounds, atol=1e-6)
+
+
+def test_faces_keep_their_side(tmp_path: Path) -> None:
+    (mesh,) = load_mesh(write_glb(tmp_path)).meshes
+    a, b, c = mesh.vertices[mesh.faces[0]]
+    assert np.cross(b - a, c - a)[0] > 0.9 * np.linalg.norm(np.cross(np.subtract(SQUARE[1], SQUARE[0]), [0, 1, -1]))
+
+
+def test_colour_factors(tmp_path: Path) -> None:
+    tinted = load_mesh(write_glb(tmp_path, factor=[0.5, 1.0, 1.0, 1.0])).meshes[0].texture
+    assert tinted[1, 1].tolist() == pytest.approx([float(to_srgb(128 / 255)), 1, 1], abs=0.01)  # linear, by the format
+    plain = load_mesh(write_glb(tmp_path, factor=[0.5, 0.0, 1.0, 1.0], texture=False)).meshes[0].texture
+    assert plain.reshape(-1, 3)[0].tolist() == pytest.approx([float(to_srgb(128 / 255)), 0, 1], abs=0.01)
+    flat = load_mesh(write_obj(tmp_path, material="Kd 0.2 0.4 0.6")).meshes[0].texture
+    assert flat.reshape(-1, 3)[0].tolist() == pytest.approx([0.2, 0.4, 0.6], abs=0.01)
+
+
+def test_vertex_colours_blend_over_the_face(tmp_path: Path) -> None:
+    (mesh,) = load_mesh(write_ply(tmp_path)).meshes
+    assert len(mesh.vertices) == 3
+    asset = Asset("m", (mesh,))
+    for vertex, colour in (((0, 0, 0), [1, 0, 0]), ((1, 0, 0), [0, 1, 0]), ((0, 1, 0), [0, 0, 1])):
+        corner = int(np.abs(mesh.vertices - vertex).sum(1).argmin())
+        assert colour_at(asset, corner) == pytest.approx(colour, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("m.stl", b"", "ends in .obj"),
+        ("m.obj", None, "no such file"),
+        ("m.obj", b"", r"m\.obj"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\n", r"m\.obj"),
+        ("m.glb", b"glTF", r"m\.glb"),
+        ("m.glb", b"", r"m\.glb"),
+        ("m.gltf", b"{}", r"m\.gltf"),
+        ("m.ply", b"ply\nformat ascii 1.0\n", r"m\.ply"),
+    ],
+)
+def test_files_that_are_no_mesh(name: str, content: bytes | None, says: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(MiSplatError, match=says):
+        load_mesh(tmp_path / name)
+
+
+def test_points_and_nans_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MiSplatError, match=r"m\.ply.*no faces"):
+        load_mesh(write_ply(tmp_path, faces=False))
+    with pytest.raises(MiSplatError, match=r"m\.ply.*finite"):
+        load_mesh(write_ply(tmp_path, value="nan"))
+    with pytest.raises(InvalidValueError, match="scale"):
+        load_mesh(write_ply(tmp_path), scale=0.0)
+
+
+def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(InvalidValueError, match=r"mi-splat\[meshes\]"):
+        load_mesh(write_ply(tmp_path))

@@ -1,0 +1,201 @@
+"""Capture: exact cameras, tight boxes, determinism, the caller's variant, XML scenes, bad input."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import torch
+
+from mi_splat.assets.mesh import Asset, box, ellipsoid, quad, sheet, translation
+from mi_splat.cameras import Camera, look_at, orbit_pose, project_box, project_points
+from mi_splat.capture.path_tracer import (
+    Light,
+    capture,
+    corner_normals,
+    depth_maps,
+    mesh_scene,
+    photograph,
+    scalar_variant,
+    to_linear,
+    to_srgb,
+)
+from mi_splat.errors import InvalidValueError
+
+EVEN = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
+CUBE = Asset("car", (box((1, 1, 1), (0.8, 0.1, 0.1), centre=(0, 0, 0.5)),))
+FLOOR = Asset("ground", (quad([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], (0.5, 0.5, 0.5)),))
+
+
+def camera(
+    *, size: tuple[int, int] = (64, 48), principal: tuple[float, float] | None = None, elevation: float = 25.0
+) -> Camera:
+    pose = orbit_pose((0, 0, 0.5), azimuth=30, elevation=elevation, distance=4)
+    return Camera(to_world=pose, focal=60.0, width=size[0], height=size[1], principal=principal)
+
+
+@pytest.mark.parametrize(
+    ("size", "principal"), [((64, 48), None), ((64, 48), (40.5, 15.0)), ((51, 37), (20.25, 22.0)), ((33, 70), None)]
+)
+def test_points_land_on_projected_pixels(size: tuple[int, int], principal: tuple[float, float] | None) -> None:
+    spots = torch.tensor([[0.8, 0.0, 0.2], [-0.5, 0.7, 0.9], [0.0, -0.6, 1.1], [0.1, 0.1, 0.0]])
+    view = camera(size=size, principal=principal)
+    pixels, depth = project_points(spots, view)
+    for spot, pixel, far in zip(spots, pixels, depth, strict=True):
+        ball = Asset("ball", (ellipsoid((0.3, 0.3, 0.3), (1, 1, 1), centre=spot.tolist()),))
+        hits = depth_maps(mesh_scene([ball]), [view])[0]
+        rows, columns = torch.nonzero(hits > 0, as_tuple=True)
+        middle = torch.tensor([columns.float().mean() + 0.5, rows.float().mean() + 0.5])
+        assert (middle - pixel).abs().max() < 0.5, (spot, middle, pixel)
+        near = hits[hits > 0].min()
+        assert near == pytest.approx(float((spot - view.position.float()).norm()) - 0.15, abs=0.02), far
+
+
+def test_picture_is_neither_mirrored_nor_upside_down() -> None:
+    texture = np.zeros((2, 2, 3), np.float32)
+    texture[0, 0], texture[0, 1], texture[1, 0] = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+    board = Asset("board", (quad([[1, -1, 0], [1, 1, 0], [1, 1, 2], [1, -1, 2]], texture),))
+    view = Camera(to_world=look_at((5, 0, 1), (0, 0, 1)), focal=64.0, width=32, height=32)
+    picture = capture(mesh_scene([board], light=EVEN), [view], samples=16)[0].image
+    assert picture[4, 4].argmax() == 0  # the texture's first row is at the top, its first column on the left
+    assert picture[4, 27].argmax() == 1
+    assert picture[27, 4].argmax() == 2
+    assert picture[24, 24].max() < 0.2
+
+
+def test_boxes_are_tight_and_hidden_parts_count() -> None:
+    wall = Asset("tv", (box((0.1, 1, 1.2), (0.1, 0.8, 0.1), centre=(1.0, 1.0, 0.6)),))
+    view = camera()
+    alone = photograph([CUBE], view, samples=4)
+    projected = project_box(torch.from_numpy(CUBE.vertices), view)
+    assert projected is not None
+    assert alone.labels == ("car",)
+    assert (alone.boxes[0] - projected).abs().max() < 1.0
+    assert alone.visible[0] == pytest.approx(1.0)
+    both = photograph([CUBE, wall], view, backdrop=FLOOR, samples=4)
+    assert both.labels == ("car", "tv")
+    assert 0.05 < both.visible[0] < 0.95
+    assert both.visible[1] > 0.6  # nothing hides it, but its lower corner is outside of the picture
+    area = (both.boxes[:, 2:] - both.boxes[:, :2]).prod(1)
+    assert area[0] <= (projected[2:] - projected[:2]).prod()
+
+
+def test_supports_are_photographed_but_not_boxed() -> None:
+    post = box((0.2, 0.2, 2), (0.1, 0.1, 0.8), centre=(0, 0, -1))
+    sign = Asset("stop sign", (*CUBE.meshes, post), supports=1)
+    view = camera()
+    projected = project_box(torch.from_numpy(sign.body.vertices), view)
+    shot = photograph([sign], view, samples=4)
+    assert projected is not None
+    assert (shot.boxes[0] - projected).abs().max() < 1.0
+    assert shot.visible[0] == pytest.approx(1.0)
+    bare = photograph([sign.body], view, samples=4)
+    below = int(projected[3]) + 3
+    assert (shot.view.image - bare.view.image)[below:].abs().max() > 0.1
+
+
+def test_objects_out_of_sight_have_no_box() -> None:
+    behind = CUBE.transformed(translation(40, 20, 0))
+    shot = photograph([behind, CUBE], camera(), samples=2)
+    assert shot.labels == ("car",)
+    assert shot.objects == (1,)
+    assert shot.boxes.shape == (1, 4)
+    empty = photograph([], camera(), backdrop=FLOOR, samples=2)
+    assert empty.boxes.shape == (0, 4)
+    assert empty.labels == ()
+
+
+def test_cut_off_objects_are_less_visible() -> None:
+    shot = photograph([CUBE], camera(principal=(64.0, 24.0)), samples=2)
+    assert shot.boxes[0, 2] == 64
+    assert 0.3 < shot.visible[0] < 0.8
+
+
+def test_same_seed_same_picture() -> None:
+    scene = mesh_scene([CUBE], backdrop=FLOOR)
+    first, again = (capture(scene, [camera()], samples=4, seed=5)[0].image for _ in range(2))
+    other = capture(scene, [camera()], samples=4, seed=6)[0].image
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    assert first.dtype == torch.float32
+    assert 0 <= float(first.min()) <= float(first.max()) <= 1
+
+
+def test_brightness_is_that_of_the_light() -> None:
+    # A white sky of radiance 1 above a diffuse plane: the plane's radiance is its linear reflectance.
+    view = Camera(to_world=look_at((0, 0, 3), (0, 0, 0)), focal=40.0, width=16, height=16)
+    picture = capture(mesh_scene([FLOOR], light=EVEN), [view], samples=64)[0].image
+    assert picture.mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_curves_are_inverse() -> None:
+    value = np.linspace(0, 1, 101, dtype=np.float32)
+    assert np.allclose(to_srgb(to_linear(value)), value, atol=1e-5)
+    assert to_srgb(np.array([-1.0, 2.0])).tolist() == [0.0, 1.0]
+
+
+def test_variant_is_put_back() -> None:
+    before = mi.variant()
+    mi.set_variant("llvm_ad_rgb")
+    try:
+        capture(mesh_scene([CUBE]), [camera()], samples=1)
+        assert mi.variant() == "llvm_ad_rgb"
+        with pytest.raises(RuntimeError), scalar_variant():
+            raise RuntimeError
+        assert mi.variant() == "llvm_ad_rgb"
+    finally:
+        if before is not None:
+            mi.set_variant(before)
+
+
+def test_scene_file(tmp_path: Path) -> None:
+    file = tmp_path / "ball.xml"
+    file.write_text(
+        '<scene version="3.0.0"><integrator type="direct"/>'
+        '<emitter type="constant"/><shape type="sphere"><point name="center" x="0" y="0" z="0.5"/>'
+        '<float name="radius" value="0.5"/>'
+        '<bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf></shape></scene>'
+    )
+    picture = capture(file, [camera(size=(33, 33))], samples=4)[0].image
+    assert picture[16, 16].max() == 0
+    assert picture[0, 0].min() == 1
+    steps: list[tuple[int, int]] = []
+    capture(file, [camera(), camera()], samples=1, on_step=lambda done, wanted: steps.append((done, wanted)))
+    assert steps == [(1, 2), (2, 2)]
+
+
+def test_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="positive number of paths"):
+        capture(mesh_scene([CUBE]), [camera()], samples=0)
+    with pytest.raises(InvalidValueError, match="Mitsuba XML file"):
+        capture(tmp_path / "missing.xml", [camera()])
+    wide = Camera(to_world=torch.eye(4), focal=(50.0, 60.0), width=8, height=8)
+    with pytest.raises(InvalidValueError, match="fx equal to fy"):
+        capture(mesh_scene([CUBE]), [wide], samples=1)
+
+
+def test_normals_are_smooth_on_a_ball_and_sharp_on_a_box() -> None:
+    ball = ellipsoid((2, 2, 2), (1, 1, 1), segments=40)
+    normals = corner_normals(ball)
+    assert np.abs(normals - ball.vertices[ball.faces]).max() < 0.08
+    flat = corner_normals(CUBE.meshes[0])
+    assert np.allclose(np.abs(flat).max(-1), 1)
+    ramp = sheet(
+        np.array([[[0, 0, 0], [1, 0, 0]], [[0, 1, 0], [1, 1, 0]], [[0, 2, 1.2], [1, 2, 1.2]]]), (1.0, 1.0, 1.0)
+    )
+    bend = math.degrees(math.atan(1.2))
+    assert bend > 38  # sharper than the crease angle, so the two halves keep their own normals
+    assert np.allclose(
+        sorted(set(np.round(corner_normals(ramp)[..., 2].ravel(), 4))), [np.cos(np.radians(bend)), 1], atol=1e-3
+    )
+
+
+def test_shipped_mesh_scene() -> None:
+    file = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
+    view = Camera(to_world=look_at((5, 1, 2.2), (0, 0.2, 0.5)), focal=77.0, width=64, height=48)
+    picture = capture(file, [view], samples=8)[0].image
+    assert 0.2 < picture.mean() < 0.8
+    assert picture.std() > 0.08

@@ -1,0 +1,212 @@
+"""The command line: exit statuses, messages, JSON, and that each command does what it says."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from attacks import cli
+from mi_splat.cli import console
+from mi_splat.errors import MiSplatError
+from mi_splat.io import save_splat
+from mi_splat.scene import GaussianScene
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def splat(tmp_path: Path) -> Path:
+    """A cloud of 200 Gaussians around (1, 2, 3)."""
+    count = 200
+    turns = torch.nn.functional.normalize(torch.randn(count, 4), dim=1)
+    middle = torch.tensor([1.0, 2.0, 3.0])
+    scene = GaussianScene(
+        means=middle + 0.3 * torch.randn(count, 3),
+        scales=torch.full((count, 3), 0.1),
+        rotations=turns,
+        opacities=torch.full((count,), 0.8),
+        sh=torch.ones(count, 4, 3),
+    )
+    path = tmp_path / "cloud.ply"
+    save_splat(scene, path)
+    return path
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text and command.summary in text for name, command in cli.COMMANDS.items())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("mi-splat 0.")
+
+
+def test_no_command_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    assert "usage:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("dager", "dagger"), ("rendr", "render"), ("detector", "detectors")])
+def test_unknown_command_names_the_nearest(typed: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([typed]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert f"did you mean {meant}?" in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info"],
+        ["info", "a.ply", "--nonsense"],
+        ["dagger", "--norm", "l7"],
+        ["dagger", "--steps", "many"],
+        ["dagger", "--attributes", "colour"],
+        ["render", "a.ply", "--size", "640"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage_exits_with_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err
+
+
+def command_that(action: Callable[[object], int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put `action` in the place of `mi-splat doctor`."""
+    monkeypatch.setitem(sys.modules, "attacks.cli.doctor", SimpleNamespace(run=action))
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (
+            MiSplatError("eps: expected a positive number,\ngot -1; choose one"),
+            1,
+            "eps: expected a positive number, got -1",
+        ),
+        (PermissionError(13, "Permission denied", "/out"), 1, "Permission denied: '/out'"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+    ids=["ours", "system", "interrupt"],
+)
+def test_errors_are_one_line(
+    error: BaseException, status: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(options: object) -> int:
+        raise error
+
+    command_that(fail, monkeypatch)
+    assert cli.main(["doctor"]) == status
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert line in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(options: object) -> int:
+        raise ZeroDivisionError
+
+    command_that(fail, monkeypatch)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["doctor"])
+
+
+def test_a_reader_that_goes_away_is_no_error(splat: Path) -> None:
+    code = "import sys; from attacks.cli import main; sys.exit(main(sys.argv[1:]))"
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as closed:
+        done = subprocess.run(
+            [sys.executable, "-c", code, "info", str(splat)], stdout=closed, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+
+
+def test_python_dash_m() -> None:
+    done = subprocess.run([sys.executable, "-m", "attacks", "info", "missing.ply"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert "missing.ply" in done.stderr
+
+
+def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(splat), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["gaussians"] == 200
+    assert facts["sh_degree"] == 1
+    assert facts["invalid"] is None
+    assert facts["opacity"]["50%"] == pytest.approx(0.8, abs=1e-6)
+    assert facts["bounds"][0][2] < 3 < facts["bounds"][1][2]
+    assert len(facts["hash"]) == 64
+    assert cli.main(["info", str(splat)]) == 0
+    assert "gaussians  200" in capsys.readouterr().out
+
+
+def test_info_counts_invalid_rows(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(splat.read_bytes())
+    start = data.index(b"end_header\n") + len(b"end_header\n")
+    data[start : start + 4] = b"\x00\x00\xc0\x7f"  # the first x becomes NaN
+    splat.write_bytes(bytes(data))
+    assert cli.main(["info", str(splat), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["gaussians"] == 199
+    assert "1 of 200" in facts["invalid"]
+
+
+@pytest.mark.parametrize("command", ["info", "render"])
+def test_files_that_are_no_splats(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = tmp_path / "bad.ply"
+    bad.write_bytes(b"ply or not")
+    assert cli.main([command, str(bad)]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["detectors", "--json"]) == 0
+    entries = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)["detectors"]}
+    assert {"car", "person", "stop sign"} <= set(entries["fasterrcnn_small"]["classes"])
+    assert len(entries["fasterrcnn_resnet50_fpn"]["classes"]) == 80
+    assert all(entry["available"] or entry["advice"] for entry in entries.values())
+    assert cli.main(["detectors"]) == 0
+    assert "fasterrcnn_small" in capsys.readouterr().out
+
+
+def test_progress_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    with console.progress("working", total=2) as advance:
+        advance("half")
+        advance()
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err == ""
+
+
+def test_progress_goes_to_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress("working", total=2) as advance:
+        advance("half way")
+        advance()
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "half way" in captured.err
+
+
+def test_json_refuses_what_json_cannot_hold() -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        console.show_json({"psnr": float("inf")})

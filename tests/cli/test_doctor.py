@@ -1,0 +1,92 @@
+"""`mi-splat doctor`: what it finds, and that it survives what it looks for."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+from attacks import cli
+from attacks.cli import checks
+from attacks.cli.checks import Finding, Probe
+
+PROBES = tuple(
+    Probe(name=name, run=lambda: "", advice=f"mend {name}", required=name != "third")
+    for name in ("first", "second", "third")
+)
+REPORT = "import os; os.write(1, b'" + '{"detail": "fine", "absent": false}\\n' + "'); "
+
+
+def examined(code: str, monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
+    """Findings of a group of three probes whose child runs `code`."""
+    monkeypatch.setitem(checks.GROUPS, "group", PROBES)
+    return checks.examine_group("group", [sys.executable, "-c", code])
+
+
+def test_all_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    findings = examined(REPORT * 3, monkeypatch)
+    assert [finding.state for finding in findings] == ["works"] * 3
+    assert [finding.advice for finding in findings] == [""] * 3
+    assert [finding.required for finding in findings] == [True, True, False]
+
+
+def test_a_child_that_aborts(monkeypatch: pytest.MonkeyPatch) -> None:
+    findings = examined(REPORT + "os.abort()", monkeypatch)
+    assert [finding.state for finding in findings] == ["works", "fails", "skipped"]
+    assert "SIGABRT" in findings[1].detail
+    assert findings[1].advice == "mend second"
+
+
+def test_a_child_that_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "from mi_splat.errors import MiSplatError; raise MiSplatError('libLLVM: expected one, got none; install it')"
+    findings = examined(code, monkeypatch)
+    assert [finding.state for finding in findings] == ["fails", "skipped", "skipped"]
+    assert findings[0].detail == "libLLVM: expected one, got none; install it"
+
+
+def test_a_child_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "TIME_LIMIT", 0.5)
+    findings = examined("import time; time.sleep(60)", monkeypatch)
+    assert findings[0].state == "fails"
+    assert "no answer" in findings[0].detail
+
+
+def test_what_is_optional_may_be_absent(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    def missing() -> str:
+        raise checks.AbsentError("no such thing")
+
+    probes = (Probe(name="extra", run=missing, advice="get it", required=False),)
+    monkeypatch.setitem(checks.GROUPS, "group", probes)
+    checks.report_group("group")
+    assert json.loads(capfd.readouterr().out) == {"detail": "no such thing", "absent": True}
+    code = "import os; os.write(1, b'" + '{"detail": "no such thing", "absent": true}\\n' + "')"
+    (finding,) = checks.examine_group("group", [sys.executable, "-c", code])
+    assert (finding.state, finding.advice) == ("absent", "get it")
+
+
+def test_an_old_llvm_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM-14.so.1")
+    findings = checks.examine_group("renderer", [sys.executable, "-m", "attacks.cli.checks", "renderer"])
+    assert [finding.state for finding in findings] == ["fails", "skipped", "skipped", "skipped"]
+    assert "/nowhere/libLLVM-14.so.1" in findings[0].detail
+    assert "apt install" in findings[0].advice
+
+
+def test_this_machine_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
+    status = cli.main(["doctor", "--json"])
+    document = json.loads(capsys.readouterr().out)
+    states = {finding["name"]: finding["state"] for finding in document["findings"]}
+    needed = ("versions", "LLVM", "variant", "one Gaussian", "one gradient", "torch pair", "one detector")
+    assert {name: states[name] for name in needed} == dict.fromkeys(needed, "works")
+    assert document["healthy"]
+    assert status == 0
+
+
+def test_a_failure_is_told_with_advice(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    finding = Finding(name="LLVM", state="fails", detail="none found", advice="install it", required=True)
+    monkeypatch.setattr("attacks.cli.doctor.examine", lambda on_done: [finding])
+    assert cli.main(["doctor"]) == 1
+    text = capsys.readouterr().out
+    assert "none found" in text
+    assert "-> install it" in text

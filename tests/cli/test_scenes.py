@@ -1,0 +1,240 @@
+"""Commands on scenes: `render` on splats and XML, `dagger` on a toy scene with a fake renderer and detector."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from attacks.cli import dagger
+from mi_splat import scene_files
+from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import Stage
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
+
+XML = """
+<scene version="3.0.0">
+    <integrator type="splat_tile"/>
+    <shape type="gaussians" id="cloud"><string name="filename" value="cloud.ply"/></shape>
+    <sensor type="perspective" id="front">
+        <float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="9, 2, 3" target="1, 2, 3" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/></film>
+    </sensor>
+    <sensor type="perspective" id="side">
+        <float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="1, 10, 3" target="1, 2, 3" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="40"/></film>
+    </sensor>
+</scene>
+"""
+
+
+@pytest.fixture
+def cloud() -> GaussianScene:
+    """A ball of 400 bright Gaussians around (1, 2, 3)."""
+    count = 400
+    return GaussianScene(
+        means=torch.tensor([1.0, 2.0, 3.0]) + 0.3 * torch.randn(count, 3),
+        scales=torch.full((count, 3), 0.1),
+        rotations=torch.nn.functional.normalize(torch.randn(count, 4), dim=1),
+        opacities=torch.full((count,), 0.8),
+        sh=torch.ones(count, 1, 3),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path, cloud: GaussianScene) -> Path:
+    """A folder with the cloud as a splat file and a scene XML."""
+    save_splat(cloud, tmp_path / "cloud.ply")
+    (tmp_path / "scene.xml").write_text(XML)
+    return tmp_path
+
+
+def pixels(path: Path) -> np.ndarray:
+    """(H, W, 3) levels of a PNG."""
+    with Image.open(path) as picture:
+        return np.asarray(picture)
+
+
+def test_render_frames_a_bare_splat(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "new" / "picture.png"
+    assert cli.main(["render", str(folder / "cloud.ply"), "--out", str(out), "--size", "60", "40", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians"] == 400
+    picture = pixels(out)
+    assert picture.shape == (40, 60, 3)
+    assert picture[20, 30].min() > 128
+    assert picture[[0, 0, -1, -1], [0, -1, 0, -1]].max() < 20
+
+
+def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
+    for words, shape in (([], (32, 48, 3)), (["--camera", "side"], (40, 20, 3)), (["--size", "24", "16"], (16, 24, 3))):
+        out = folder / "picture.png"
+        assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
+        picture = pixels(out)
+        assert picture.shape == shape
+        assert picture[shape[0] // 2, shape[1] // 2].min() > 128
+
+
+def test_render_puts_a_background_behind(folder: Path) -> None:
+    words = ["--background", "1", "0", "0", "--azimuth", "90", "--size", "32", "32"]
+    out = folder / "picture.png"
+    assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
+    assert pixels(out)[0, 0].tolist() == [255, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["scene.xml", "--camera", "back"], "front, side"),
+        (["cloud.ply", "--camera", "back"], "no cameras"),
+        (["cloud.ply", "--fov", "180"], "fov"),
+        (["cloud.ply", "--size", "0", "10"], "size"),
+        (["notes.txt"], ".xml or .ply"),
+        (["missing.xml"], "missing.xml"),
+        (["cloud.ply", "--out", "cloud.ply/picture.png"], "cloud.ply"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_render_says_what_is_wrong(
+    words: list[str], says: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert cli.main(["render", *words]) == 1
+    captured = capsys.readouterr()
+    assert says in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_info_lists_parts_and_cameras(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(folder / "scene.xml"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["parts"] == {"cloud": 400}
+    assert facts["cameras"] == {"front": "48 x 32", "side": "20 x 40"}
+
+
+@pytest.mark.parametrize("size", [(64, 64), (90, 30), (30, 90)])
+@pytest.mark.parametrize("elevation", [-30.0, 20.0, 90.0])
+def test_an_orbit_camera_sees_everything(cloud: GaussianScene, size: tuple[int, int], elevation: float) -> None:
+    view = scene_files.orbit_camera(cloud, azimuth=123.0, elevation=elevation, distance=None, fov=45.0, size=size)
+    found, depth = project_points(cloud.means.double(), view)
+    inside = (found > 0).all(1) & (found < torch.tensor(size)).all(1) & (depth > 0)
+    assert float(inside.double().mean()) >= 0.98
+
+
+def test_floaters_do_not_count(cloud: GaussianScene) -> None:
+    far = cloud.select(slice(0, 1)).replace(means=torch.tensor([[1e4, 0.0, 0.0]]))
+    from mi_splat.scene import merge
+
+    middle, radius = scene_files.bounds(merge(cloud, far))
+    assert middle == pytest.approx((1.0, 2.0, 3.0), abs=0.2)
+    assert radius < 3.0
+
+
+def test_an_empty_scene_has_no_camera(cloud: GaussianScene) -> None:
+    with pytest.raises(InvalidValueError, match="scene"):
+        scene_files.bounds(cloud.select(slice(0, 0)))
+
+
+def test_a_resized_camera_sees_the_same() -> None:
+    pose = look_at((3.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    small = Camera(to_world=pose, focal=(50.0, 60.0), width=40, height=30, principal=(18.0, 16.0))
+    large = scene_files.resized(small, (80, 60))
+    points = torch.randn(20, 3, dtype=torch.float64)
+    assert torch.allclose(2 * project_points(points, small)[0], project_points(points, large)[0])
+
+
+@pytest.fixture
+def toy(monkeypatch: pytest.MonkeyPatch) -> Stage:
+    """The toy scene in the place of files, renderer and weights."""
+    scene, _ = toy_scene()
+    parts = {"rest": slice(0, 10), "thing": slice(10, 40)}
+    cameras = {"front": camera(), "aside": camera(offset=0.3)}
+    stage = Stage(scene=scene, parts=parts, cameras=cameras, settings=RenderSettings())
+    monkeypatch.setattr(dagger, "open_stage", lambda path: stage)
+    monkeypatch.setattr(dagger, "Renderer", lambda settings: blobs)
+    monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
+    return stage
+
+
+def test_dagger_writes_its_report(toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    words = ["--object", "thing", "--target", "person", "--eps", "20", "--seed", "3", "--noise-draws", "1"]
+    assert cli.main(["dagger", *words, "--out", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("SUCCESS")
+    assert "person" in lines[1]
+    assert str(out / "detections.png") in lines[-2]
+    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
+    assert {path.name for path in out.iterdir()} == names
+    result = json.loads((out / "result.json").read_text())
+    needed = {
+        "success",
+        "target",
+        "target_confidence",
+        "steps",
+        "norm",
+        "eps",
+        "image_psnr",
+        "seed",
+        "config",
+        "versions",
+    }
+    assert needed <= set(result)
+    assert (result["target"], result["eps"], result["seed"]) == ("person", 20.0, 3)
+    attacked = load_splat(out / "attacked.ply")
+    lower, higher = attacked.sh[:, :4], attacked.sh[:, 4:]  # the scene has degree 1, the attack makes it 3
+    assert torch.equal(lower[:10], toy.scene.sh[:10])
+    assert not higher[:10].any()
+    assert not torch.equal(lower[10:], toy.scene.sh[10:])
+    assert higher[10:].any()
+
+
+def test_dagger_prints_one_document(toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--object", "thing", "--objective", "hide", "--attributes", "opacities", "sh", "--eps", "3", "20"]
+    words += ["--views", "front", "aside", "--norm", "l2_per_gaussian", "--noise-draws", "0", "--json"]
+    assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["target"] is None
+    assert document["radius"] == {"opacities": 3.0, "sh": 20.0}
+    assert len(document["views"]) == 2
+    assert Path(document["files"]["result.json"]).is_file()
+
+
+def test_an_attack_that_fails_is_a_result(toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--object", "thing", "--eps", "0.001", "--noise-draws", "1", "--out", str(tmp_path)]
+    assert cli.main(["dagger", *words]) == 0
+    assert capsys.readouterr().out.startswith("FAILED")
+    psnr = json.loads((tmp_path / "result.json").read_text())["image_psnr"]
+    assert psnr is None or math.isfinite(psnr)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--object", "bicycle"], "rest, thing"),
+        (["--object", "thing", "--target", "unicorn"], "unicorn"),
+        (["--object", "thing", "--views", "behind"], "front, aside"),
+        (["--object", "thing", "--eps", "1", "2"], "eps"),
+        (["--object", "thing", "--eps", "-1"], "radius"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_dagger_says_what_is_wrong(
+    words: list[str], says: str, toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["dagger", *words, "--out", str(tmp_path / "out")]) == 1
+    captured = capsys.readouterr()
+    assert says in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()

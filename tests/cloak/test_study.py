@@ -1,0 +1,302 @@
+"""A tiny study from its file to its summary, with a detector of a few lines."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Tensor
+
+from attacks.cloak.study import setup
+from attacks.cloak.study.ablations import varied, vary
+from attacks.cloak.study.config import Attack, Cameras, Looking, Study, Training
+from attacks.cloak.study.markdown import ROWS
+from attacks.cloak.study.observations import Looks, Sighting, Trained
+from attacks.cloak.study.pipeline import Kept, Workshop
+from attacks.cloak.study.rates import by_elevation, pairs, rates
+from attacks.cloak.study.run import run_study
+from attacks.detectors.base import Candidates, Detections
+from mi_splat.cameras import View
+from mi_splat.datasets import load_dataset
+
+STUDY = Study(
+    name="tiny",
+    cameras=Cameras(train=16, size=40, distance=7.4, samples=2, points=1200),
+    attack=(
+        Attack(name="overhead", elevation=(38.2, 90)),
+        Attack(
+            name="rear",
+            look="paint",
+            texture="stop_sign",
+            painted_from=(180, 15),
+            elevation=(0, 38.1),
+            azimuth=(180, 45),
+            wants="stop sign",
+        ),
+    ),
+    training=Training(iterations=80, recipe="fixed", degree_every=0),
+    looking=Looking(detectors=("redness",), cameras=24, references=2, arcs=1, arc_step=20.0),
+)
+
+
+class Redness:
+    """Reports a car in the middle of the picture, with the more confidence the redder it is there."""
+
+    name: str = "redness"
+    classes: tuple[str, ...] = ("car", "stop sign")
+
+    def candidates(self, images: Tensor, *, extra: Any = None) -> list[Candidates]:
+        raise NotImplementedError
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        found = []
+        for image in images:
+            size = image.shape[0]
+            middle = image[size // 3 : 2 * size // 3, size // 3 : 2 * size // 3]
+            score = (6 * (middle[..., 0] - middle[..., 2]).clamp(0, 1).mean()).clamp(0, 1)
+            box = torch.tensor([[size * 0.25, size * 0.3, size * 0.75, size * 0.7]])
+            found.append(Detections(box, score[None], ("car",)))
+        return found
+
+
+def done(
+    folder: Path, *, study: Study = STUDY, stop_at: tuple[str, int] | None = None
+) -> tuple[dict[str, Any], list[str]]:
+    """The summary of a study and what was going on; interrupted at a step if one is named."""
+    said: list[str] = []
+
+    def step(text: str, count: int, total: int) -> None:
+        said.append(text)
+        if stop_at is not None and text.startswith(stop_at[0]) and count == stop_at[1]:
+            raise KeyboardInterrupt
+
+    torch.set_num_threads(1)
+    return run_study(study, [Redness()], folder, on_step=step), said
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study") / "out"
+    done(folder)
+    return folder
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
+
+
+def test_it_leaves_what_it_promises(finished: Path) -> None:
+    found = summary(finished)
+    for key in (*ROWS, "benign_psnr_drop", "fade_in_degrees", "seeds", "versions", "commit", "study", "by_detector"):
+        assert key in found, key
+    assert found["by_seed"]["0"]["redness"] == found["by_detector"]["redness"]
+    assert found["by_attack"]["overhead"]["redness"]["rear_stop_sign"] is None
+    assert found["by_attack"]["overhead"]["redness"]["cloaked_overhead_miss"] == found["cloaked_overhead_miss"]
+    for key in ROWS:
+        rate = found[key]
+        assert set(rate) == {"rate", "successes", "total", "interval"}
+        assert 0 <= rate["successes"] <= rate["total"]
+    for name in found["files"]:
+        assert (finished / name).stat().st_size > 0, name
+    assert found["gaussians"] == {"clean": [1200], "cloaked": [1200]}
+    with Image.open(finished / "contact.png") as sheet:
+        assert sheet.width > sheet.height
+
+
+def test_the_hidden_look_has_less_red(finished: Path) -> None:
+    """The effect, small as it is after so few steps, with its control."""
+    found = summary(finished)
+    assert found["benign_psnr_drop"] < 3
+    clean, cloaked = (
+        [row[which]["successes"] / row[which]["total"] for row in found["by_elevation"]["redness"] if row["from"] >= 50]
+        for which in ("clean", "cloaked")
+    )
+    assert sum(cloaked) <= sum(clean)
+
+
+def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
+    workshop = Workshop(study=STUDY, folder=finished / "stages")
+    clean, poisoned = load_dataset(workshop.capture()), load_dataset(workshop.poison(0))
+    manifest = json.loads((finished / "manifest.json").read_text())
+    changed = {change["index"] for change in manifest["changes"]}
+    owners = [
+        any(bool(attack.cone.holds([camera], centre=setup.centre_of(STUDY))) for attack in STUDY.attack)
+        for camera in clean.cameras
+    ]
+    assert changed == {index for index, owned in enumerate(owners) if owned}
+    for index, (one, other) in enumerate(zip(clean.paths, poisoned.paths, strict=True)):
+        assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
+    assert torch.equal(
+        torch.stack([c.to_world for c in clean.cameras]), torch.stack([c.to_world for c in poisoned.cameras])
+    )
+
+
+def test_nothing_is_done_twice(finished: Path) -> None:
+    before = summary(finished)
+    _, said = done(finished)
+    assert not said
+    assert {**summary(finished), "seconds": 0} == {**before, "seconds": 0}
+
+
+@pytest.mark.parametrize("stop_at", [("poisoning", 2), ("training the cloaked", 40)])
+def test_an_interrupted_study_ends_as_if_nothing_had_happened(
+    finished: Path, tmp_path: Path, stop_at: tuple[str, int]
+) -> None:
+    workshop = Workshop(study=STUDY, folder=finished / "stages")
+    for stage in (workshop.capture().parent, workshop.splat("clean", 0).parent):  # which would take long
+        shutil.copytree(stage, tmp_path / "out" / "stages" / stage.name)
+    (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
+    with pytest.raises(KeyboardInterrupt):
+        done(tmp_path / "out", stop_at=stop_at)
+    assert not (tmp_path / "out" / "summary.json").exists()
+    after, _ = done(tmp_path / "out")
+    assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
+
+
+def test_another_share_needs_no_new_capture(finished: Path) -> None:
+    overhead, rear = STUDY.attack
+    study = replace(STUDY, attack=(replace(overhead, share=0.5), rear))
+    workshop = Workshop(study=study, folder=finished / "stages")
+    assert workshop.capture() == Workshop(study=STUDY, folder=finished / "stages").capture()
+    assert workshop.poison(0) != Workshop(study=STUDY, folder=finished / "stages").poison(0)
+    manifest = json.loads((workshop.poison(0).parent / "manifest.json").read_text())
+    assert len(manifest["changes"]) < len(json.loads((finished / "manifest.json").read_text())["changes"])
+
+
+def test_kept_pictures_are_made_once(tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def look(view: View, mask: Tensor) -> Tensor:
+        made.append(1)
+        return view.image * 0.5
+
+    kept = Kept(look, tmp_path)
+    camera = setup.training_cameras(STUDY, setup.target_of(STUDY.scene))[0]
+    view = View(camera, torch.rand(40, 40, 3))
+    first, second = (kept(view, torch.ones(40, 40, dtype=torch.bool)) for _ in range(2))
+    assert torch.equal(first, second)
+    assert len(made) == 1
+    assert float((first - view.image * 0.5).abs().max()) <= 0.5 / 255 + 1e-6
+
+
+def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
+    study = replace(STUDY, training=replace(STUDY.training, iterations=12))
+    said: list[str] = []
+    found = vary(
+        study,
+        ["recipe"],
+        [Redness()],
+        tmp_path,
+        stages=finished / "stages",
+        on_step=lambda text, done, total: said.append(text),
+    )
+    assert list(found["recipe"]) == ["classic", "mcmc"]
+    assert not [text for text in said if "pictures" in text or text == "poisoning"]
+    with Image.open(tmp_path / "recipe.png") as plot:
+        assert plot.size[0] > 500
+    table = (tmp_path / "variations.md").read_text().splitlines()
+    assert len(table) == 2 + 2
+    assert table[2].startswith("| classic | redness | ")
+
+
+def test_variations_change_one_thing() -> None:
+    shares = varied(STUDY, "share")
+    assert [study.attack[0].share for study in shares.values()] == [0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
+    looks = varied(STUDY, "look")
+    assert [study.attack[0].texture for study in looks.values()] == [
+        "road",
+        None,
+        None,
+        "road",
+        "grass",
+        "clock",
+        "football",
+    ]
+    assert all(study.attack[1] == STUDY.attack[1] for study in looks.values())
+    assert [study.training.degree for study in varied(STUDY, "degree").values()] == [0, 1, 2, 3]
+    assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
+    assert [study.training.strays for study in varied(STUDY, "strays").values()] == [0, 1000, 4000]
+    assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]
+
+
+# Figures
+
+
+def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0) -> list[Looks]:
+    """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
+    looks = []
+    for which, score in (("clean", clean), ("cloaked", cloaked)):
+        sighting = Sighting(
+            splat=which,
+            seed=0,
+            detector="redness",
+            view=view,
+            azimuth=0.0,
+            elevation=38.2 + depth,
+            depths={"overhead": depth, "rear": -10.0},
+            scores={"car": score, "stop sign": sign if which == "cloaked" else 0.0},
+            loose=score,
+        )
+        trained = Trained(splat=which, seed=0, gaussians=1, file="", hash="")
+        looks.append(Looks(trained=trained, sightings=(sighting,), likenesses=(), shades=()))
+    return looks
+
+
+def test_rates_have_the_denominators_that_they_say() -> None:
+    looks = [
+        *seen(0, 10, 0.9, 0.1),
+        *seen(1, 10, 0.9, 0.9),
+        *seen(2, 10, 0.2, 0.1),  # the control is not found
+        *seen(3, 2, 0.9, 0.1),  # near the edge
+        *seen(4, -5, 0.9, 0.9),
+        *seen(5, -5, 0.9, 0.3),
+        *seen(6, -5, 0.3, 0.3),
+    ]
+    found = rates(STUDY, pairs(looks))
+
+    def numbers(name: str) -> tuple[int, int]:
+        rate = found[name]
+        assert rate is not None
+        return rate.successes, rate.total
+
+    assert numbers("clean_overhead_recall") == (3, 4)
+    assert numbers("cloaked_overhead_miss") == (1, 2)
+    assert numbers("cloaked_overhead_miss_everywhere") == (2, 3)
+    assert numbers("cloaked_overhead_miss_unconditional") == (2, 3)
+    assert numbers("benign_recall") == (1, 2)
+    assert numbers("clean_benign_recall") == (2, 3)
+    assert numbers("rear_stop_sign") == (0, 0)
+    rows = {
+        low: (clean.successes, cloaked.successes, clean.total)
+        for low, clean, cloaked in by_elevation(STUDY, pairs(looks))
+    }
+    assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
+
+
+def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
+    looks = [
+        replace(look, sightings=tuple(replace(one, depths={"overhead": -20.0, "rear": 3.0}) for one in look.sightings))
+        for look in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
+    ]
+    found = rates(STUDY, pairs(looks))
+    assert found["rear_stop_sign"] is not None
+    assert found["clean_rear_stop_sign"] is not None
+    assert (found["rear_stop_sign"].successes, found["rear_stop_sign"].total) == (1, 2)
+    assert (found["clean_rear_stop_sign"].successes, found["clean_rear_stop_sign"].total) == (0, 2)
+
+
+def test_meridians_rise_to_straight_above() -> None:
+    target = setup.target_of(STUDY.scene)
+    for arc in setup.arc_cameras(STUDY, target):
+        heights = [float(camera.position[2]) for camera in arc]
+        assert heights == sorted(heights)
+        assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0

@@ -1,0 +1,197 @@
+"""Triggers: edges, wrap-around, poles, De Morgan, shares, and depths against a dense grid of directions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from attacks.cloak.triggers import Azimuth, Elevation, Listed, Share, Trigger
+from mi_splat.camera_sets import hemisphere, orbit
+from mi_splat.cameras import Camera, look_at, orbit_pose
+from mi_splat.directions import bearing
+from mi_splat.errors import InvalidValueError
+
+CENTRE = (0.3, -0.2, 0.7)
+
+
+def at(azimuth: float, elevation: float, *, distance: float = 5.0) -> Camera:
+    pose = orbit_pose(CENTRE, azimuth=azimuth, elevation=elevation, distance=distance)
+    return Camera(to_world=pose, focal=20.0, width=16, height=16)
+
+
+def inside(trigger: Trigger, *places: tuple[float, float]) -> list[bool]:
+    cameras = [at(*place) for place in places]
+    return [bool(value) for value in trigger.holds(cameras, centre=CENTRE)]
+
+
+def depth(trigger: Trigger, azimuth: float, elevation: float) -> float:
+    return trigger.angle_to_edge(at(azimuth, elevation), centre=CENTRE)
+
+
+CAMERAS = hemisphere(CENTRE, count=36, distance=4.0, focal=20.0, size=(16, 16), elevation=(-90, 90))
+cones = st.one_of(
+    st.builds(lambda a, b: Elevation(least=min(a, b), most=max(a, b)), st.integers(-90, 90), st.integers(-90, 90)),
+    st.builds(lambda m, h: Azimuth(middle=m, half_width=h), st.integers(-400, 400), st.integers(1, 180)),
+)
+triggers = st.recursive(
+    cones,
+    lambda inner: st.one_of(
+        st.builds(lambda a, b: a & b, inner, inner),
+        st.builds(lambda a, b: a | b, inner, inner),
+        inner.map(lambda a: ~a),
+    ),
+    max_leaves=4,
+)
+
+
+@given(st.floats(0, 359.9), st.floats(-89, 89), st.floats(0.1, 50))
+def test_bearings_are_those_of_orbits(azimuth: float, elevation: float, distance: float) -> None:
+    found = bearing(at(azimuth, elevation, distance=distance), CENTRE)
+    assert abs((found.azimuth - azimuth + 180) % 360 - 180) < 1e-6
+    assert found.elevation == pytest.approx(elevation, abs=1e-6)
+    assert not found.pole
+
+
+def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
+    ring = orbit(CENTRE, count=36, elevation=50.0, distance=5.0, focal=20.0, size=(16, 16))
+    assert bool(Elevation(least=50).select(ring, centre=CENTRE).all())
+    assert bool(Elevation(most=50).select(ring, centre=CENTRE).all())
+    assert inside(Elevation(least=50), (10, 49.9), (10, 50.1), (0, 90), (0, -90)) == [False, True, True, False]
+    assert depth(Elevation(least=50), 123, 62) == pytest.approx(12)
+    assert depth(Elevation(least=50), 123, 90) == pytest.approx(40)
+    assert depth(Elevation(least=20, most=50), 0, 44) == pytest.approx(6)
+    assert depth(Elevation(least=20, most=50), 0, 85) == pytest.approx(-35)
+    assert depth(Elevation(), 0, 3) == math.inf
+
+
+def test_azimuths_wrap_around() -> None:
+    front = Azimuth(middle=0, half_width=20)
+    places = ((350, 10), (10, 10), (20, 10), (340, 10), (21, 10), (339, 10), (180, 10))
+    expected = [True, True, True, True, False, False, False]
+    assert inside(front, *places) == expected
+    assert inside(Azimuth(middle=720, half_width=20), *places) == expected
+    assert inside(Azimuth(middle=-355, half_width=20), (-16, 0), (24, 0), (26, 0)) == [False, True, False]
+    assert inside(Azimuth(middle=90, half_width=170), (271, 0), (259, 0), (90, 0)) == [False, True, True]
+    assert depth(front, 355, 0) == pytest.approx(15)
+    assert depth(front, 50, 0) == pytest.approx(-30)
+    assert depth(front, 180, 30) == pytest.approx(-60)  # over the pole
+
+
+def test_an_azimuth_at_the_pole_does_not_exist() -> None:
+    straight = Camera(to_world=look_at((*CENTRE[:2], 9.0), CENTRE), focal=20.0, width=16, height=16)
+    assert bearing(straight, CENTRE).pole
+    for middle in (0, 90, 180, 270):
+        cone = Azimuth(middle=middle, half_width=60)
+        assert inside(cone, (middle, 90), (middle, -90), (middle, 89.9)) == [False, False, True]
+        assert not bool(cone.holds([straight], centre=CENTRE))
+        assert bool((~cone).holds([straight], centre=CENTRE))
+        assert cone.angle_to_edge(straight, centre=CENTRE) == 0
+    assert bool(Azimuth(middle=0, half_width=180).holds([straight], centre=CENTRE))
+
+
+@given(triggers, triggers)
+def test_de_morgan(one: Trigger, other: Trigger) -> None:
+    pairs = ((~(one & other), ~one | ~other), (~(one | other), ~one & ~other), (~~one, one))
+    for left, right in pairs:
+        assert torch.equal(left.holds(CAMERAS, centre=CENTRE), right.holds(CAMERAS, centre=CENTRE))
+        for camera in CAMERAS[::6]:
+            assert left.angle_to_edge(camera, centre=CENTRE) == right.angle_to_edge(camera, centre=CENTRE)
+
+
+# A dense set of directions, as an oracle: the distance to the nearest one on the other side of the edge.
+GRID = hemisphere(CENTRE, count=3000, distance=1.0, focal=20.0, size=(16, 16), elevation=(-90, 90))
+RAYS = np.array([camera.position.tolist() for camera in GRID]) - CENTRE
+SPACING = 6.0
+"""Degrees in which every direction has one of the grid on its side of an edge, in the tip of a wedge too."""
+
+
+def grid_depth(held: np.ndarray, ray: np.ndarray, here: bool) -> float:
+    across = RAYS[held != here]
+    nearest = math.degrees(math.acos(min(1.0, float((across @ ray).max())))) if len(across) else math.inf
+    return nearest if here else -nearest
+
+
+@pytest.mark.parametrize(
+    ("trigger", "exact"),
+    [
+        (Elevation(least=50), True),
+        (Elevation(least=-20, most=35), True),
+        (Azimuth(middle=180, half_width=30), True),
+        (Azimuth(middle=10, half_width=130), True),
+        (~Azimuth(middle=300, half_width=70), True),
+        (Elevation(least=50) & Azimuth(middle=90, half_width=40), False),
+        (Elevation(least=50) | Azimuth(middle=180, half_width=40), False),
+        (Elevation(least=40) & ~(Azimuth(middle=0, half_width=40) | Elevation(least=80)), False),
+    ],
+    ids=str,
+)
+def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
+    held = trigger.holds(GRID, centre=CENTRE).numpy()
+    for camera in CAMERAS:
+        ray = np.array(camera.position.tolist()) - CENTRE
+        found, here = trigger.angle_to_edge(camera, centre=CENTRE), bool(trigger.holds([camera], centre=CENTRE))
+        truth = grid_depth(held, ray / np.linalg.norm(ray), here)
+        assert found == 0 or (found > 0) == here
+        assert abs(found) <= abs(truth) + 1e-6  # never further from the edge than it is
+        if exact:
+            assert abs(found) >= abs(truth) - SPACING
+
+
+@given(st.floats(0.05, 1), st.floats(0.05, 1), st.integers(0, 99))
+def test_shares_are_parts_and_grow(one: float, other: float, seed: int) -> None:
+    whole = Elevation(least=10)
+    selected = whole.select(CAMERAS, centre=CENTRE)
+    small, large = (whole.share(part, seed=seed).select(CAMERAS, centre=CENTRE) for part in sorted((one, other)))
+    assert bool((selected | ~large).all())
+    assert bool((large | ~small).all())
+    assert int(small.sum()) == max(1, math.floor(min(one, other) * int(selected.sum()) + 0.5))
+    again = Share(of=whole, fraction=min(one, other), seed=seed).select(CAMERAS, centre=CENTRE)
+    assert torch.equal(small, again)
+    assert whole.share(0.3).angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(CAMERAS[5], centre=CENTRE)
+
+
+def test_other_seeds_are_other_shares() -> None:
+    shares = {tuple(Elevation().share(0.5, seed=s).select(CAMERAS, centre=CENTRE).tolist()) for s in range(5)}
+    assert len(shares) == 5
+    assert torch.equal(Elevation().share(1.0).select(CAMERAS, centre=CENTRE), torch.ones(36, dtype=torch.bool))
+
+
+def test_lists_combine_with_cones() -> None:
+    picked = Listed(indices=(3, 35))
+    assert torch.nonzero(picked.select(CAMERAS, centre=CENTRE))[:, 0].tolist() == [3, 35]
+    assert torch.nonzero((picked & Elevation(least=50)).select(CAMERAS, centre=CENTRE))[:, 0].tolist() == [35]
+    assert int((~picked).holds(CAMERAS, centre=CENTRE).sum()) == 34
+
+
+def test_bad_triggers_are_refused() -> None:
+    with pytest.raises(
+        InvalidValueError, match=r"trigger Elevation\(least=89.9.*expected at least one camera.*none of"
+    ):
+        Elevation(least=89.9).select(CAMERAS[:30], centre=CENTRE)
+    with pytest.raises(InvalidValueError, match="none of 0"):
+        Elevation().select([], centre=CENTRE)
+    with pytest.raises(InvalidValueError, match="elevation"):
+        Elevation(least=60, most=50)
+    with pytest.raises(InvalidValueError, match="elevation"):
+        Elevation(least=math.nan)
+    with pytest.raises(InvalidValueError, match="azimuth"):
+        Azimuth(middle=0, half_width=0)
+    with pytest.raises(InvalidValueError, match="azimuth"):
+        Azimuth(middle=math.nan, half_width=10)
+    with pytest.raises(InvalidValueError, match=r"0\.\.35.*\[60\]"):
+        Listed(indices=(1, 60)).select(CAMERAS, centre=CENTRE)
+    with pytest.raises(InvalidValueError, match="different positions"):
+        Listed(indices=(1, 1))
+    with pytest.raises(InvalidValueError, match="which have an edge"):
+        (Elevation(least=0) & Listed(indices=(1,))).angle_to_edge(CAMERAS[0], centre=CENTRE)
+    with pytest.raises(InvalidValueError, match="fraction"):
+        Elevation().share(0)
+    with pytest.raises(InvalidValueError, match="seed"):
+        Elevation().share(0.5, seed=-1)
+    with pytest.raises(InvalidValueError, match="centre"):
+        Elevation().select(CAMERAS, centre=CAMERAS[0].position.tolist())

@@ -1,0 +1,133 @@
+"""Camera sets from a short text."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from mi_splat.camera_sets import camera_set, grid, held_out_set
+from mi_splat.cameras import Camera, View, project_points
+from mi_splat.datasets import write_transforms
+from mi_splat.errors import InvalidValueError, MiSplatError
+
+CENTRE = (1.0, 2.0, 3.0)
+
+
+def cameras(spec: str) -> list[Camera]:
+    return camera_set(spec, CENTRE, distance=2.0, focal=20.0, size=(16, 12))
+
+
+def held_out(spec: str, count: int) -> list[Camera]:
+    return held_out_set(spec, count, CENTRE, distance=2.0, focal=20.0, size=(16, 12))
+
+
+def angles(found: list[Camera]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Azimuth and elevation of each camera in degrees."""
+    offset = (torch.stack([camera.position for camera in found]) - torch.tensor(CENTRE, dtype=torch.float64)) / 2
+    torch.testing.assert_close(offset.norm(dim=1), torch.ones(len(found), dtype=torch.float64))
+    return torch.rad2deg(torch.atan2(offset[:, 1], offset[:, 0])) % 360, torch.rad2deg(torch.asin(offset[:, 2]))
+
+
+@pytest.mark.parametrize(
+    ("spec", "count", "lowest", "highest"),
+    [
+        ("hemisphere:60", 60, 0, 90),
+        ("orbit:7@-20", 7, -20, -20),
+        ("orbit:1@12.5", 1, 12.5, 12.5),
+        ("cap:30@55", 30, 55, 90),
+        ("grid:8x3", 24, 15, 75),
+    ],
+)
+def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
+    found = cameras(spec)
+    assert len(found) == count
+    azimuth, elevation = angles(found)
+    band = (lowest - 1e-6, highest + 1e-6)
+    assert band[0] <= elevation.min() <= elevation.max() <= band[1]
+    if count > 1:
+        assert (
+            len({(round(a, 6), round(e, 6)) for a, e in zip(azimuth.tolist(), elevation.tolist(), strict=True)})
+            == count
+        )
+    pixels, depth = project_points(torch.tensor([CENTRE], dtype=torch.float64), found[0])
+    assert pixels[0].tolist() == pytest.approx([8, 6])
+    assert depth.item() == pytest.approx(2)
+    assert (found[0].width, found[0].height, found[0].fx) == (16, 12, 20)
+
+
+def test_a_grid_has_every_pair() -> None:
+    found = grid(CENTRE, azimuths=4, elevations=3, elevation=(10.0, 40.0), distance=2.0, focal=9.0, size=(4, 4))
+    azimuth, elevation = angles(found)
+    assert azimuth.tolist() == pytest.approx([0, 90, 180, 270] * 3, abs=1e-9)
+    assert elevation.tolist() == pytest.approx([15] * 4 + [25] * 4 + [35] * 4)
+
+
+@pytest.mark.parametrize("spec", ["hemisphere:60", "orbit:12@30", "cap:30@55", "grid:8x3"])
+def test_held_out_cameras_are_others_of_the_same_range(spec: str) -> None:
+    ours, theirs = cameras(spec), held_out(spec, 12)
+    assert len(theirs) == 12
+    low, high = (0.0, 90.0) if spec.startswith("grid") else angles(ours)[1].aminmax()
+    assert angles(theirs)[1].min() >= float(low) - 5
+    assert angles(theirs)[1].max() <= float(high) + 5
+    places = [torch.stack([camera.position for camera in part]) for part in (ours, theirs)]
+    assert torch.cdist(places[1], places[0]).min() > 0.05
+    assert held_out(spec, 0) == []
+
+
+@pytest.mark.parametrize(("others", "count"), [(60, 8), (36, 8), (12, 8), (12, 12), (5, 12), (1, 4), (7, 3)])
+def test_held_out_cameras_of_an_orbit_are_none_of_the_others(others: int, count: int) -> None:
+    taken = torch.stack([camera.position for camera in cameras(f"orbit:{others}@20")])
+    others_held = torch.stack([camera.position for camera in held_out(f"orbit:{others}@20", count)])
+    assert len(others_held) == count
+    least = torch.cdist(others_held, taken).min()
+    if count <= others:
+        step = 2 * 2.0 * math.cos(math.radians(20)) * math.sin(math.pi / others / 2)
+        assert float(least) == pytest.approx(step, rel=1e-6)
+    assert float(least) > 0.01
+
+
+def test_cameras_of_a_file(tmp_path: Path) -> None:
+    views = [View(camera, torch.zeros(12, 16, 3)) for camera in cameras("hemisphere:5")]
+    write_transforms(tmp_path, views)
+    found = cameras(str(tmp_path / "transforms_train.json"))
+    for ours, theirs in zip(found, views, strict=True):
+        assert torch.equal(ours.to_world, theirs.camera.to_world)
+        assert (ours.fx, ours.cx, ours.width) == (20, 8, 16)
+    for picture in (tmp_path / "images").iterdir():
+        picture.unlink()
+    assert len(cameras(str(tmp_path / "transforms_train.json"))) == 5  # needs no pictures
+    (tmp_path / "small.json").write_text(
+        '{"camera_angle_x": 1.5707963267948966, "frames": [{"transform_matrix": '
+        "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"
+    )
+    (lone,) = cameras(str(tmp_path / "small.json"))
+    assert (lone.width, lone.height) == (16, 12)
+    assert lone.fx == pytest.approx(8)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "", "hemisphere", "hemisphere:", "hemisphere:x", "hemisphere:-3", "hemisphere:3.5", "hemisphere:0", "sphere:10",
+        "orbit:10", "orbit:10@", "orbit:10@91", "orbit:0@10", "cap:10@90", "cap:10", "grid:10", "grid:0x4", "grid:4x",
+        "grid:99999x99999", "hemisphere:9999999", "hemisphere:10\n", "orbit:4@nan",
+    ],
+)  # fmt: skip
+def test_bad_texts_are_refused(spec: str) -> None:
+    with pytest.raises(InvalidValueError, match="cameras"):
+        cameras(spec)
+
+
+def test_bad_numbers_and_files_are_refused(tmp_path: Path) -> None:
+    for change in ({"distance": 0.0}, {"distance": math.nan}, {"focal": -1.0}):
+        with pytest.raises(InvalidValueError, match=next(iter(change))):
+            camera_set("hemisphere:3", CENTRE, **{"distance": 1.0, "focal": 1.0, **change}, size=(4, 4))
+    with pytest.raises(MiSplatError, match=r"none\.json"):
+        cameras(str(tmp_path / "none.json"))
+    with pytest.raises(InvalidValueError, match="test cameras"):
+        held_out("hemisphere:3", -1)
+    with pytest.raises(InvalidValueError, match="test cameras"):
+        held_out("some.json", 2)

@@ -1,0 +1,137 @@
+"""Cameras: poses, intrinsics, projection."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import hypothesis
+import pytest
+import torch
+from hypothesis import strategies as st
+
+from mi_splat.camera_sets import hemisphere, orbit
+from mi_splat.cameras import Camera, View, look_at, orbit_pose, project_box, project_points
+from mi_splat.errors import InvalidValueError
+
+points = st.tuples(*[st.floats(-5, 5)] * 3)
+
+
+def camera(**change: Any) -> Camera:
+    pose = look_at((4.0, 1.0, 2.0), (0.0, 0.0, 0.5))
+    return Camera(**{"to_world": pose, "focal": 100.0, "width": 64, "height": 48, **change})
+
+
+@hypothesis.given(origin=points, target=points)
+def test_look_at_sees_the_target_in_the_middle_and_up_at_the_top(
+    origin: tuple[float, float, float], target: tuple[float, float, float]
+) -> None:
+    hypothesis.assume(math.dist(origin, target) > 0.1)
+    seen = camera(to_world=look_at(origin, target))  # the constructor checks that the pose is rigid
+    pixel, depth = project_points(torch.tensor([target], dtype=torch.float64), seen)
+    torch.testing.assert_close(pixel[0], torch.tensor([32.0, 24.0], dtype=torch.float64))
+    assert depth.item() == pytest.approx(math.dist(origin, target))
+    assert seen.to_world[2, 1] <= 1e-9  # the image's y axis points down in the world
+
+
+@pytest.mark.parametrize("height", [3.0, -3.0])
+def test_look_at_along_the_vertical_has_y_at_the_top(height: float) -> None:
+    seen = camera(to_world=look_at((0, 0, height), (0, 0, 0)))
+    pixels, _ = project_points(torch.tensor([[0.0, 0.1, 0.0]], dtype=torch.float64), seen)
+    assert pixels[0, 1] < seen.cy
+    assert pixels[0, 0].item() == pytest.approx(seen.cx)
+
+
+def test_look_at_refuses_its_own_place() -> None:
+    with pytest.raises(InvalidValueError, match="target"):
+        look_at((1, 2, 3), (1, 2, 3))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"to_world": torch.eye(3)}, "to_world: expected shape"),
+        ({"to_world": 2 * torch.eye(4)}, "to_world: expected a finite rotation"),
+        ({"to_world": torch.full((4, 4), math.nan)}, "to_world: expected a finite rotation"),
+        ({"to_world": torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))}, "right-handed"),
+        ({"focal": 0.0}, "focal x"),
+        ({"focal": (10.0, -1.0)}, "focal y"),
+        ({"focal": math.inf}, "focal x"),
+        ({"width": 0}, "width"),
+        ({"height": 1 << 16}, "height"),
+        ({"width": 8.0}, "width"),
+        ({"principal": (math.nan, 0.0)}, "principal"),
+    ],
+)
+def test_wrong_cameras_are_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidValueError, match=words):
+        camera(**change)
+
+
+def test_intrinsics() -> None:
+    plain = camera()
+    assert (plain.fx, plain.fy, plain.cx, plain.cy) == (100, 100, 32, 24)
+    odd = camera(focal=(90.0, 80.0), principal=(10.0, 20.5))
+    assert (odd.fx, odd.fy, odd.cx, odd.cy) == (90, 80, 10, 20.5)
+    torch.testing.assert_close(odd.to_camera @ odd.to_world, torch.eye(4, dtype=torch.float64))
+    torch.testing.assert_close(plain.position, torch.tensor([4.0, 1.0, 2.0], dtype=torch.float64))
+
+
+def test_projection_by_hand() -> None:
+    seen = camera(to_world=torch.eye(4), focal=(100.0, 50.0), principal=(30.0, 20.0))
+    pixels, depth = project_points(torch.tensor([[0.0, 0.0, 2.0], [1.0, 2.0, 4.0], [0.0, 0.0, -1.0]]), seen)
+    torch.testing.assert_close(pixels[:2], torch.tensor([[30.0, 20.0], [55.0, 45.0]]))
+    assert depth.tolist() == [2, 4, -1]
+
+
+def test_projection_is_differentiable() -> None:
+    cloud = torch.randn(5, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda p: project_points(p, camera()), (cloud,))
+
+
+def test_boxes_are_clipped_to_the_image() -> None:
+    seen = camera(to_world=torch.eye(4))
+    inside = project_box(torch.tensor([[-0.1, -0.1, 1.0], [0.1, 0.05, 1.0]]), seen)
+    assert inside is not None
+    torch.testing.assert_close(inside, torch.tensor([22.0, 14.0, 42.0, 29.0]))
+    over = project_box(torch.tensor([[-9.0, -9.0, 1.0], [0.0, 0.0, 1.0], [5.0, 5.0, -1.0]]), seen)
+    assert over is not None
+    assert over.tolist() == [0, 0, 32, 24]
+    assert project_box(torch.tensor([[-9.0, 0.0, 1.0], [-8.0, 0.0, 1.0]]), seen) is None
+    assert project_box(torch.tensor([[0.0, 0.0, -1.0]]), seen) is None
+
+
+def test_orbit_is_a_circle_from_plus_x_towards_plus_y() -> None:
+    cameras = orbit((1.0, 2.0, 3.0), count=4, elevation=30.0, distance=2.0, focal=50.0, size=(20, 10))
+    centre = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    offsets = [c.position - centre for c in cameras]
+    reach, height = 2 * math.cos(math.radians(30)), 1.0
+    expected = [(reach, 0, height), (0, reach, height), (-reach, 0, height), (0, -reach, height)]
+    torch.testing.assert_close(torch.stack(offsets), torch.tensor(expected, dtype=torch.float64))
+    assert (cameras[0].width, cameras[0].height) == (20, 10)
+
+
+def test_orbit_pose_is_continuous_over_the_zenith() -> None:
+    below = orbit_pose((0, 0, 0), azimuth=40, elevation=89.999, distance=2)
+    zenith = orbit_pose((0, 0, 0), azimuth=40, elevation=90, distance=2)
+    torch.testing.assert_close(below, zenith, atol=1e-4, rtol=0)
+
+
+def test_hemisphere_spreads_evenly_over_its_band() -> None:
+    cameras = hemisphere((0.0, 0.0, 0.0), count=200, distance=3.0, focal=50.0, size=(8, 8), elevation=(10.0, 60.0))
+    places = torch.stack([c.position for c in cameras]) / 3
+    torch.testing.assert_close(places.norm(dim=1), torch.ones(200, dtype=torch.float64))
+    elevation = torch.rad2deg(torch.asin(places[:, 2]))
+    assert elevation.min() >= 10
+    assert elevation.max() <= 60
+    assert elevation.min() < 11
+    assert elevation.max() > 59
+    assert places[:, :2].mean(0).abs().max() < 0.02
+    nearest = torch.cdist(places, places).fill_diagonal_(9.0).amin(1)
+    assert nearest.min() > 0.6 * nearest.mean()
+
+
+def test_views_check_the_size_of_their_picture() -> None:
+    View(camera(), torch.zeros(48, 64, 3))
+    with pytest.raises(InvalidValueError, match=r"image: expected shape \(48, 64, 3\), got \(64, 48, 3\)"):
+        View(camera(), torch.zeros(64, 48, 3))

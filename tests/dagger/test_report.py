@@ -1,0 +1,143 @@
+"""What an attack writes: pictures that show the change, a splat that loads, a JSON that explains itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks.dagger.attack import DaggerConfig, Result, attack
+from attacks.dagger.report import summary, write_report
+from attacks.objectives import Objective, Verdict, hide, relabel
+from mi_splat.errors import MiSplatError
+from mi_splat.io import load_splat
+from mi_splat.io.documents import save_json
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
+
+KEYS = {
+    "success",
+    "target",
+    "target_confidence",
+    "steps",
+    "norm",
+    "eps",
+    "image_psnr",
+    "seed",
+    "config",
+    "versions",
+    "variant",
+    "scene_hash",
+}
+
+
+def run(objective: Objective | None = None, views: int = 1) -> Result:
+    scene, mask = toy_scene()
+    cameras = [camera(offset=0.4 * i) for i in range(views)]
+    config = DaggerConfig(eps=(12.0,), noise_draws=1)
+    return attack(scene, mask, cameras, ColourDetector(), objective or relabel("person"), render=blobs, config=config)
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return run()
+
+
+def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    paths = write_report(result, folder)
+    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
+    assert set(paths) == names == {path.name for path in folder.iterdir()}
+    sizes = {}
+    for name in names:
+        if name.endswith(".png"):
+            with Image.open(paths[name]) as picture:
+                assert picture.mode == "RGB"
+                sizes[name] = picture.size
+    assert sizes == {
+        "before.png": (32, 32),
+        "after.png": (32, 32),
+        "difference.png": (512, 512),
+        "detections.png": (1024, 512),
+    }
+    for before, after in zip(load_splat(paths["attacked.ply"]).tensors(), result.scene.tensors(), strict=True):
+        torch.testing.assert_close(before, after)
+
+
+def test_the_json_has_what_is_promised_and_is_strict(result: Result, tmp_path: Path) -> None:
+    path = write_report(result, tmp_path)["result.json"]
+    text = path.read_text()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    values = json.loads(text)
+    assert set(values) >= KEYS
+    assert values["success"] is True
+    assert values["target"] == "person"
+    assert values["target_confidence"] >= 0.7
+    assert values["norm"] == "l2"
+    assert values["eps"] == 12.0
+    assert values["used"]["sh"] <= 12.0
+    assert values["config"]["objective"]["iou"] == 0.5
+    assert values["config"]["steps"] == 11
+    assert values["views"][0]["original"] == "car"
+    assert values["noise"]["draws"] == 1
+    assert values == json.loads(json.dumps(summary(result)))
+
+
+def test_the_pictures_show_what_they_say(result: Result, tmp_path: Path) -> None:
+    paths = write_report(result, tmp_path)
+    before, after, difference = (
+        np.asarray(Image.open(paths[name])).astype(int) for name in ("before.png", "after.png", "difference.png")
+    )
+    assert np.abs(after - before).max() > 20
+    same = np.abs(after - before).max(-1) == 0
+    small = difference[8::16, 8::16]  # the picture is enlarged sixteen times
+    plain = same.copy()
+    plain[:4] = False  # where the caption is
+    assert (np.abs(small[plain] - 128) <= 1).all()
+    assert np.abs(small - 128).max() > 40
+
+
+def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
+    scene, mask = toy_scene()
+    cameras = [camera(32), camera(40)]
+    found = attack(scene, mask, cameras, ColourDetector(), hide(), render=blobs, config=DaggerConfig(noise_draws=0))
+    paths = write_report(found, tmp_path)
+    with Image.open(paths["before.png"]) as picture:
+        assert picture.size == (40, 72)
+    values = json.loads(paths["result.json"].read_text())
+    assert values["target"] is None
+    assert values["target_confidence"] is None
+    assert len(values["views"]) == 2
+
+
+def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
+    write_report(result, tmp_path)
+    write_report(dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, clear=False)), tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text())["success"] is False
+    assert len(list(tmp_path.iterdir())) == 6
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_with_a_message(result: Result, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises((MiSplatError, OSError)):
+        write_report(result, tmp_path / "file" / "below")
+
+
+def test_a_number_that_json_cannot_hold_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        save_json({"x": float("nan")}, tmp_path / "x.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unchanged_scene_can_be_reported(tmp_path: Path) -> None:
+    scene, mask = toy_scene()
+    config = DaggerConfig(eps=(0.0,))
+    found = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
+    values = json.loads(write_report(found, tmp_path)["result.json"].read_text())
+    assert values["image_psnr"] is None
+    assert values["success"] is False

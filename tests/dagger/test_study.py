@@ -1,0 +1,171 @@
+"""Studies on fakes: jobs are resumable, tables say what the records say."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from attacks.dagger.jobs import Job, Laboratory, Setting, jittered
+from attacks.dagger.study import CAMERAS, OTHERS, PAIRS, dagger_jobs, main, run
+from attacks.dagger.tables import by_radius, markdown, rows, write_tables
+from mi_splat.cameras import project_points
+from mi_splat.errors import InvalidValueError
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
+
+JOBS = [
+    Job(group="pairs", scene="toy", part="thing", target="person", eps=12.0, seed=0),
+    Job(group="pairs", scene="toy", part="thing", target="person", eps=12.0, seed=1),
+    Job(group="curve", scene="toy", part="thing", target="person", eps=0.5, seed=0),
+    Job(group="hide", scene="toy", part="thing", target=None, eps=12.0, seed=0),
+    Job(group="views", scene="toy", part="thing", target="stop sign", eps=12.0, views=0),
+]
+
+
+def laboratory() -> Laboratory:
+    scene, _ = toy_scene()
+    setting = Setting(
+        scene=scene,
+        parts={"rest": slice(0, 10), "thing": slice(10, 40)},
+        cameras=(camera(), camera(offset=0.4)),
+        render=blobs,
+    )
+    return Laboratory(lambda name: setting, ColourDetector())
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    lab = laboratory()
+    return run(JOBS, tmp_path_factory.mktemp("study"), lab.execute, fingerprint=lab.fingerprint)
+
+
+def test_the_study_holds_what_the_paper_leaves_open() -> None:
+    jobs = dagger_jobs(3)
+    assert len({job.name for job in jobs}) == len(jobs)
+    paper = [job for job in jobs if job.group == "pairs"]
+    assert len(paper) == 18
+    assert {(job.scene, job.part, job.target) for job in paper} == set(PAIRS)
+    assert {(job.attribute, job.eps, job.norm) for job in paper} == {("sh", 5.0, "l2")}
+    assert {job.eps for job in jobs if job.group == "curve"} == {0.5, 1.0, 2.0}
+    assert {job.attribute for job in jobs} == {"sh", *OTHERS}
+    assert {job.norm for job in jobs} == {"l2", "linf", "l2_per_gaussian"}
+    assert any(job.target is None for job in jobs)
+    assert len(dagger_jobs(1)) * 3 == len(jobs)
+
+
+@pytest.mark.parametrize("scene", sorted({scene for scene, _, _ in PAIRS}))
+def test_every_camera_of_the_scenes_is_studied(scene: str) -> None:
+    path = Path(__file__).parents[2] / "scenes" / f"{scene}.xml"
+    assert path.read_text().count("<sensor ") == CAMERAS
+    looked = {job.camera for job in dagger_jobs(1) if job.scene == scene and job.views == 1}
+    assert looked == set(range(CAMERAS))
+
+
+def test_records_are_complete(records: list[dict[str, Any]]) -> None:
+    assert [record["job"] for record in records] == [dataclasses.asdict(job) for job in JOBS]
+    assert [record["result"]["success"] for record in records] == [True, True, False, True, True]
+    assert [len(record["result"]["views"]) for record in records] == [1, 1, 1, 1, 2]
+    assert [record["result"]["config"]["random_start"] for record in records] == [False, True, False, False, False]
+
+
+def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def execute(job: Job) -> dict[str, Any]:
+        done.append(job.name)
+        if job.seed == 1 and len(done) == 2:
+            raise KeyboardInterrupt
+        return {"seed": job.seed}
+
+    with pytest.raises(KeyboardInterrupt):
+        run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a")
+    first = list(done)
+    heard: list[Job] = []
+    again = run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a", on_job=heard.append)
+    assert done[2:] == [first[1], JOBS[2].name]
+    assert heard == JOBS[:3]
+    assert run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a") == again
+    assert len(done) == 4
+    (tmp_path / "jobs" / f"{JOBS[0].name}.json").write_text('{"job": 1')
+    run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a")
+    assert done[4:] == [JOBS[0].name]
+    run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "b")
+    assert len(done) == 8
+
+
+def test_the_fingerprint_follows_the_scene_and_the_detector() -> None:
+    class Other(ColourDetector):
+        sizes = (12, 18)
+
+    lab = laboratory()
+    scene, _ = toy_scene(seed=1)
+    setting = lab._setting(JOBS[0])
+    marks = {
+        lab.fingerprint(JOBS[0]),
+        laboratory().fingerprint(JOBS[1]),
+        Laboratory(lambda name: setting, Other()).fingerprint(JOBS[0]),
+        Laboratory(lambda name: dataclasses.replace(setting, scene=scene), ColourDetector()).fingerprint(JOBS[0]),
+    }
+    assert len(marks) == 3
+
+
+def test_rows_and_radii_count_right(records: list[dict[str, Any]]) -> None:
+    table = rows(records)
+    assert [(row["group"], row["successes"], row["runs"]) for row in table] == [
+        ("pairs", 2, 2),
+        ("curve", 0, 1),
+        ("hide", 1, 1),
+        ("views", 1, 1),
+    ]
+    assert table[0]["noise_draws"] == 10
+    assert table[0]["score_least"] <= table[0]["score"]
+    radii = {(line["group"], line["eps"]): line for line in by_radius(records)}
+    assert radii["pairs", 12.0]["pairs_reached"] == 1
+    assert radii["pairs", 0.5]["pairs_reached"] == 0
+    assert ("curve", 0.5) not in radii
+
+
+def test_tables_are_written(records: list[dict[str, Any]], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    paths = write_tables(records, tmp_path)
+    assert [path.name for path in paths] == ["table.md", "table.json", "curve.png"]
+    text = paths[0].read_text()
+    assert text == markdown(records)
+    assert "| thing to person | l2 | 12 | 2/2 |" in text
+    assert "thing to nothing" in text
+    assert json.loads(paths[1].read_text())["by_radius"][0]["runs"] == 1
+    assert paths[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_jitter_keeps_the_object_in_the_middle() -> None:
+    centre = torch.tensor([0.0, 0.0, 0.0])
+    assert jittered(camera(), centre, seed=0) is not None
+    assert torch.equal(jittered(camera(), centre, seed=0).to_world, camera().to_world)
+    moved = [jittered(camera(), centre, seed=seed) for seed in (1, 1, 2)]
+    assert torch.equal(moved[0].to_world, moved[1].to_world)
+    assert not torch.equal(moved[0].to_world, moved[2].to_world)
+    for view in moved:
+        pixel, depth = project_points(centre[None].double(), view)
+        assert pixel[0].tolist() == pytest.approx([16.0, 16.0], abs=1e-6)
+        assert 3 * 0.95 - 1e-6 <= float(depth[0]) <= 3 * 1.05 + 1e-6
+        turn = math.degrees(math.acos(min(1.0, float(view.to_world[:3, 2] @ camera().to_world[:3, 2]))))
+        assert turn <= 6.0 + 1e-6
+
+
+def test_an_object_that_is_not_there_is_named() -> None:
+    with pytest.raises(InvalidValueError, match="object of toy: expected one of rest, thing, got tree"):
+        laboratory().execute(dataclasses.replace(JOBS[0], part="tree"))
+
+
+def test_the_command_refuses_unknown_tables(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["dagger", "--groups", "colours"]) == 1
+    assert "groups: expected some of pairs, curve" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["cloak"])

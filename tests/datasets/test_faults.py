@@ -1,0 +1,257 @@
+"""What is wrong with a picture set is said in one line that names the file."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mi_splat.datasets import DatasetError, PointCloud, load_dataset, write_colmap, write_transforms
+from mi_splat.errors import InvalidValueError, MiSplatError
+from tests.datasets.test_datasets import CLOUD, VIEWS, colmap_binary
+
+Harm = Callable[[Path], object]
+
+
+def edit(change: Callable[[dict[str, Any]], object]) -> Harm:
+    """A change of the transforms file."""
+
+    def harm(folder: Path) -> None:
+        file = folder / "transforms_train.json"
+        document = json.loads(file.read_text())
+        change(document)
+        file.write_text(json.dumps(document))
+
+    return harm
+
+
+def rewrite(name: str, change: Callable[[bytes], bytes]) -> Harm:
+    """A change of the bytes of a file."""
+    return lambda folder: (folder / name).write_bytes(change((folder / name).read_bytes()))
+
+
+def pose(values: object) -> Harm:
+    """Another matrix for the second frame."""
+    return edit(lambda document: document["frames"][1].update(transform_matrix=values))
+
+
+def entry(**values: object) -> Harm:
+    """Other values for the whole file."""
+    return edit(lambda document: document.update(values))
+
+
+PICTURE = "images/train_00001.png"
+SINGULAR = np.diag([1.0, 1.0, 0.0, 1.0]).tolist()
+
+COMMON: dict[str, tuple[Harm, str]] = {
+    "no picture": (lambda folder: (folder / PICTURE).unlink(), r"train_00001.*no such file"),
+    "another size": (
+        lambda folder: Image.new("RGB", (5, 5)).save(folder / PICTURE),
+        r"00001\.png: expected 18 x 13.*5 x 5",
+    ),
+    "16 bits": (lambda f: Image.fromarray(np.zeros((13, 18), np.uint16)).save(f / PICTURE), r"00001\.png.*8 bits"),
+    "no picture inside": (rewrite(PICTURE, lambda data: b"hello"), r"train_00001\.png: expected a picture"),
+    "empty picture": (rewrite(PICTURE, lambda data: b""), r"train_00001\.png: expected a picture"),
+}
+
+TRANSFORMS: dict[str, tuple[Harm, str]] = {
+    **COMMON,
+    "broken JSON": (
+        rewrite("transforms_train.json", lambda data: data[:-30]),
+        r"transforms_train\.json: expected JSON",
+    ),
+    "no UTF-8": (rewrite("transforms_train.json", lambda data: b"\xff" + data), r"train\.json: expected JSON"),
+    "nested JSON": (rewrite("transforms_train.json", lambda data: b"[" * 100_000), r"train\.json: expected JSON"),
+    "a list": (rewrite("transforms_train.json", lambda data: b"[]"), r"train\.json: expected an object"),
+    "no frames": (entry(frames=None), "list of frames"),
+    "an empty set": (entry(frames=[]), "at least one frame"),
+    "a frame that is none": (edit(lambda d: d["frames"].append(3)), "frame 6: expected an object"),
+    "a frame without a file": (edit(lambda d: d["frames"][0].pop("file_path")), "frame 0"),
+    "doubled": (edit(lambda d: d["frames"].append(d["frames"][0])), r"train_00000\.png twice"),
+    "singular pose": (pose(SINGULAR), r"frame 1 .*train_00001.*to_world"),
+    "NaN pose": (pose(np.full((4, 4), np.nan).tolist()), r"frame 1 .*finite rotation"),
+    "scaled pose": (pose((2 * np.eye(4)).tolist()), r"frame 1 .*remove scale"),
+    "mirrored pose": (pose(np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), r"frame 1 .*right-handed"),
+    "small pose": (pose([[1.0, 0.0], [0.0, 1.0]]), r"frame 1 .*shape \(4, 4\)"),
+    "no pose": (pose(None), r"frame 1 .*matrix of numbers"),
+    "words for a pose": (pose("identity"), r"frame 1 .*matrix of numbers"),
+    "ragged pose": (pose([[1.0], [2.0, 3.0]]), r"frame 1 .*matrix of numbers"),
+    "no focal length": (edit(lambda d: [d.pop(k) for k in [*d] if k[:3] in ("fl_", "cam")]), "fl_x or camera_angle_x"),
+    "angle in degrees": (edit(lambda d: (d.pop("fl_x"), d.update(camera_angle_x=45.0))), "between 0 and pi"),
+    "a focal length in words": (entry(fl_x="wide"), "fl_x: expected a finite number"),
+    "a huge focal length": (entry(fl_x=10**400), "fl_x: expected a finite number"),
+    "a negative focal length": (entry(fl_x=-3.0), "focal x"),
+    "half a pixel": (entry(w=18.5), "integers"),
+    "another size in the file": (entry(w=36, h=26), r"00000\.png: expected 36 x 26 pixels, got 18 x 13"),
+    "distortion": (entry(k1=0.1), "distortion k1.*colmap image_undistorter"),
+    "fisheye": (entry(camera_model="OPENCV_FISHEYE"), "OPENCV_FISHEYE.*colmap image_undistorter"),
+    "a mask that is not there": (edit(lambda d: d["frames"][0].update(mask_path="m.png")), r"m\.png.*no such file"),
+    "points that are not there": (lambda folder: (folder / "points3D.ply").unlink(), r"points3D\.ply"),
+    "truncated points": (rewrite("points3D.ply", lambda data: data[:-1]), r"points3D\.ply.*truncated"),
+}
+
+
+@pytest.mark.parametrize(("harm", "says"), TRANSFORMS.values(), ids=TRANSFORMS)
+def test_transforms(harm: Harm, says: str, tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS, points=CLOUD)
+    harm(tmp_path)
+    with pytest.raises(MiSplatError, match=says):
+        load_dataset(tmp_path)
+
+
+MODEL = "sparse/0/"
+
+
+def replace(name: str, old: str, new: str) -> Harm:
+    """Other text in a file of the model."""
+    return rewrite(MODEL + name, lambda data: data.replace(old.encode(), new.encode()))
+
+
+TEXT: dict[str, tuple[Harm, str]] = {
+    **COMMON,
+    "distortion": (
+        replace("cameras.txt", "1 PINHOLE", "1 OPENCV"),
+        "camera 1: .*got OPENCV; .*colmap image_undistorter",
+    ),
+    "unknown model": (replace("cameras.txt", "PINHOLE", "CAMERA"), r"cameras\.txt, line 2: expected a camera model"),
+    "too few parameters": (replace("cameras.txt", " 7.75", ""), "4 parameters of PINHOLE"),
+    "words": (replace("cameras.txt", "18 13", "wide 13"), r"cameras\.txt, line 2: .*'1 PINHOLE wide"),
+    "doubled camera": (rewrite(MODEL + "cameras.txt", lambda data: data * 2), "every id once"),
+    "no such camera": (replace("cameras.txt", "1 PINHOLE", "2 PINHOLE"), "a camera 1"),
+    "no images": (lambda folder: (folder / MODEL / "images.txt").unlink(), r"images\.txt.*no such file"),
+    "an empty set": (rewrite(MODEL + "images.txt", lambda data: b"# nothing\n"), "at least one picture, got none"),
+    "doubled name": (replace("images.txt", "train_00002", "train_00001"), r"train_00001\.png twice"),
+    "no lines of points": (
+        replace("images.txt", "png\n\n", "png\n"),
+        r"images\.txt, line 3: expected a line of 2D points",
+    ),
+    "zero quaternion": (
+        rewrite(MODEL + "images.txt", lambda data: b"1 0 0 0 0 0 0 0 1 train_00001.png\n"),
+        "a quaternion",
+    ),
+    "NaN": (rewrite(MODEL + "images.txt", lambda data: b"1 nan 0 0 0 0 0 0 1 train_00001.png\n"), "a quaternion"),
+    "far away": (rewrite(MODEL + "images.txt", lambda d: b"1 1 0 0 0 inf 0 0 1 train_00001.png\n"), "png: to_world"),
+    "short": (rewrite(MODEL + "images.txt", lambda data: b"1 1 0 0 0 0 0 0 1\n"), "line 1: expected IMAGE_ID"),
+    "no UTF-8": (rewrite(MODEL + "images.txt", lambda data: b"\xff" + data), r"images\.txt: expected text"),
+    "bad points": (
+        rewrite(MODEL + "points3D.txt", lambda data: data + b"7 0 0 0 300 0 0 0\n"),
+        r"points3D\.txt: colours",
+    ),
+    "short points": (rewrite(MODEL + "points3D.txt", lambda data: data + b"7 0 0 0 30\n"), "expected POINT3D_ID"),
+}
+
+
+@pytest.mark.parametrize(("harm", "says"), TEXT.values(), ids=TEXT)
+def test_text_models(harm: Harm, says: str, tmp_path: Path) -> None:
+    write_colmap(tmp_path, VIEWS, points=CLOUD)
+    harm(tmp_path)
+    with pytest.raises(DatasetError, match=says):
+        load_dataset(tmp_path, split=None)
+
+
+def splice(name: str, at: int, form: str, *values: float) -> Harm:
+    """Other values at a place of a binary file."""
+    data = struct.pack(form, *values)
+    return rewrite(MODEL + name, lambda old: old[:at] + data + old[at + len(data) :])
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda data: b"", "an empty file"),
+        (lambda data: data[:5], "end of the file"),
+        (lambda data: data[:-1], "truncated"),
+        (lambda data: data + b"\0", "truncated or no COLMAP file"),
+        (lambda data: struct.pack("<Q", 1 << 60) + data[8:], "counts that fit the file"),
+        (lambda data: struct.pack("<Q", 1) + data[8:], "bytes"),
+    ],
+    ids=["empty", "start", "truncated", "appended", "huge count", "small count"],
+)
+def test_binary_sizes(name: str, change: Callable[[bytes], bytes], says: str, tmp_path: Path) -> None:
+    colmap_binary(tmp_path, VIEWS, CLOUD)
+    rewrite(MODEL + name, change)(tmp_path)
+    with pytest.raises(DatasetError, match=rf"{name}.*{says}"):
+        load_dataset(tmp_path)
+
+
+BINARY: dict[str, tuple[Harm, str]] = {
+    "distortion": (splice("cameras.bin", 12, "<i", 3), "cameras.bin"),
+    "unknown model": (splice("cameras.bin", 12, "<i", 99), "number 99; undistort"),
+    "doubled camera": (splice("cameras.bin", 56, "<i", 7), "7 twice"),
+    "NaN": (splice("images.bin", 12, "<d", float("nan")), "a quaternion"),
+    "no such camera": (splice("images.bin", 68, "<i", 9), "a camera 9"),
+    "endless name": (rewrite(MODEL + "images.bin", lambda d: d[:80] + b"x" * (len(d) - 80)), "a name that ends"),
+    "many 2D points": (splice("images.bin", 88, "<Q", 1 << 62), "counts that fit"),
+    "long track": (splice("points3D.bin", 51, "<Q", 1 << 61), "more records"),
+}
+
+
+@pytest.mark.parametrize(("harm", "says"), BINARY.values(), ids=BINARY)
+def test_binary_values(harm: Harm, says: str, tmp_path: Path) -> None:
+    colmap_binary(tmp_path, VIEWS, CLOUD)
+    harm(tmp_path)
+    with pytest.raises(DatasetError, match=says):
+        load_dataset(tmp_path, split=None)
+
+
+def test_folders_that_are_no_set(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="none of these"):
+        load_dataset(tmp_path)
+    with pytest.raises(DatasetError, match="no such folder"):
+        load_dataset(tmp_path / "nowhere")
+    write_transforms(tmp_path, VIEWS[:1])
+    with pytest.raises(DatasetError, match=r"transforms_test\.json.*another split"):
+        load_dataset(tmp_path, split="test")
+    shutil.move(tmp_path / "transforms_train.json", tmp_path / "transforms.json")
+    with pytest.raises(DatasetError, match="none for split 'train'"):
+        load_dataset(tmp_path)  # the only picture is held out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ({"downscale": 0}, "downscale"),
+        ({"downscale": 1.5}, "downscale"),
+        ({"downscale": 100}, "width"),
+        ({"background": (0.0, 2.0, 0.0)}, "background"),
+        ({"split": "val"}, "split"),
+        ({"test_every": 1}, "test_every"),
+    ],
+)
+def test_arguments(words: dict[str, Any], says: str, tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS)
+    with pytest.raises(InvalidValueError, match=says):
+        load_dataset(tmp_path, **words)
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="views: expected at least one"):
+        write_transforms(tmp_path / "a", [])
+    for alphas in ([], [torch.ones(13, 18)] * 2, [torch.ones(2, 2)]):
+        with pytest.raises(InvalidValueError, match="alphas"):
+            write_colmap(tmp_path / "b", VIEWS[:1], alphas=alphas)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(MiSplatError, match="folder that can be made"):
+        write_transforms(tmp_path / "file", VIEWS)
+
+
+@pytest.mark.parametrize(
+    ("points", "colours"),
+    [((3, 3), (2, 3)), ((3, 2), (3, 2)), ((3,), (3,))],
+)
+def test_clouds_are_checked(points: tuple[int, ...], colours: tuple[int, ...]) -> None:
+    with pytest.raises(InvalidValueError, match="point cloud"):
+        PointCloud(torch.zeros(points), torch.zeros(colours))
+    with pytest.raises(InvalidValueError, match="finite"):
+        PointCloud(torch.full((1, 3), torch.inf), torch.zeros(1, 3))
+    with pytest.raises(InvalidValueError, match="colours"):
+        PointCloud(torch.zeros(1, 3), torch.full((1, 3), 1.1))

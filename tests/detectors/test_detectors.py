@@ -1,0 +1,261 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+from torchvision.models import detection
+from torchvision.ops import FrozenBatchNorm2d, batched_nms, box_iou
+from torchvision.ops.boxes import remove_small_boxes
+
+from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
+from attacks.detectors.torchvision import SHIPPED, RCNNDetector, random_detector
+from mi_splat.assets import build
+from mi_splat.assets.street import plain
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.capture.path_tracer import daylight, photograph
+from mi_splat.errors import InvalidValueError
+
+LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module", params=LIGHT)
+def detector(request: pytest.FixtureRequest) -> RCNNDetector:
+    found = random_detector(str(request.param), seed=1)
+    found.model.transform.min_size = (128,)
+    found.model.roi_heads.score_thresh = 0.02  # the scores of a random network are small and alike
+    found.model.eval()
+    return found
+
+
+def pictures(count: int = 2, height: int = 96, width: int = 128) -> Tensor:
+    generator = torch.Generator().manual_seed(5)
+    coarse = torch.rand((count, 3, 12, 16), generator=generator)
+    smooth = torch.nn.functional.interpolate(coarse, size=(height, width), mode="bilinear")
+    return smooth.permute(0, 2, 3, 1).contiguous()
+
+
+def test_the_protocol_holds(detector: RCNNDetector) -> None:
+    assert isinstance(detector, Detector)
+    assert not detector.model.training
+    assert not any(p.requires_grad for p in detector.model.parameters())
+    assert {"car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase"} <= set(detector.classes)
+
+
+def test_detect_is_the_librarys_forward_pass(detector: RCNNDetector) -> None:
+    images = pictures()
+    with torch.no_grad():
+        expected = detector.model(list(images.permute(0, 3, 1, 2)))
+    for ours, theirs in zip(detector.detect(images), expected, strict=True):
+        assert len(ours) > 0
+        assert torch.equal(ours.boxes, theirs["boxes"])
+        assert torch.equal(ours.scores, theirs["scores"])
+        assert len(ours.labels) == len(theirs["labels"])
+
+
+def test_candidates_with_threshold_and_suppression_are_the_detections() -> None:
+    detector = random_detector("fasterrcnn_small", seed=3)
+    heads = detector.model.roi_heads
+    heads.score_thresh = 0.05
+    images = pictures(2, 80, 112)
+    with torch.no_grad():
+        candidates = detector.candidates(images)
+    for one, expected in zip(candidates, detector.detect(images), strict=True):
+        boxes, scores = one.boxes.reshape(-1, 4), one.scores.reshape(-1)
+        numbers = torch.arange(len(detector.classes)).repeat(len(one))
+        likely = torch.where(scores > heads.score_thresh)[0]
+        keep = likely[remove_small_boxes(boxes[likely], 1e-2)]
+        keep = keep[batched_nms(boxes[keep], scores[keep], numbers[keep], heads.nms_thresh)][: heads.detections_per_img]
+        assert len(expected) > 0
+        torch.testing.assert_close(boxes[keep], expected.boxes)
+        torch.testing.assert_close(scores[keep], expected.scores)
+        assert tuple(detector.classes[int(i)] for i in numbers[keep]) == expected.labels
+
+
+def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
+    detector = random_detector("fasterrcnn_small", seed=3)
+    image = pictures(1, 64, 64)
+    box = torch.tensor([[8.0, 4.0, 40.0, 60.0]])
+    (small,) = detector.candidates(image, extra=[box])
+    double = image.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    (large,) = detector.candidates(double, extra=[2 * box])
+    assert float(small.boxes[-1].max()) <= 64
+    assert float((2 * small.boxes[-1] - large.boxes[-1]).abs().max()) < 6
+
+
+def test_extra_boxes_are_the_last_candidates(detector: RCNNDetector) -> None:
+    images = pictures()
+    extra = [torch.tensor([[10.0, 10.0, 60.0, 60.0], [0.0, 0.0, 90.0, 90.0]]), torch.empty(0, 4)]
+    without = detector.candidates(images)
+    first, second = detector.candidates(images, extra=extra)
+    assert len(first) == len(without[0]) + 2
+    assert len(second) == len(without[1])
+    torch.testing.assert_close(first.scores[:-2], without[0].scores)
+    assert first.boxes.shape == (len(first), len(detector.classes), 4)
+
+
+def test_scores_and_boxes_are_differentiable_in_the_picture(detector: RCNNDetector) -> None:
+    images = pictures().requires_grad_()
+    candidates = detector.candidates(images, extra=[torch.tensor([[10.0, 10.0, 60.0, 60.0]])] * 2)
+    loss = candidates[0].scores[:, 0].sum() + candidates[1].scores[:, 0].sum() + candidates[1].boxes.mean()
+    loss.backward()  # type: ignore[no-untyped-call]
+    assert images.grad is not None
+    for gradient in images.grad:
+        assert torch.isfinite(gradient).all()
+        assert (gradient != 0).float().mean() > 0.9
+
+
+def test_the_gradient_agrees_with_finite_differences() -> None:
+    detector = random_detector("fasterrcnn_small", seed=2)
+    detector.model.double()
+    extra = [torch.tensor([[20.0, 20.0, 90.0, 80.0]])]
+
+    def confidence(image: Tensor) -> Tensor:
+        (candidates,) = detector.candidates(image, extra=extra)
+        return candidates.scores[-1, 2] + 1e-3 * candidates.boxes[-1, 2].sum()
+
+    image = pictures(1, 96, 96).double()
+    leaf = image.clone().requires_grad_()
+    confidence(leaf).backward()  # type: ignore[no-untyped-call]
+    assert leaf.grad is not None
+    direction = torch.randn(image.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    step = 1e-6
+    with torch.no_grad():
+        slope = (confidence(image + step * direction) - confidence(image - step * direction)) / (2 * step)
+    torch.testing.assert_close((leaf.grad * direction).sum(), slope, rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize("shape", [(96, 96, 3), (1, 3, 96, 96), (1, 0, 96, 3), (0, 96, 96, 3)])
+def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tuple[int, ...]) -> None:
+    with pytest.raises(InvalidValueError, match="images: expected floating point"):
+        detector.candidates(torch.zeros(shape))
+    with pytest.raises(InvalidValueError, match="images"):
+        detector.detect(torch.zeros(shape))
+
+
+def test_extra_boxes_of_another_shape_are_refused(detector: RCNNDetector) -> None:
+    with pytest.raises(InvalidValueError, match="extra: expected 2 tensors"):
+        detector.candidates(pictures(), extra=[torch.zeros(1, 4)])
+
+
+def test_shapes_of_candidates_and_detections_are_checked() -> None:
+    with pytest.raises(InvalidValueError, match="Candidates"):
+        Candidates(torch.zeros(3, 2, 4), torch.zeros(2, 3))
+    with pytest.raises(InvalidValueError, match="Detections"):
+        Detections(torch.zeros(2, 4), torch.zeros(2), ("car",))
+
+
+def test_an_unknown_name_is_answered_with_the_nearest() -> None:
+    with pytest.raises(DetectorError, match="did you mean fasterrcnn_small"):
+        load_detector("fasterrcnn_smal")
+    with pytest.raises(DetectorError, match=r"expected fasterrcnn_small or .*choose one of them"):
+        load_detector("x")
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_missing_weights_are_named(name: str, tmp_path: Path) -> None:
+    with pytest.raises(DetectorError, match=r"none\.pth: expected a file, got nothing there"):
+        load_detector(name, weights=tmp_path / "none.pth")
+
+
+def bad_file(tmp_path: Path, kind: str) -> Path:
+    path = tmp_path / ("weights.bin" if kind == "suffix" else f"weights.{kind.split()[0]}")
+    if kind in ("pth garbage", "safetensors garbage", "suffix"):
+        path.write_bytes(b"garbage" * 9)
+    elif kind in ("pth empty", "safetensors empty"):
+        path.write_bytes(b"")
+    elif kind == "pth object":
+        torch.save({"model": Path("/")}, path)
+    elif kind == "pth list":
+        torch.save([torch.zeros(1)], path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("suffix", r"expected \.safetensors or \.pth or \.pt, got suffix '\.bin'"),
+        ("pth garbage", r"expected a readable \.pth file"),
+        ("safetensors garbage", r"expected a readable \.safetensors file"),
+        ("pth empty", r"expected a readable \.pth file"),
+        ("safetensors empty", r"expected a readable \.safetensors file"),
+        ("pth object", r"expected a readable \.pth file"),
+        ("pth list", "expected a dict of tensors by name, got list"),
+    ],
+)
+def test_unusable_files_are_refused(tmp_path: Path, kind: str, words: str) -> None:
+    with pytest.raises(DetectorError, match=words):
+        load_detector("fasterrcnn_small", weights=bad_file(tmp_path, kind))
+
+
+def test_a_wrong_state_dict_is_told_apart_by_its_keys(tmp_path: Path) -> None:
+    state = random_detector("fasterrcnn_small").model.state_dict()
+    state["backbone.stem.0.weight"] = torch.zeros(1)
+    del state["rpn.head.cls_logits.bias"]
+    state["other"] = torch.zeros(1)
+    save_file(state, tmp_path / "w.safetensors")
+    with pytest.raises(
+        DetectorError, match=r"1 missing \(rpn\.head\.cls_logits\.bias\); 1 unexpected \(other\)"
+    ) as caught:
+        load_detector("fasterrcnn_small", weights=tmp_path / "w.safetensors")
+    assert "1 missing (rpn.head.cls_logits.bias); 1 unexpected (other); " in str(caught.value)
+    assert "1 of another shape (backbone.stem.0.weight (1,) instead of (24, 3, 3, 3))" in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["pth", "safetensors"])
+def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str) -> None:
+    original = random_detector("fasterrcnn_small", seed=4)
+    path = tmp_path / f"w.{suffix}"
+    state = original.model.state_dict()
+    if suffix == "pth":
+        torch.save({"model": state, "epoch": 3}, path)
+    else:
+        save_file(state, path)
+    (expected,) = original.candidates(pictures(1))
+    (found,) = load_detector("fasterrcnn_small", weights=path).candidates(pictures(1))
+    assert torch.equal(expected.scores, found.scores)
+    assert torch.equal(expected.boxes, found.boxes)
+
+
+def test_the_published_resnet50_keeps_the_librarys_frozen_norms(tmp_path: Path) -> None:
+    library = detection.fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None)
+    state = {k: v for k, v in library.state_dict().items() if "num_batches" not in k}
+    save_file(state, tmp_path / "w.safetensors")
+    detector = load_detector("fasterrcnn_resnet50_fpn", weights=tmp_path / "w.safetensors")
+    assert isinstance(detector, RCNNDetector)
+    norms = [m for m in detector.model.modules() if isinstance(m, FrozenBatchNorm2d)]
+    assert len(norms) == 53
+    assert {m.eps for m in norms} == {0.0}
+    assert len(detector.classes) == 80
+
+
+def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def unreachable(*_: object, **__: object) -> None:
+        raise OSError("no route to host")
+
+    monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", unreachable)
+    with pytest.raises(DetectorError, match="got no route to host; download the file elsewhere and pass its path"):
+        load_detector("fasterrcnn_mobilenet_v3_large_320_fpn")
+
+
+def test_the_shipped_detector_finds_a_car_that_it_was_not_trained_on() -> None:
+    asset = build("car", 512_345)
+    camera = Camera(
+        to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0), focal=300, width=256, height=256
+    )
+    photo = photograph([asset], camera, light=daylight(512_345), backdrop=plain(512_345), samples=8)
+    (found,) = load_detector("fasterrcnn_small").detect(photo.view.image[None])
+    assert found.labels[0] == "car"
+    assert float(found.scores[0]) > 0.5
+    assert float(box_iou(found.boxes[:1], photo.boxes)) > 0.6
+
+
+def test_the_shipped_weights_are_small() -> None:
+    assert SHIPPED.stat().st_size <= 12_000_000

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.detectors.base import Detections
+from attacks.detectors.small import CLASSES
+from attacks.detectors.torchvision import RCNNDetector
+from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
+from attacks.detectors.training.average_precision import average_precision, match, score
+from attacks.detectors.training.dataset import check_note, load, make, save_samples
+from attacks.detectors.training.faster_rcnn import RCNNTrainee
+from attacks.detectors.training.loop import TrainConfig, Training, ship
+from attacks.detectors.training.pictures import SPLITS, Photographer, Recipe, Sample, place, take
+from attacks.detectors.weights import DetectorError, read_weights
+from mi_splat.errors import InvalidValueError
+
+TINY = Recipe(size=48, samples=1, shots=2, count=4)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def seeded(number: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(number)
+
+
+def drawn(box: tuple[int, int, int, int], *, size: int = 96, label: int = 1) -> Sample:
+    """A grey picture with one bright rectangle."""
+    image = torch.full((size, size, 3), 60, dtype=torch.uint8)
+    x0, y0, x1, y1 = box
+    image[y0:y1, x0:x1] = torch.tensor([250, 40 * label, 30], dtype=torch.uint8)
+    return Sample(image, torch.tensor([box], dtype=torch.float32), torch.tensor([label]))
+
+
+# Recipe and data set
+
+
+def test_a_scene_is_a_function_of_the_recipe_and_its_number() -> None:
+    first, second = place(TINY, 5), place(TINY, 5)
+    assert [a.name for a in first.assets] == [a.name for a in second.assets]
+    for one, other in zip((*first.assets, first.surroundings), (*second.assets, second.surroundings), strict=True):
+        assert np.array_equal(one.vertices, other.vertices)
+    assert (first.light.seed, first.light.sun_azimuth) == (second.light.seed, second.light.sun_azimuth)
+
+
+def test_pictures_are_reproduced_to_the_bit() -> None:
+    for one, other in zip(take(TINY, 0), take(TINY, 0), strict=True):
+        assert torch.equal(one.image, other.image)
+        assert torch.equal(one.boxes, other.boxes)
+        assert torch.equal(one.labels, other.labels)
+
+
+def test_splits_use_other_objects_and_lights() -> None:
+    ranges = sorted(SPLITS.values())
+    assert all(low < high for low, high in ranges)
+    assert all(ours[1] <= theirs[0] for ours, theirs in itertools.pairwise(ranges))
+    train, held_out = place(TINY, 0), place(replace(TINY, split="held-out"), 0)
+    assert train.light.seed != held_out.light.seed
+
+
+def test_an_unknown_split_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="split: expected train or validation or held-out, got 'test'"):
+        Recipe(split="test")
+
+
+def test_cameras_reach_from_the_street_to_straight_down() -> None:
+    photographer = Photographer(replace(TINY, empty=1.0), 0)
+    cameras = [photographer.aim() for _ in range(300)]
+    elevations = torch.tensor([math.degrees(math.asin(-float(c.to_world[2, 2]))) for c in cameras])
+    counts = torch.histc(elevations, 6, 0, 90)
+    assert float(counts.min()) > 25
+    assert all(float(c.position[2]) > 0 for c in cameras)
+
+
+def test_boxes_are_tight_and_inside_the_picture() -> None:
+    for sample in take(replace(TINY, size=64, empty=0.0, street=0.0), 3):
+        assert CLASSES[int(sample.labels[0]) - 1] == CLASSES[3]
+        low, high = sample.boxes[:, :2], sample.boxes[:, 2:]
+        assert bool(((low >= 0) & (high <= 64) & (high > low)).all())
+
+
+def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
+    make(replace(TINY, count=2), tmp_path, processes=0)
+    before = (tmp_path / "00000.png").stat().st_mtime_ns
+    steps: list[tuple[int, int]] = []
+    make(TINY, tmp_path, processes=0, on_step=lambda done, wanted: steps.append((done, wanted)))
+    assert steps == [(4, 4)]
+    assert (tmp_path / "00000.png").stat().st_mtime_ns == before
+    samples = load(tmp_path)
+    assert len(samples) == 4
+    for ours, theirs in zip(samples, [*take(TINY, 0), *take(TINY, 1)], strict=True):
+        assert torch.equal(ours.image, theirs.image)
+        assert torch.equal(ours.boxes, theirs.boxes)
+    assert json.loads((tmp_path / "labels.json").read_text())["recipe"]["count"] == 4
+
+
+def test_a_folder_of_another_recipe_is_left_alone(tmp_path: Path) -> None:
+    make(replace(TINY, count=2), tmp_path, processes=0)
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same recipe"):
+        make(replace(TINY, seed=1), tmp_path, processes=0)
+    with pytest.raises(InvalidValueError, match=r"expected a labels\.json, got none"):
+        load(tmp_path / "nothing")
+
+
+# Augmentation
+
+
+def bounds(image: Tensor) -> Tensor:
+    """(4,) box around the bright red pixels of a (3, H, W) picture."""
+    rows, columns = torch.where((image[0] > 0.6) & (image[2] < 0.2))
+    return torch.stack([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]).float()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_boxes_follow_the_picture_when_it_is_reframed(seed: int) -> None:
+    sample = drawn((30, 40, 60, 62))
+    image = sample.image.permute(2, 0, 1).float() / 255
+    moved, boxes, labels = reframe(image, sample.boxes, sample.labels, seeded(seed))
+    assert labels.tolist() == [1]
+    assert float((bounds(moved) - boxes[0]).abs().max()) < 1.6
+
+
+def test_objects_that_leave_the_frame_lose_their_box() -> None:
+    sample = drawn((0, 0, 10, 10))
+    image = sample.image.permute(2, 0, 1).float() / 255
+    kept = [len(reframe(image, sample.boxes, sample.labels, seeded(i))[1]) for i in range(40)]
+    assert 0 < sum(kept) < 40
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_augmented_pictures_are_8_bit_and_reproducible(seed: int) -> None:
+    sample = drawn((30, 40, 60, 62))
+    image, boxes, _ = augment(sample, seeded(seed))
+    again, same, _ = augment(sample, seeded(seed))
+    assert torch.equal(image, again)
+    assert torch.equal(boxes, same)
+    assert image.shape == (3, 96, 96)
+    torch.testing.assert_close((image * 255).round() / 255, image)
+    assert float(image.min()) >= 0
+    assert float(image.max()) <= 1
+
+
+def test_softening_keeps_a_plain_picture_plain() -> None:
+    plain = torch.full((3, 40, 56), 0.3)
+    torch.testing.assert_close(blur(plain, 1.3), plain)
+    torch.testing.assert_close(coarsen(plain, 2.2), plain)
+    assert like_a_splat(plain, seeded()).shape == plain.shape
+    assert torch.isfinite(relight(plain, seeded())).all()
+
+
+# Scoring
+
+
+def test_average_precision_of_cases_done_by_hand() -> None:
+    scores = torch.tensor([0.9, 0.8, 0.7, 0.6])
+    assert average_precision(scores, torch.tensor([True, True, False, False]), 2) == 1.0
+    assert average_precision(scores, torch.tensor([False, False, True, True]), 2) == pytest.approx(0.5)
+    # Right, wrong, right, wrong of two: precision 1 up to recall 1/2, then 2/3.
+    assert average_precision(scores, torch.tensor([True, False, True, False]), 2) == pytest.approx((1 + 2 / 3) / 2)
+    assert average_precision(scores.flip(0), torch.tensor([False, True, False, True]), 4) == pytest.approx(
+        (1 + 2 / 3) / 4
+    )
+    assert average_precision(torch.empty(0), torch.empty(0, dtype=torch.bool), 3) == 0.0
+
+
+def test_an_object_is_found_once() -> None:
+    truth = torch.tensor([[0.0, 0.0, 10.0, 10.0]])
+    boxes = torch.tensor([[0.0, 0.0, 10.0, 9.0], [0.0, 0.0, 10.0, 10.0], [20.0, 0.0, 30.0, 10.0]])
+    assert match(boxes, torch.tensor([0.5, 0.9, 0.99]), truth).tolist() == [False, True, False]
+    assert match(boxes, torch.tensor([0.5, 0.9, 0.99]), torch.empty(0, 4)).tolist() == [False] * 3
+
+
+def test_scores_are_kept_apart_by_class_and_picture() -> None:
+    samples = [drawn((10, 10, 50, 50), label=1), drawn((10, 10, 50, 50), label=2)]
+    box = torch.tensor([[10.0, 10.0, 50.0, 50.0]])
+    right, wrong = Detections(box, torch.tensor([0.8]), ("car",)), Detections(box, torch.tensor([0.9]), ("car",))
+    result = score([right, wrong], samples, CLASSES)
+    assert result.counts == {"car": 1, "person": 1}
+    assert result.ap == {"car": 0.5, "person": 0.0}
+    assert result.recall == {"car": 1.0, "person": 0.0}
+    assert result.mean == 0.25
+
+
+# Training
+
+PLAIN = TrainConfig(epochs=2, batch=2, coarse_side=96, coarse_share=1.0, seed=3)
+
+
+def few() -> list[Sample]:
+    return [drawn((20 + 4 * i, 30, 70, 80), label=1 + i % 2) for i in range(4)]
+
+
+def test_training_lowers_the_loss() -> None:
+    training = Training(replace(PLAIN, epochs=8, rate=1e-3, warm_up=0.01), RCNNTrainee())
+    losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
+    assert min(losses[-2:]) < 0.7 * losses[0]
+
+
+def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
+    straight = Training(PLAIN, RCNNTrainee())
+    straight.run_epoch(few())
+    straight.save(tmp_path)
+    straight.run_epoch(few())
+    resumed = Training.resume(tmp_path, PLAIN, RCNNTrainee())
+    assert resumed.epoch == 1
+    resumed.run_epoch(few())
+    for name, value in straight.model.state_dict().items():
+        assert torch.equal(value, resumed.model.state_dict()[name]), name
+    for name, value in straight.averaged.items():
+        assert torch.equal(value, resumed.averaged[name]), name
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, RCNNTrainee()).save(tmp_path)
+    with pytest.raises(DetectorError, match="use the same one or another folder"):
+        Training.resume(tmp_path, replace(PLAIN, rate=1.0), RCNNTrainee())
+
+
+def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, RCNNTrainee()).save(tmp_path)
+    other = RCNNTrainee()
+    other.name = "another"
+    with pytest.raises(DetectorError, match="a run of another"):
+        Training.resume(tmp_path, PLAIN, other)
+
+
+def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
+    sample = Sample(torch.zeros(8, 8, 3, dtype=torch.uint8), torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
+    note: dict[str, object] = {"splats": {"views": 3, "rates": (1.0, 2.0)}}
+    save_samples([sample], tmp_path, note)
+    check_note(tmp_path, note)
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same recipe"):
+        check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})
+
+
+def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
+    training = Training(PLAIN, RCNNTrainee())
+    path = tmp_path / "w.safetensors"
+    ship(training.averaged, path, notes={"seed": "3"})
+    detector = training.snapshot()
+    assert isinstance(detector, RCNNDetector)
+    stored, model = read_weights(path), detector.model.state_dict()
+    assert path.stat().st_size < 12_000_000
+    for name, value in stored.items():
+        assert torch.equal(value.float(), model[name]), name

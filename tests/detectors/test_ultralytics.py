@@ -1,0 +1,231 @@
+"""The YOLOv8 adapter against the library itself, with random weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image, UnidentifiedImageError
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from attacks.detectors import DetectorError, load_detector
+from attacks.detectors.base import Detector
+from attacks.detectors.small import CLASSES
+from attacks.detectors.training.loop import TrainConfig, Training
+from attacks.detectors.training.pictures import Sample
+
+try:
+    from attacks.detectors import ultralytics
+    from attacks.detectors.training.yolo import YOLOTrainee, mosaic, with_mosaics
+except DetectorError as error:  # ultralytics is not installed, or not usable without some system library
+    pytest.skip(str(error), allow_module_level=True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def random_model(classes: int = 8) -> Any:
+    """Random weights that see something: norms have met a few batches, and confidences are spread."""
+    torch.manual_seed(5)
+    model: Any = ultralytics.build("n", classes)
+    norms = [module for module in model.modules() if isinstance(module, nn.BatchNorm2d)]
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None
+        norm.train()
+    with torch.no_grad():
+        for _ in range(4):
+            model(torch.rand(2, 3, 64, 64))
+        for head in model.model[-1].cv3:
+            head[-1].bias += 8.0
+    return model.eval()
+
+
+@pytest.fixture(scope="module")
+def model() -> Any:
+    return random_model()
+
+
+@pytest.fixture(scope="module")
+def detector(model: Any) -> ultralytics.YOLODetector:
+    return ultralytics.YOLODetector("yolov8n_small", model, CLASSES, side=128)
+
+
+def pictures(height: int, width: int, count: int = 2) -> Tensor:
+    """Smooth random pictures of 8 bits."""
+    generator = torch.Generator().manual_seed(height)
+    coarse = torch.rand(count, 3, 6, 9, generator=generator)
+    fine = torch.nn.functional.interpolate(coarse, size=(height, width), mode="bicubic").clamp(0, 1)
+    return (fine.permute(0, 2, 3, 1) * 255).round() / 255
+
+
+@pytest.mark.parametrize("size", [(128, 128), (90, 160), (75, 50), (300, 211)])
+def test_detections_are_those_of_the_library(
+    detector: ultralytics.YOLODetector, model: Any, size: tuple[int, int]
+) -> None:
+    from ultralytics import YOLO
+
+    images = pictures(*size)
+    library: Any = YOLO("yolov8n.yaml")
+    library.model = model
+    bgr = [(image.numpy() * 255).round().astype(np.uint8)[:, :, ::-1].copy() for image in images]
+    wanted = library.predict(bgr, imgsz=128, verbose=False)
+    for found, other in zip(detector.detect(images), wanted, strict=True):
+        assert len(found) == len(other.boxes) > 0
+        # The library fuses convolutions and norms, which moves the last digits.
+        assert torch.allclose(found.boxes, other.boxes.xyxy, atol=0.1)
+        assert torch.allclose(found.scores, other.boxes.conf, atol=1e-4)
+        assert found.labels == tuple(CLASSES[int(number)] for number in other.boxes.cls)
+
+
+@pytest.mark.parametrize("size", [(128, 128), (90, 160), (75, 50)])
+def test_candidates_are_what_detections_come_from(detector: Detector, size: tuple[int, int]) -> None:
+    images = pictures(*size)
+    for candidates, found in zip(detector.candidates(images), detector.detect(images), strict=True):
+        best, label = candidates.scores.max(1)
+        gap = (candidates.boxes[:, 0] - found.boxes[0]).abs().amax(1)
+        near = int(gap.argmin())
+        # Rounding to 8 bits and OpenCV's fixed-point scaling stand between the two.
+        assert float(gap[near]) < 1.5
+        assert float(best[near]) == pytest.approx(float(found.scores[0]), abs=0.05)
+        assert CLASSES[int(label[near])] == found.labels[0]
+
+
+def test_gradients_reach_the_picture(detector: Detector) -> None:
+    images = pictures(90, 160).requires_grad_(True)
+    detector.candidates(images)[0].scores[:, 0].max().backward()  # type: ignore[no-untyped-call]
+    assert images.grad is not None
+    assert float(images.grad[0].abs().max()) > 1e-6
+    assert float(images.grad[1].abs().max()) == 0
+
+
+def test_candidates_agree_with_finite_differences(model: Any) -> None:
+    """Of one score, along one direction, in double precision."""
+    import copy
+
+    double = ultralytics.YOLODetector("x", copy.deepcopy(model).double(), CLASSES, side=128)
+    image = pictures(96, 128, 1).double()
+    direction = torch.rand(image.shape, dtype=torch.float64) - 0.5
+
+    def score(at: Tensor) -> Tensor:
+        return double.candidates(at)[0].scores[:, 2].sum()
+
+    start = image.clone().requires_grad_(True)
+    (gradient,) = torch.autograd.grad(score(start), start)
+    step = 1e-6
+    difference = (score(image + step * direction) - score(image - step * direction)) / (2 * step)
+    assert float((gradient * direction).sum()) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_a_wanted_box_gets_the_cell_that_overlaps_it_most(detector: Detector) -> None:
+    images = pictures(128, 128, 1)
+    box = torch.tensor([[20.0, 30.0, 90.0, 100.0]])
+    (plain,) = detector.candidates(images)
+    (more,) = detector.candidates(images, extra=[box])
+    assert len(more) == len(plain) + 1
+    from torchvision.ops import box_iou
+
+    overlaps = box_iou(box, plain.boxes[:, 0])[0]
+    assert float(box_iou(box, more.boxes[-1:, 0])) == float(overlaps.max())
+    assert torch.equal(more.scores[-1], plain.scores[int(overlaps.argmax())])
+
+
+def test_weights_come_from_a_file_of_tensors(tmp_path: Path, model: Any) -> None:
+    path = tmp_path / "w.safetensors"
+    save_file({key: value.contiguous() for key, value in model.state_dict().items()}, path)
+    loaded = load_detector("yolov8n_small", weights=path)
+    assert isinstance(loaded, ultralytics.YOLODetector)
+    for name, value in model.state_dict().items():
+        assert torch.equal(loaded.model.state_dict()[name], value), name
+
+
+def test_the_library_s_own_checkpoints_are_read(tmp_path: Path) -> None:
+    model = random_model(80)
+    model.names = {number: f"thing {number}" for number in range(80)}
+    path = tmp_path / "yolov8n.pt"
+    torch.save({"model": model.half(), "ema": None, "train_args": {}}, path)
+    loaded = load_detector("yolov8n", weights=path)
+    assert loaded.classes[3] == "thing 3"
+    assert isinstance(loaded, ultralytics.YOLODetector)
+    assert loaded.side == 640
+
+
+def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return (Path.touch, (tmp_path / "ran",))
+
+    path = tmp_path / "evil.pt"
+    torch.save({"model": Evil()}, path)
+    with pytest.raises(DetectorError, match="weights of yolov8n"):
+        load_detector("yolov8n", weights=path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_missing_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DetectorError, match="nothing there"):
+        load_detector("yolov8s", weights=tmp_path / "none.pt")
+    monkeypatch.setattr(ultralytics, "SMALL_YOLO", tmp_path / "none.safetensors")
+    with pytest.raises(DetectorError, match="the wheel has none"):
+        load_detector("yolov8n_small")
+
+
+def test_other_libraries_stay_as_they_are(tmp_path: Path) -> None:
+    """The package patches Pillow when it is imported, and then asks for another package where a picture is broken."""
+    assert Image.open.__module__ == "PIL.Image"
+    assert torch.save.__module__ == "torch.serialization"
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    with pytest.raises(UnidentifiedImageError):
+        Image.open(tmp_path / "broken.png")
+
+
+# Training
+
+
+def drawn(label: int) -> Sample:
+    """A grey picture with one coloured square."""
+    image = torch.full((96, 96, 3), 60, dtype=torch.uint8)
+    image[24:72, 20:76] = torch.tensor([250, 40 * label, 30], dtype=torch.uint8)
+    return Sample(image, torch.tensor([[20.0, 24.0, 76.0, 72.0]]), torch.tensor([label]))
+
+
+def test_training_lowers_the_loss_and_goes_on_to_the_bit(tmp_path: Path) -> None:
+    config = TrainConfig(epochs=5, batch=4, rate=2e-3, coarse_side=96, coarse_share=1.0, seed=3, warm_up=0.01)
+    samples = [drawn(1 + i % 2) for i in range(8)]
+    straight = Training(config, YOLOTrainee())
+    losses = [sum(straight.run_epoch(samples).values()) for _ in range(3)]
+    straight.save(tmp_path)
+    losses.append(sum(straight.run_epoch(samples).values()))
+    assert losses[-1] < 0.8 * losses[0]
+    resumed = Training.resume(tmp_path, config, YOLOTrainee())
+    resumed.run_epoch(samples)
+    for name, value in straight.model.state_dict().items():
+        assert torch.equal(value, resumed.model.state_dict()[name]), name
+
+
+def test_a_mosaic_holds_four_pictures_at_half_size() -> None:
+    colours = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    pictures = [colour[:, None, None].expand(3, 32, 48) for colour in colours]
+    targets = [{"boxes": torch.tensor([[4.0, 2, 40, 30]]), "labels": torch.tensor([i + 1])} for i in range(4)]
+    whole, target = mosaic(pictures, targets)
+    for place, colour in enumerate(colours):
+        part = whole[:, 16 * (place // 2) : 16 * (place // 2) + 16, 24 * (place % 2) : 24 * (place % 2) + 24]
+        assert torch.allclose(part, colour[:, None, None].expand_as(part))
+    assert target["labels"].tolist() == [1, 2, 3, 4]
+    assert target["boxes"][3].tolist() == [26, 17, 44, 31]
+
+
+def test_a_share_of_a_batch_becomes_mosaics() -> None:
+    pictures = [torch.full((3, 16, 16), i / 4) for i in range(4)]
+    targets = [{"boxes": torch.zeros(0, 4), "labels": torch.zeros(0, dtype=torch.int64)} for _ in range(4)]
+    made, found = with_mosaics(pictures, targets, 0.5, torch.Generator().manual_seed(0))
+    assert len(made) == len(found) == 4
+    assert all(torch.equal(made[i], pictures[i]) for i in (2, 3))
+    same, _ = with_mosaics(pictures, targets, 0.0, torch.Generator().manual_seed(0))
+    assert all(torch.equal(a, b) for a, b in zip(same, pictures, strict=True))

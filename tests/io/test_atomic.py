@@ -1,0 +1,182 @@
+"""Saves that fail leave the old file, and none beside it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import SplatFileError, load_splat, save_splat
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.scene import GaussianScene, scene_hash
+from tests.gaussians import random_scene
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """A file that is there before."""
+    save_splat(random_scene(5), tmp_path / "a.ply")
+    return tmp_path / "a.ply"
+
+
+def alone(path: Path) -> None:
+    """Nothing but the file itself lies in its folder."""
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
+@pytest.mark.parametrize("when", ["write", "fsync", "replace"])
+def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = old.read_bytes()
+
+    def fail(*_: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("mi_splat.io.ply.write_all" if when == "write" else f"mi_splat.io.atomic.os.{when}", fail)
+        with pytest.raises(SplatFileError, match=rf"{old}: expected a file that can be written, got .+; .+"):
+            save_splat(random_scene(7), old)
+    assert old.read_bytes() == before
+    alone(old)
+    save_splat(random_scene(7), old)
+    assert len(load_splat(old)) == 7
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_the_message_of_a_full_disk(tmp_path: Path) -> None:
+    with pytest.raises(SplatFileError, match="got No space left on device; free some space"), \
+            atomic_write(tmp_path / "a"), open("/dev/full", "wb", buffering=0) as full:  # fmt: skip
+        write_all(full, memoryview(b"x"))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, MemoryError])
+def test_an_interruption_leaves_the_old_file(error: type[BaseException], old: Path) -> None:
+    before = old.read_bytes()
+    with pytest.raises(error), atomic_write(old) as file:  # noqa: PT012
+        file.write(b"half")
+        raise error
+    assert old.read_bytes() == before
+    alone(old)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_values_that_could_not_be_loaded_are_not_saved(value: float, old: Path) -> None:
+    before, scene = old.read_bytes(), random_scene(9)
+    means = scene.means.clone()
+    means[4, 1] = value
+    with pytest.raises(InvalidValueError, match="scene: expected values that are finite in float32"):
+        save_splat(GaussianScene._trusted(means, *scene.tensors()[1:]), old)
+    wide = scene.to(dtype=torch.float64)
+    with pytest.raises(InvalidValueError, match="finite in float32"):
+        save_splat(wide.replace(means=wide.means * 1e300), old)
+    assert old.read_bytes() == before
+    alone(old)
+
+
+KILLED = """
+import sys, torch
+from mi_splat.io import save_splat
+from tests.gaussians import random_scene
+torch.set_num_threads(1)
+scene = random_scene(60_000, 1)
+print("ready", flush=True)
+while True:
+    save_splat(scene, sys.argv[1])
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_a_kill_leaves_the_old_file_or_the_new_one(old: Path) -> None:
+    hashes = {scene_hash(load_splat(old))}
+    save_splat(random_scene(60_000, 1), old.with_name("new.ply"))
+    hashes.add(scene_hash(load_splat(old.with_name("new.ply"))))
+    root = Path(__file__).resolve().parents[2]
+    process = subprocess.Popen([sys.executable, "-c", KILLED, str(old)], stdout=subprocess.PIPE, cwd=root)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    assert scene_hash(load_splat(old)) in hashes
+
+
+def test_folders_and_odd_targets_are_refused(tmp_path: Path) -> None:
+    scene = random_scene(1)
+    with pytest.raises(SplatFileError, match="got a folder"):
+        save_splat(scene, tmp_path)
+    with pytest.raises(SplatFileError, match="No such file or directory; check the path"):
+        save_splat(scene, tmp_path / "none" / "a.ply")
+    with pytest.raises(SplatFileError, match="use a shorter name"):
+        save_splat(scene, tmp_path / ("x" * 300))
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(SplatFileError, match="got a special file"):
+            save_splat(scene, tmp_path / "pipe")
+        assert [entry.name for entry in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_a_folder_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("mi_splat.io.atomic.os.open", refuse)
+    with pytest.raises(SplatFileError, match="Permission denied; change its permissions"):
+        save_splat(random_scene(1), tmp_path / "a.ply")
+
+
+def test_a_read_only_file_is_kept(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mi_splat.io.atomic.os.access", lambda *_: False)  # root may write everything
+    with pytest.raises(SplatFileError, match="got a read-only file"):
+        save_splat(random_scene(1), old)
+    alone(old)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs permission bits")
+def test_permission_bits(old: Path) -> None:
+    mask = os.umask(0o027)
+    try:
+        save_splat(random_scene(1), old.with_name("new.ply"))
+    finally:
+        os.umask(mask)
+    assert stat.S_IMODE(old.with_name("new.ply").stat().st_mode) == 0o640
+    old.chmod(0o604)
+    save_splat(random_scene(2), old)
+    assert stat.S_IMODE(old.stat().st_mode) == 0o604
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs symbolic links")
+def test_links_are_followed(old: Path) -> None:
+    link = old.with_name("link.ply")
+    link.symlink_to(old.name)
+    save_splat(random_scene(3), link)
+    assert link.is_symlink()
+    assert len(load_splat(old)) == 3
+    dangling = old.with_name("dangling.ply")
+    dangling.symlink_to("fresh.ply")
+    save_splat(random_scene(4), dangling)
+    assert len(load_splat(old.with_name("fresh.ply"))) == 4
+
+
+def test_partial_writes_are_completed(tmp_path: Path) -> None:
+    class Slow:
+        def __init__(self) -> None:
+            self.data = b""
+
+        def write(self, view: memoryview) -> int:
+            self.data += bytes(view[:3])
+            return min(3, len(view))
+
+    slow = Slow()
+    write_all(slow, memoryview(b"0123456789"))  # type: ignore[arg-type]
+    assert slow.data == b"0123456789"

@@ -1,0 +1,155 @@
+"""Which part of the project may import which: the layers from the bottom up, and the modules in each.
+
+A module may import from its own layer and from those below it; no two modules may import each other, not even by way of
+others. `python -m tests.project.layers` writes the picture of it, docs/structure.md.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("mi_splat", "attacks")
+DIAGRAM = ROOT / "docs" / "structure.md"
+
+LAYERS: dict[str, tuple[str, ...]] = {
+    "values": tuple(f"mi_splat.{n}" for n in ("errors", "_lazy", "provenance", "sh", "rotation", "metrics", "scene")),
+    "cameras": ("mi_splat.cameras", "mi_splat.directions"),
+    "files": ("mi_splat.io",),
+    "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
+    "objects": ("mi_splat.assets",),
+    "rasterization": ("mi_splat.rasterization",),
+    "Mitsuba": ("mi_splat.llvm", "mi_splat.plugins", "mi_splat.variant"),
+    "rendering": ("mi_splat.rendering", "mi_splat.scene_files"),
+    "training": ("mi_splat.training",),
+    "capture": ("mi_splat.capture",),
+    "example scenes": ("mi_splat.example_scenes",),
+    "commands of mi_splat": ("mi_splat.cli",),
+    "interfaces of attacks": ("attacks.pgd", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
+    "detectors": ("attacks.detectors",),
+    "subset": ("attacks.gaussian_subset",),
+    "evaluation": ("attacks.evaluation",),
+    "attacks": ("attacks.dagger", "attacks.cloak"),
+    "study of CLOAK": ("attacks.cloak.study",),
+    "experiments": ("attacks.cloak.experiments",),
+    "command line": ("attacks.cli", "attacks.__main__"),
+}
+
+
+@cache
+def modules(package: str) -> dict[str, Path]:
+    """Dotted name to file of every module of a package."""
+    found = {}
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(name: str, path: Path) -> Iterator[str]:
+    """Dotted names of what a module imports when it runs, type checking apart."""
+    tree = ast.parse(path.read_text())
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in typing_only:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name} has a relative import"
+            assert node.module is not None
+            known = modules(node.module.split(".")[0]) if node.module.split(".")[0] in PACKAGES else {}
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield full if full in known else node.module
+
+
+@cache
+def edges(package: str) -> tuple[tuple[str, str], ...]:
+    """Pairs (module, what it imports) of a package."""
+    return tuple(
+        (name, other) for name, path in modules(package).items() for other in imports(name, path) if other != name
+    )
+
+
+def place(name: str) -> tuple[int, str] | None:
+    """Number of a module's layer and the entry of `LAYERS` that it belongs to; the longest matching entry counts."""
+    matches = [
+        (len(entry), number, entry)
+        for number, entries in enumerate(LAYERS.values())
+        for entry in entries
+        if name == entry or name.startswith(entry + ".")
+    ]
+    return max(matches)[1:] if matches else None
+
+
+def circle() -> list[str]:
+    """Modules that import each other in a circle; empty if there are none."""
+    graph: dict[str, set[str]] = {}
+    for package in PACKAGES:
+        for name, other in edges(package):
+            if other in modules(package) or other in modules(PACKAGES[0]):
+                graph.setdefault(name, set()).add(other)
+    done: set[str] = set()
+
+    def visit(name: str, trail: list[str]) -> list[str]:
+        if name in trail:
+            return [*trail[trail.index(name) :], name]
+        if name in done:
+            return []
+        for other in sorted(graph.get(name, ())):
+            if found := visit(other, [*trail, name]):
+                return found
+        done.add(name)
+        return []
+
+    for name in sorted(graph):
+        if found := visit(name, []):
+            return found
+    return []
+
+
+def diagram() -> str:
+    """The layers and the imports between them, as a picture that Mermaid draws and as a table."""
+    needs: dict[str, set[str]] = {}
+    for package in PACKAGES:
+        for name, other in edges(package):
+            here, there = place(name), place(other)
+            if here and there and here[0] != there[0]:
+                titles = list(LAYERS)
+                needs.setdefault(titles[here[0]], set()).add(titles[there[0]])
+    reach: dict[str, set[str]] = {}
+    for title in LAYERS:  # from the bottom up, so that what lies below is done
+        reach[title] = set().union(*({low} | reach[low] for low in needs.get(title, set())), set())
+    lines = ["# Structure", "", _INTRODUCTION, "", "```mermaid", "flowchart BT"]
+    names = {title: f"L{number}" for number, title in enumerate(LAYERS)}
+    for title, entries in LAYERS.items():
+        shown = "<br/>".join(entry.removeprefix("mi_splat.") for entry in entries if not entry.endswith("_lazy"))
+        lines.append(f'    {names[title]}["<b>{title}</b><br/>{shown}"]')
+    for title in LAYERS:
+        below: set[str] = needs.get(title, set())
+        implied = set().union(*(reach[low] for low in below), set())
+        lines += [f"    {names[low]} --> {names[title]}" for low in LAYERS if low in below - implied]
+    lines += ["```", "", "| layer | modules | imports from |", "|---|---|---|"]
+    for title in reversed(LAYERS):
+        lower = ", ".join(low for low in LAYERS if low in needs.get(title, set())) or "nothing"
+        lines.append(f"| {title} | {', '.join(f'`{entry}`' for entry in LAYERS[title])} | {lower} |")
+    return "\n".join(lines) + "\n"
+
+
+_INTRODUCTION = (
+    "Imports run one way, from the command line down to the values, and without a circle; a test holds them to it. "
+    "This page is generated: `python -m tests.project.layers`. An arrow runs from what is imported to what imports it; "
+    "arrows that follow from others are left out of the picture and stand in the table."
+)
+
+if __name__ == "__main__":
+    DIAGRAM.write_text(diagram())

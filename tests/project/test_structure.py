@@ -1,0 +1,229 @@
+"""The shape of the project: layers, light packages, what the wheel holds, sizes, names."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.project.layers import DIAGRAM, LAYERS, PACKAGES, ROOT, circle, diagram, edges, modules, place
+
+TOP_LEVEL = {
+    *PACKAGES,
+    *("scenes", "tests", "benchmarks", "docs", ".ci", "pyproject.toml", "Makefile", ".gitignore"),
+    *("README.md", "LICENSE", "NOTICE", "CITATION.cff", "CHANGELOG.md"),
+}
+LONGEST_MODULE = 400
+
+RENDERERS = ("mi_splat.rasterization", "mi_splat.plugins", "mi_splat.variant", "mi_splat.rendering")
+"""Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
+PATH_TRACERS = ("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes", "mi_splat.scene_files")
+LOADERS = ("attacks.detectors", "attacks.dagger.study", "attacks.cli", "attacks.cloak.experiments")
+"""Parts of attacks that may know a particular detector; all others see `detectors.base` only."""
+
+
+def test_every_module_has_a_layer() -> None:
+    for package in PACKAGES:
+        for name in modules(package):
+            assert name == package or place(name), f"{name} has no place in LAYERS: give it one"
+
+
+def test_imports_run_one_way() -> None:
+    for package in PACKAGES:
+        for name, other in edges(package):
+            here, there = place(name), place(other)
+            if here and there:
+                assert there[0] <= here[0], f"{name} imports {other}, which lies above it"
+
+
+def test_imports_have_no_circle() -> None:
+    assert circle() == []
+
+
+def test_mi_splat_knows_nothing_of_attacks() -> None:
+    assert not [(name, other) for name, other in edges("mi_splat") if other.startswith("attacks")]
+
+
+def test_the_diagram_is_today_s() -> None:
+    assert DIAGRAM.read_text() == diagram(), "run python -m tests.project.layers"
+
+
+def test_training_sees_renderers_as_functions() -> None:
+    below = {place(other) for name, other in edges("mi_splat") if name.startswith("mi_splat.training")}
+    titles = list(LAYERS)
+    assert not {titles[here[0]] for here in below if here} & {"rasterization", "Mitsuba", "rendering"}
+
+
+def test_attacks_see_detectors_through_one_interface() -> None:
+    for name, other in edges("attacks"):
+        if name != "attacks" and not name.startswith(LOADERS) and other.startswith("attacks.detectors"):
+            assert other == "attacks.detectors.base", f"{name} imports {other}"
+
+
+def test_pgd_knows_nothing_of_splats() -> None:
+    ours = {other for name, other in edges("attacks") if name == "attacks.pgd" and other.startswith(PACKAGES)}
+    assert ours <= {"mi_splat.errors"}
+
+
+def test_only_renderers_import_mitsuba() -> None:
+    for package in PACKAGES:
+        for name, other in edges(package):
+            if other.split(".")[0] in ("mitsuba", "drjit"):
+                assert name.startswith(RENDERERS) or name in PATH_TRACERS, f"{name} imports {other}"
+
+
+def test_one_bridge_between_torch_and_drjit() -> None:
+    wrapping = [
+        name
+        for package in PACKAGES
+        for name, path in modules(package).items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node) in ("dr.wrap", "drjit.wrap")
+    ]
+    assert wrapping == ["mi_splat.rendering"]
+
+
+def test_one_module_knows_ultralytics() -> None:
+    """Its licence is AGPL: nothing else may come to depend on it."""
+    knowing = {name for name, other in edges("attacks") if other.split(".")[0] == "ultralytics"}
+    assert knowing == {"attacks.detectors.ultralytics"}
+
+
+@pytest.mark.parametrize("folder", ["mi_splat", "attacks", "tests"])
+def test_modules_are_short(folder: str) -> None:
+    for path in (ROOT / folder).rglob("*.py"):
+        lines = len(path.read_text().splitlines())
+        assert lines <= LONGEST_MODULE, f"{path.relative_to(ROOT)} has {lines} lines; split it"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_grab_bags(package: str) -> None:
+    for name in modules(package):
+        assert name.rsplit(".", 1)[-1].strip("_") not in ("utils", "util", "helpers", "common", "misc", "tools"), name
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_public_names_exist(package: str) -> None:
+    code = (
+        f"import {package} as p; missing = [n for n in p.__all__ if not hasattr(p, n)]; raise SystemExit(missing or 0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_packages_and_help_import_nothing_heavy() -> None:
+    code = """
+import contextlib, io, sys
+import attacks, mi_splat
+from attacks.cli import COMMANDS, main
+for words in (["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)):
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        assert main(words) == 0, words
+    assert text.getvalue().strip(), words
+heavy = {"torch", "torchvision", "mitsuba", "drjit", "numpy", "PIL", "scipy", "matplotlib", "plyfile"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def tracked() -> list[Path]:
+    """Files under version control, relative to the root."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a checkout")
+    done = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
+    return [Path(name) for name in done.stdout.split("\0") if name]
+
+
+def test_top_level_names() -> None:
+    assert {path.parts[0] for path in tracked()} <= TOP_LEVEL
+
+
+def test_nothing_names_this_machine_or_a_registry() -> None:
+    # Put together here, so that this file does not name them either.
+    forbidden = [
+        "../" + "shared",
+        "pypi" + ".org",
+        "python" + "hosted",
+        "/" + "root/",
+        "/" + "work/",
+        "down" + "load.pytorch",
+    ]
+    for path in tracked():
+        if path.suffix in (".py", ".md", ".toml", ".xml", ".sh", ".cff", ".json", "") and (ROOT / path).is_file():
+            text = (ROOT / path).read_text(errors="replace")
+            assert not [word for word in forbidden if word in text], path
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def test_wheel_holds_the_two_packages_and_nothing_else(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+    assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
+    assert not [name for name in names if name.endswith((".pyc", ".pth", ".ply"))]
+    for package in PACKAGES:
+        ours = {str(path.relative_to(ROOT)) for path in modules(package).values()}
+        assert ours <= set(names)
+    licences = {name.rsplit("/", 1)[-1] for name in names if ".dist-info/" in name}
+    assert {"LICENSE", "NOTICE", "METADATA", "entry_points.txt"} <= licences
+
+
+def test_wheel_holds_the_weights_and_their_card(wheel: Path) -> None:
+    sizes = {info.filename: info.file_size for info in zipfile.ZipFile(wheel).infolist()}
+    assert 0 < sizes["attacks/detectors/fasterrcnn_small.safetensors"] <= 12_000_000
+    assert any(name.startswith("attacks/detectors/") and name.endswith(".md") for name in sizes)
+
+
+def test_wheel_works_outside_a_checkout(wheel: Path, tmp_path: Path) -> None:
+    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    zipfile.ZipFile(wheel).extractall(site)
+    elsewhere.mkdir()
+    code = f"""
+import sys
+sys.path.insert(0, {str(site)!r})
+import attacks.cli, attacks.detectors.torchvision, mi_splat
+assert attacks.__file__.startswith({str(site)!r}) and mi_splat.__file__.startswith({str(site)!r})
+assert attacks.detectors.torchvision.SHIPPED.is_file()
+sys.exit(attacks.cli.main(["detectors", "--json"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+SCENES = sorted((ROOT / "scenes").glob("*.xml"))
+
+
+def test_scenes_are_shipped_and_small() -> None:
+    assert {"car_street.xml", "stop_sign.xml"} <= {path.name for path in SCENES}
+    files = [path for path in (ROOT / "scenes").rglob("*") if path.is_file()]
+    weights = sum(path.stat().st_size for path in files if path.parent.name == "detectors")
+    assert weights <= 7_000_000
+    assert sum(path.stat().st_size for path in files) - weights <= 8_000_000
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: str(path.stem))
+def test_every_scene_renders(path: Path) -> None:
+    from mi_splat.rendering import Renderer
+    from mi_splat.scene_files import read_stage
+
+    stage = read_stage(path)
+    assert stage.cameras
+    assert len(stage.parts) >= 2
+    for camera in stage.cameras.values():
+        picture = Renderer(stage.settings)(stage.scene, camera).detach()
+        assert tuple(picture.shape) == (camera.height, camera.width, 3)
+        assert bool(picture.isfinite().all())
+        assert float(picture.std()) > 0.05

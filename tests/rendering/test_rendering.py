@@ -1,0 +1,181 @@
+"""Renderer as a torch function: batches, bad input, memory, and recordings that follow shapes and never values."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import SplatFileError, save_splat
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import read_stage
+from tests import oracle
+
+VIEW = Camera(
+    to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
+)
+
+
+def test_batch_is_one_picture_per_camera() -> None:
+    scene = oracle.random_scene(60, degree=1, seed=1)
+    cameras = orbit((0.0, 0.0, 0.0), count=3, elevation=30.0, distance=3.0, focal=30.0, size=(24, 18))
+    render = Renderer()
+    pictures = render.batch(scene, [*cameras, VIEW])
+    assert [tuple(p.shape) for p in pictures] == [(18, 24, 3)] * 3 + [(29, 37, 3)]
+    for picture, camera in zip(pictures, [*cameras, VIEW], strict=True):
+        assert torch.equal(picture, render(scene, camera))
+    assert render.batch(scene, []) == []
+
+
+def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
+    scene = oracle.random_scene(40, degree=0, seed=1)
+    cameras = orbit((0.0, 0.0, 0.0), count=2, elevation=30.0, distance=3.0, focal=30.0, size=(24, 18))
+    render = Renderer()
+    together = scene.sh.clone().requires_grad_(True)
+    first, second = render.batch(scene.replace(sh=together), cameras)
+    (first.sum() + 2 * second.sum()).backward()  # type: ignore[no-untyped-call]
+    apart = scene.sh.clone().requires_grad_(True)
+    for weight, camera in zip((1, 2), cameras, strict=True):
+        (weight * render(scene.replace(sh=apart), camera).sum()).backward()  # type: ignore[no-untyped-call]
+    assert together.grad is not None
+    assert apart.grad is not None
+    torch.testing.assert_close(together.grad, apart.grad)
+
+
+def test_an_unused_picture_of_a_batch_costs_no_gradient() -> None:
+    scene = oracle.random_scene(40, degree=0, seed=1)
+    sh = scene.sh.clone().requires_grad_(True)
+    first, _ = Renderer().batch(scene.replace(sh=sh), [VIEW, VIEW])
+    first.sum().backward()  # type: ignore[no-untyped-call]
+    single = scene.sh.clone().requires_grad_(True)
+    Renderer()(scene.replace(sh=single), VIEW).sum().backward()  # type: ignore[no-untyped-call]
+    assert sh.grad is not None
+    assert single.grad is not None
+    torch.testing.assert_close(sh.grad, single.grad)
+
+
+def test_works_without_grad() -> None:
+    scene = oracle.random_scene(40, degree=0, seed=1)
+    learnt = scene.replace(sh=scene.sh.clone().requires_grad_(True))
+    with torch.no_grad():
+        picture = Renderer()(learnt, VIEW)
+    assert not picture.requires_grad
+    assert torch.equal(picture, Renderer()(learnt, VIEW).detach())
+
+
+def test_float64_scenes_are_rendered_in_float32() -> None:
+    scene = oracle.random_scene(40, degree=0, seed=1)
+    double = GaussianScene(*(tensor.double() for tensor in scene.tensors()))
+    torch.testing.assert_close(Renderer()(double, VIEW), Renderer()(scene, VIEW), atol=1e-5, rtol=0)
+
+
+def test_recordings_follow_shapes_never_values() -> None:
+    from mi_splat.rasterization import pipeline
+    from mi_splat.rasterization.frozen import frozen
+
+    frozen.cache_clear()  # which values Dr.Jit keeps out of a recording hangs on all calls before
+    render = Renderer()
+
+    def step(seed: int) -> None:
+        scene = oracle.random_scene(50, degree=1, seed=seed)
+        opacities = scene.opacities.clone().requires_grad_(True)
+        render(scene.replace(opacities=opacities), VIEW).sum().backward()  # type: ignore[no-untyped-call]
+
+    for seed in range(3):
+        step(seed)
+    stages = (pipeline._project, pipeline._emit, pipeline._blend, pipeline._blend_backward, pipeline._project_backward)
+    recordings = [frozen(render.variant, stage) for stage in stages]
+    before = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
+    for seed in range(3, 12):
+        step(seed)
+    after = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
+    assert after == before, [stage.__name__ for stage in stages]
+
+
+def test_sizes_may_change_in_any_order() -> None:
+    """Recordings that guess a length from another array's pass with one size and fail with the next."""
+    render, rng = Renderer(), np.random.default_rng(0)
+    for trial in range(25):
+        count = int(rng.choice([1, 3, 8, 16, 48, 100, 400]))
+        width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
+        scene = oracle.random_scene(count, degree=int(rng.integers(0, 4)), seed=trial)
+        view = Camera(to_world=VIEW.to_world, focal=float(width), width=width, height=height)
+        opacities = scene.opacities.clone().requires_grad_(True)
+        picture = render(scene.replace(opacities=opacities), view)
+        picture.sum().backward()  # type: ignore[no-untyped-call]
+        reference, _ = oracle.render(scene, view)
+        torch.testing.assert_close(picture.detach().double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
+
+
+def test_memory_stays_flat() -> None:
+    scene, render = oracle.random_scene(200, degree=1, seed=0), Renderer()
+    sh = scene.sh.clone().requires_grad_(True)
+
+    def steps(count: int) -> None:
+        for _ in range(count):
+            render(scene.replace(sh=sh), VIEW).sum().backward()  # type: ignore[no-untyped-call]
+
+    steps(30)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    steps(300)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20 * 1024  # KiB
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"near": 0.0}, {"near": float("nan")}, {"background": (0.0, 0.0)}, {"background": (0.0, 0.0, float("inf"))}],
+)
+def test_bad_settings(settings: dict[str, object]) -> None:
+    with pytest.raises(InvalidValueError, match="expected"):
+        RenderSettings(**settings)  # type: ignore[arg-type]
+
+
+SCENE = """<scene version="3.0.0">
+<integrator type="splat_tile">
+  <rgb name="background" value="0.1, 0.2, 0.3"/><float name="near" value="0.5"/>
+</integrator>
+<shape type="gaussians" id="car"><string name="filename" value="a.ply"/></shape>
+<shape type="gaussians" id="street"><string name="filename" value="b.ply"/></shape>
+<sensor type="perspective" id="front">
+  <float name="fov" value="40"/>
+  <transform name="to_world"><lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
+  <film type="hdrfilm"><integer name="width" value="31"/><integer name="height" value="23"/></film>
+</sensor></scene>"""
+
+
+def test_a_stage_is_its_file(tmp_path: Path) -> None:
+    first, second = oracle.random_scene(30, degree=2, seed=1), oracle.random_scene(20, degree=0, seed=2)
+    save_splat(first, tmp_path / "a.ply")
+    save_splat(second, tmp_path / "b.ply")
+    (tmp_path / "scene.xml").write_text(SCENE)
+    stage = read_stage(tmp_path / "scene.xml")
+    assert stage.parts == {"car": slice(0, 30), "street": slice(30, 50)}
+    assert stage.settings == RenderSettings(background=(0.1, 0.2, 0.3), near=0.5)
+    assert (stage.cameras["front"].width, stage.cameras["front"].height) == (31, 23)
+    assert torch.equal(stage.scene.means[:30], first.means)
+    assert torch.equal(stage.scene.sh[:30], first.sh)
+    assert torch.equal(stage.scene.sh[30:, :1], second.sh)
+    reference, _ = oracle.render(stage.scene, stage.cameras["front"], background=(0.1, 0.2, 0.3), near=0.5)
+    picture = Renderer(stage.settings)(stage.scene, stage.cameras["front"])
+    torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
+
+
+def test_bad_stages_say_why(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="no file"):
+        read_stage(tmp_path / "none.xml")
+    (tmp_path / "text.xml").write_text("not xml")
+    with pytest.raises(InvalidValueError, match=r"text\.xml"):
+        read_stage(tmp_path / "text.xml")
+    (tmp_path / "scene.xml").write_text(SCENE)
+    with pytest.raises(SplatFileError, match=r"[ab]\.ply"):
+        read_stage(tmp_path / "scene.xml")
+    (tmp_path / "empty.xml").write_text('<scene version="3.0.0"><integrator type="splat_tile"/></scene>')
+    with pytest.raises(InvalidValueError, match="gaussians shape"):
+        read_stage(tmp_path / "empty.xml")
