@@ -112,8 +112,8 @@ class L2:
     def uniform(self, like: Tensor, radius: float, generator: Generator) -> Tensor:
         """A direction from the sphere and a radius ~ u^(1/n)."""
         direction = _normal(like, generator)
-        share = math.pow(float(torch.rand((), generator=generator, dtype=torch.float64)), 1 / max(like.numel(), 1))
-        return _unit(direction, direction.norm()) * (radius * share)
+        fraction = math.pow(float(torch.rand((), generator=generator, dtype=torch.float64)), 1 / max(like.numel(), 1))
+        return _unit(direction, direction.norm()) * (radius * fraction)
 
     def noise(self, delta: Tensor, generator: Generator) -> Tensor:
         """A direction from the sphere."""
@@ -146,8 +146,8 @@ class L2PerGaussian:
         direction = _normal(like, generator)
         size = _rows(direction)
         width = max(like[0].numel() if len(like) else 1, 1)
-        share = torch.rand(size.shape, generator=generator, dtype=torch.float64).to(like.device) ** (1.0 / width)
-        return _unit(direction, size) * (radius * share)
+        fraction = torch.rand(size.shape, generator=generator, dtype=torch.float64).to(like.device) ** (1.0 / width)
+        return _unit(direction, size) * (radius * fraction)
 
     def noise(self, delta: Tensor, generator: Generator) -> Tensor:
         """Every row in a random direction at its own size."""

@@ -14,12 +14,12 @@ from torch import Tensor
 
 from attacks.budgets import Parameters
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.parameters import activate, to_file_space
+from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class GaussianSubset:
     """One object of a scene: the rows that an attack may change.
 
     Attributes:
@@ -33,7 +33,7 @@ class Part:
     clean: Parameters
 
     @classmethod
-    def of(cls, scene: GaussianScene, mask: Tensor | slice) -> Part:
+    def of(cls, scene: GaussianScene, mask: Tensor | slice) -> GaussianSubset:
         """The object that `mask` (a bool tensor, integer indices or a slice) selects.
 
         Raises:
@@ -57,7 +57,7 @@ class Part:
         if not len(rows):
             raise InvalidValueError(message("mask", "at least one Gaussian", "none", "name an object of the scene"))
         rows = rows.to(scene.means.device)
-        return cls(scene, rows, to_file_space(scene.select(rows).detach()))
+        return cls(scene, rows, to_raw_parameters(scene.select(rows).detach()))
 
     def parameters(self, attributes: Sequence[str]) -> Parameters:
         """The object's rows of the attributes, as the file holds them."""
@@ -71,7 +71,7 @@ class Part:
             tensors[name] = tensors[name].detach().index_put((self.rows,), moved[name])
         return GaussianScene._trusted(**tensors)
 
-    def sealed(self, parameters: Parameters) -> GaussianScene:
+    def applied(self, parameters: Parameters) -> GaussianScene:
         """The attacked scene as a checked value; what did not move keeps the very bits it had."""
         attacked, tensors = self.scene_with(parameters).detach(), {}
         for name, value in parameters.items():

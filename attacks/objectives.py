@@ -45,13 +45,13 @@ class Verdict:
     Attributes:
         success: The aim is reached.
         score: How near it is, in [0, 1].
-        clear: The aim is reached and nothing speaks against it: no other class is reported on the object with more
-            confidence than the one wanted.
+        unambiguous: The aim is reached and nothing speaks against it: no other class is reported on the object with
+            more confidence than the one wanted.
     """
 
     success: bool
     score: float
-    clear: bool
+    unambiguous: bool
 
 
 class Objective(Protocol):
@@ -192,7 +192,7 @@ class Relabel:
         others = [label for label in detections.labels if label != self.label]
         beaten = confidence(detections, target.box, labels=others, iou=self.iou) > score
         success = score >= self.confidence
-        return Verdict(success=success, score=score, clear=success and not beaten)
+        return Verdict(success=success, score=score, unambiguous=success and not beaten)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +222,7 @@ class Suppression:
     def _judge(self, detections: Detections, target: Target, labels: Sequence[str] | None) -> Verdict:
         """Success when none of the labels (any, if None) is left on the object."""
         left = confidence(detections, target.box, labels=labels, iou=self.iou)
-        return Verdict(success=left < self.confidence, score=1.0 - left, clear=left < self.confidence)
+        return Verdict(success=left < self.confidence, score=1.0 - left, unambiguous=left < self.confidence)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,7 +262,7 @@ class Untargeted(Suppression):
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """The original class is not reported on the object."""
         if target.original is None:
-            return Verdict(success=False, score=0.0, clear=False)
+            return Verdict(success=False, score=0.0, unambiguous=False)
         return self._judge(detections, target, [target.original])
 
 

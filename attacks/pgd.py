@@ -39,14 +39,14 @@ class Evaluation:
         gradients: Derivative of the loss by each parameter.
         success: Whether the attack has its aim here, judged by what counts, which is not the loss.
         score: How near it is, in [0, 1].
-        clear: Whether success leaves nothing to wish for; an early stop waits for it.
+        unambiguous: Whether success leaves nothing to wish for; an early stop waits for it.
     """
 
     loss: float
     gradients: Parameters
     success: bool
     score: float
-    clear: bool
+    unambiguous: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +58,8 @@ class Step:
         loss: Lower is better for the attacker.
         score: In [0, 1], higher is better for the attacker.
         success: Whether the attack has its aim here.
-        clear: Whether it has it clearly.
-        zero_share: Share of the gradient's elements that are exactly zero.
+        unambiguous: Whether it has it clearly.
+        zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero.
         restart: Number of the run, 0 for the first.
     """
 
@@ -67,8 +67,8 @@ class Step:
     loss: float
     score: float
     success: bool
-    clear: bool
-    zero_share: float
+    unambiguous: bool
+    zero_gradient_fraction: float
     restart: int = 0
 
 
@@ -77,7 +77,7 @@ class Outcome:
     """The best point of a run and how it was found.
 
     Attributes:
-        parameters: The best point: success first, then clear success, then the score, then the loss.
+        parameters: The best point: success first, then unambiguous success, then the score, then the loss.
         best: Its line of the trace.
         trace: Every point in order, the start included.
     """
@@ -107,7 +107,7 @@ def pgd(
         step: Length of a step for each parameter, in the ball's norm.
         steps: Number of steps.
         start: First point, the reference if None.
-        early_stop: Stop at the first clear success; otherwise spend all steps and keep the best point.
+        early_stop: Stop at the first unambiguous success; otherwise spend all steps and keep the best point.
         on_step: Called with every line of the trace.
 
     Raises:
@@ -126,7 +126,7 @@ def pgd(
             on_step(line)
         if best is None or rank(line) > rank(best):
             best, kept = line, point
-        if index == steps or (early_stop and found.success and found.clear):
+        if index == steps or (early_stop and found.success and found.unambiguous):
             break
         direction = ball.steepest(found.gradients)
         point = ball.project({k: v - step[k] * direction[k] for k, v in point.items()}, reference)
@@ -136,8 +136,8 @@ def pgd(
 
 
 def rank(line: Step) -> tuple[bool, bool, float, float]:
-    """What makes a point better: success, then clear success, then the score, and the loss only between equals."""
-    return line.success, line.clear, line.score, -line.loss
+    """What makes a point better: success, then an unambiguous one, then the score, and the loss only between equals."""
+    return line.success, line.unambiguous, line.score, -line.loss
 
 
 def _line(index: int, found: Evaluation) -> Step:
@@ -152,12 +152,12 @@ def _line(index: int, found: Evaluation) -> Step:
         zeros, total = zeros + int((gradient == 0).sum()), total + gradient.numel()
     if found.loss != found.loss or abs(found.loss) == float("inf"):
         raise InvalidValueError(message("loss", "a finite number", found.loss, "look at the objective"))
-    share = zeros / total if total else 1.0
+    fraction = zeros / total if total else 1.0
     return Step(
         index=index,
         loss=found.loss,
         score=found.score,
         success=found.success,
-        clear=found.clear,
-        zero_share=share,
+        unambiguous=found.unambiguous,
+        zero_gradient_fraction=fraction,
     )

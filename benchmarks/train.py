@@ -18,13 +18,13 @@ import torch
 
 from mi_splat.cameras import View
 from mi_splat.datasets import has_tests, load_dataset
-from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import densification
 from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress, fit
-from mi_splat.training.losses import photometric
+from mi_splat.training.losses import photometric_loss
 
 WARM_UP = 40
 
@@ -49,7 +49,7 @@ def main() -> None:
     adding = densification(options.recipe, limit=options.limit, stop=options.iterations // 2)
     config = FitConfig(iterations=options.iterations, densification=adding, evaluate_every=0)
     settings = RenderSettings(background=background)
-    render = Renderer(settings, watch=Watch() if options.recipe == "classic" else None)
+    render = Renderer(settings, screen_gradients=ScreenGradients() if options.recipe == "classic" else None)
     start = from_points(views.points.points, views.points.colours)
     stamps: list[float] = []
 
@@ -90,7 +90,7 @@ def _parts(scene: GaussianScene, view: View, render: Renderer, *, rounds: int = 
         times.append(time.perf_counter())
         # The loss on a leaf of its own, so that its backward pass can be told from the renderer's.
         leaf = image.detach().requires_grad_(True)
-        photometric(leaf, view.image).backward()
+        photometric_loss(leaf, view.image).backward()
         times.append(time.perf_counter())
         image.backward(leaf.grad)
         times.append(time.perf_counter())

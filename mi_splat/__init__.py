@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from mi_splat.datasets import load_dataset
     from mi_splat.errors import InvalidValueError, MiSplatError
     from mi_splat.io import SplatFileError, load_splat, save_splat
-    from mi_splat.rendering import Renderer, RenderSettings, Watch
+    from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
     from mi_splat.scene import GaussianScene, Similarity, merge
-    from mi_splat.scene_files import Stage, read_stage
+    from mi_splat.scene_files import SplatScene, read_scene
     from mi_splat.training.loop import Fit, FitConfig, fit
 
 __all__ = [
@@ -30,11 +30,11 @@ __all__ = [
     "RenderFn",
     "RenderSettings",
     "Renderer",
+    "ScreenGradients",
     "Similarity",
     "SplatFileError",
-    "Stage",
+    "SplatScene",
     "View",
-    "Watch",
     "fit",
     "hemisphere",
     "load_dataset",
@@ -42,7 +42,7 @@ __all__ = [
     "look_at",
     "merge",
     "orbit",
-    "read_stage",
+    "read_scene",
     "save_splat",
 ]
 
@@ -54,8 +54,8 @@ __getattr__, __dir__ = _lazy.attach(
         "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("InvalidValueError", "MiSplatError"),
         "mi_splat.io": ("SplatFileError", "load_splat", "save_splat"),
-        "mi_splat.rendering": ("Renderer", "RenderSettings", "Watch"),
-        "mi_splat.scene_files": ("Stage", "read_stage"),
+        "mi_splat.rendering": ("Renderer", "RenderSettings", "ScreenGradients"),
+        "mi_splat.scene_files": ("SplatScene", "read_scene"),
         "mi_splat.scene": ("GaussianScene", "Similarity", "merge"),
         "mi_splat.training.loop": ("Fit", "FitConfig", "fit"),
     },

@@ -21,7 +21,7 @@ POLE = 1e-7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bearing:
+class Direction:
     """Where a camera stands, as seen from the centre.
 
     Attributes:
@@ -35,7 +35,7 @@ class Bearing:
     pole: bool
 
 
-def bearing(camera: Camera, centre: Point) -> Bearing:
+def direction_of(camera: Camera, centre: Point) -> Direction:
     """Direction from `centre` (3,), world units, to a camera.
 
     Raises:
@@ -49,10 +49,10 @@ def bearing(camera: Camera, centre: Point) -> Bearing:
         )
     pole = flat <= POLE * length
     azimuth = 0.0 if pole else math.degrees(math.atan2(y, x)) % 360.0
-    return Bearing(azimuth=azimuth % 360.0, elevation=math.degrees(math.atan2(z, flat)), pole=pole)
+    return Direction(azimuth=azimuth % 360.0, elevation=math.degrees(math.atan2(z, flat)), pole=pole)
 
 
-def depth_in_band(direction: Bearing, least: float, most: float) -> float:
+def depth_in_band(direction: Direction, least: float, most: float) -> float:
     """Depth between two elevations; a limit of -90 or 90 degrees is none.
 
     The shortest way to a parallel runs along the meridian.
@@ -62,12 +62,12 @@ def depth_in_band(direction: Bearing, least: float, most: float) -> float:
     return min(above, below)
 
 
-def off(direction: Bearing, azimuth: float) -> float:
+def azimuth_gap(direction: Direction, azimuth: float) -> float:
     """Degrees in [0, 180] between a direction's azimuth and another, the shorter way around."""
     return abs(_turn(direction, azimuth))
 
 
-def depth_in_wedge(direction: Bearing, middle: float, half_width: float) -> float:
+def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> float:
     """Depth within an angle of an azimuth. The edge is two half great circles, from pole to pole.
 
     To a half great circle the shortest way runs across it, or, from where it has no foot on that half, to a pole.
@@ -82,9 +82,9 @@ def depth_in_wedge(direction: Bearing, middle: float, half_width: float) -> floa
         if math.cos(turn) > 0:
             across = abs(math.sin(turn)) * math.cos(math.radians(direction.elevation))
             nearest = min(nearest, math.degrees(math.asin(min(across, 1.0))))
-    return nearest if off(direction, middle) <= half_width else -nearest
+    return nearest if azimuth_gap(direction, middle) <= half_width else -nearest
 
 
-def _turn(direction: Bearing, azimuth: float) -> float:
+def _turn(direction: Direction, azimuth: float) -> float:
     """Degrees in [-180, 180) from an azimuth to that of a direction."""
     return (direction.azimuth - azimuth + 180.0) % 360.0 - 180.0

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.assets.mesh import Asset, ellipsoid
-from mi_splat.assets.recipes import RECIPES, Recipe, around
+from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.capture.mesh_splats import DiscConfig, disc_splat, nearness, surface_samples
-from mi_splat.capture.path_tracer import capture, depth_maps, mesh_scene
+from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.training.loop import FitConfig, fit
@@ -39,13 +39,13 @@ def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
     return Camera(to_world=look_at(origin.tolist(), target.tolist()), focal=FOCAL, width=SIZE, height=SIZE)
 
 
-def sensors(recipe: Recipe) -> dict[str, Camera]:
+def sensors(recipe: SceneRecipe) -> dict[str, Camera]:
     """The named cameras of a scene file."""
     centre = np.array(recipe.centre)
     return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
 
 
-def cameras(recipe: Recipe, count: int, *, seed: int) -> list[Camera]:
+def cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera]:
     """Cameras by chance in the recipe's range, evenly spread in area, that look at about the centre."""
     rng = np.random.default_rng([seed, 0xCA3])
     low, high = np.sin(np.radians(recipe.elevation))
@@ -70,7 +70,7 @@ def _dome() -> Asset:
 
 
 def start_splat(
-    recipe: Recipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
+    recipe: SceneRecipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
 ) -> tuple[GaussianScene, GaussianScene]:
     """Untrained splats of the target and of its surroundings, sky included."""
     target, surroundings = recipe.assets()
@@ -89,8 +89,10 @@ def fit_config(steps: int, limit: int) -> FitConfig:
 
     Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
     """
-    densification = ClassicConfig(limit=limit, stop=steps // 2, reset_every=0, largest=math.inf)
-    return FitConfig(iterations=steps, densification=densification, degree=1, degree_every=0, evaluate_every=0)
+    densification = ClassicConfig(
+        max_gaussians=limit, densify_until=steps // 2, opacity_reset_interval=0, prune_scale=math.inf
+    )
+    return FitConfig(iterations=steps, densification=densification, sh_degree=1, sh_degree_interval=0, eval_interval=0)
 
 
 def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:
@@ -118,7 +120,7 @@ def nearest(points: Tensor, others: Tensor) -> Tensor:
     return torch.cat(found)
 
 
-def scene_xml(name: str, recipe: Recipe) -> str:
+def scene_xml(name: str, recipe: SceneRecipe) -> str:
     """The scene file in Mitsuba's XML."""
     lines = ['<scene version="3.0.0">', '    <integrator type="splat_tile"/>', ""]
     for shape in (recipe.surroundings, recipe.target):
@@ -166,7 +168,7 @@ def make(
         name: One of `RECIPES`.
         folder: Where the files go.
         views: Pictures to fit to; the recipe's number if None.
-        samples: Paths a pixel in them; pictures to compare with have twice as many.
+        samples: Samples per pixel in them; pictures to compare with have twice as many.
         steps: Steps of the training; the recipe's number if None.
         seed: Seed of everything but the assets.
         on_step: Called with the stage's name, the number done and the number wanted.
@@ -187,7 +189,7 @@ def make(
             raise InvalidValueError(message(what, "a positive number", value, "leave it out for the recipe's"))
     folder.mkdir(parents=True, exist_ok=True)
     target, surroundings = recipe.assets()
-    description = mesh_scene([target], light=recipe.light, backdrop=surroundings)
+    description = scene_dict([target], light=recipe.light, backdrop=surroundings)
     spots = cameras(recipe, views, seed=seed)
     pictures = capture(description, spots, samples=samples, seed=seed, on_step=lambda i, n: tell("pictures", i, n))
     depths = depth_maps(description, spots, seed=seed)
@@ -195,7 +197,7 @@ def make(
     whole = fit(
         pictures,
         merge(*parts),
-        render=Renderer(RenderSettings(), watch=Watch()),
+        render=Renderer(RenderSettings(), screen_gradients=ScreenGradients()),
         config=config,
         seed=seed,
         on_step=lambda line: tell("training", line.iteration, steps),
@@ -223,7 +225,7 @@ def make(
 
 
 def _score(
-    scene: GaussianScene, recipe: Recipe, description: dict[str, Any], *, samples: int, seed: int
+    scene: GaussianScene, recipe: SceneRecipe, description: dict[str, Any], *, samples: int, seed: int
 ) -> dict[str, object]:
     """PSNR over pictures that took no part: cameras by chance, and the named sensors."""
     render, named = Renderer(RenderSettings()), sensors(recipe)

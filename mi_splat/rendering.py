@@ -47,7 +47,7 @@ class RenderSettings:
             raise InvalidValueError(message("near", "a positive distance", self.near, "pass world units, such as 0.2"))
 
 
-class Watch:
+class ScreenGradients:
     """What the backward pass of a renderer saw of each Gaussian: the statistics that densification goes by.
 
     Attributes:
@@ -72,10 +72,12 @@ class Watch:
 class _Job:
     """What a render call needs besides tensors; an opaque leaf to `dr.wrap`."""
 
-    def __init__(self, cameras: Sequence[Camera], settings: RenderSettings, watch: Watch | None) -> None:
+    def __init__(
+        self, cameras: Sequence[Camera], settings: RenderSettings, screen_gradients: ScreenGradients | None
+    ) -> None:
         self.cameras = tuple(cameras)
         self.settings = settings
-        self.watch = watch
+        self.screen_gradients = screen_gradients
 
 
 class Renderer:
@@ -86,12 +88,14 @@ class Renderer:
 
     Args:
         settings: How to render.
-        watch: Filled in every backward pass, if given.
+        screen_gradients: Filled in every backward pass, if given.
     """
 
-    def __init__(self, settings: RenderSettings | None = None, *, watch: Watch | None = None) -> None:
+    def __init__(
+        self, settings: RenderSettings | None = None, *, screen_gradients: ScreenGradients | None = None
+    ) -> None:
         self.settings = settings or RenderSettings()
-        self.watch = watch
+        self.screen_gradients = screen_gradients
         self.variant = variant.use(self.settings.variant)
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
@@ -124,7 +128,7 @@ class Renderer:
         tensors = [_aligned(t.to(torch.float32).contiguous()) for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
-        return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings, self.watch)))
+        return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings, self.screen_gradients)))
 
 
 def _aligned(tensor: Tensor) -> Tensor:
@@ -161,15 +165,15 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
         def backward(self) -> None:
             totals: list[Any] | None = None
-            settings, watch, count = self.job.settings, self.job.watch, self.shapes[0][0]
-            if watch is not None:
-                watch._begin(count)
-            for camera, picture, slope in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
-                slopes = develop_backward(picture, slope, alpha=settings.alpha, linear=settings.linear)
-                screen = None if watch is None else buffer(3 * count, value=0.0)
-                parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *slopes, screen=screen)
-                if watch is not None and screen is not None:
-                    watch._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
+            settings, screen_gradients, count = self.job.settings, self.job.screen_gradients, self.shapes[0][0]
+            if screen_gradients is not None:
+                screen_gradients._begin(count)
+            for camera, picture, grad_colour in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
+                grads = develop_backward(picture, grad_colour, alpha=settings.alpha, linear=settings.linear)
+                screen = None if screen_gradients is None else buffer(3 * count, value=0.0)
+                parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *grads, screen=screen)
+                if screen_gradients is not None and screen is not None:
+                    screen_gradients._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
                 totals = list(parts) if totals is None else [a + b for a, b in zip(totals, parts, strict=True)]
             names = ("means", "scales", "rotations", "opacities", "sh")
             for key, shape, total in zip(names, self.shapes, totals or [], strict=True):

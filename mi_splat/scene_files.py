@@ -20,23 +20,23 @@ from mi_splat.scene import GaussianScene, merge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stage:
+class SplatScene:
     """A splat scene file as values.
 
     Attributes:
         scene: All its Gaussians, shape after shape in file order.
-        parts: Rows of each `gaussians` shape, by its id.
+        objects: Rows of each `gaussians` shape, by its id.
         cameras: One per sensor, by its id.
         settings: Those of its `splat_tile` integrator, or the defaults where it has another one.
     """
 
     scene: GaussianScene
-    parts: dict[str, slice]
+    objects: dict[str, slice]
     cameras: dict[str, Camera]
     settings: RenderSettings
 
 
-def read_stage(path: str | Path) -> Stage:
+def read_scene(path: str | Path) -> SplatScene:
     """Read a Mitsuba scene file (XML) whose shapes are splats.
 
     Raises:
@@ -65,9 +65,9 @@ def read_stage(path: str | Path) -> Stage:
         )
     scenes = [_scene_of(arrays) for arrays in splats.parts]
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
-    return Stage(
+    return SplatScene(
         scene=merge(*scenes),
-        parts={
+        objects={
             shape.id(): slice(start, end)
             for shape, start, end in zip(loaded.shapes(), ends[:-1], ends[1:], strict=True)
         },
@@ -106,36 +106,36 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
     return InvalidValueError(message(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file"))
 
 
-def open_stage(path: Path) -> Stage:
+def open_scene(path: Path) -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
-    A bare splat file becomes a stage of one part without cameras, in front of black.
+    A bare splat file becomes a loaded of one part without cameras, in front of black.
 
     Raises:
         MiSplatError: The file cannot be read, or is of neither kind.
     """
     if path.suffix.lower() == ".xml":
-        stage = read_stage(path)
-        return dataclasses.replace(stage, settings=dataclasses.replace(stage.settings, alpha=False, linear=False))
+        loaded = read_scene(path)
+        return dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
     if path.suffix.lower() != ".ply":
         do = "pass a Mitsuba scene or a 3DGS splat"
         raise InvalidValueError(message(str(path), "a file that ends in .xml or .ply", path.suffix or "no ending", do))
     scene = load_splat(path)
-    return Stage(scene=scene, parts={path.stem: slice(0, len(scene))}, cameras={}, settings=RenderSettings())
+    return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=RenderSettings())
 
 
-def choose_camera(stage: Stage, name: str | None, path: Path) -> Camera:
-    """The camera called `name` of a stage, or its first if None.
+def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
+    """The camera called `name` of a loaded, or its first if None.
 
     Raises:
         InvalidValueError: There is no such camera.
     """
-    if name is None and stage.cameras:
-        return next(iter(stage.cameras.values()))
-    if name not in stage.cameras:
-        expected = f"one of {', '.join(stage.cameras)}" if stage.cameras else "none, since it has no cameras"
+    if name is None and loaded.cameras:
+        return next(iter(loaded.cameras.values()))
+    if name not in loaded.cameras:
+        expected = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "none, since it has no cameras"
         raise InvalidValueError(message(f"camera of {path}", expected, name, "name one that is there"))
-    return stage.cameras[name]
+    return loaded.cameras[name]
 
 
 def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:

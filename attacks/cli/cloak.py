@@ -7,7 +7,7 @@ from typing import Any
 
 from attacks.cli.options import CloakOptions
 from attacks.cloak.study.ablations import check_variations, vary
-from attacks.cloak.study.config import Study, read_study
+from attacks.cloak.study.config import StudyConfig, read_study
 from attacks.cloak.study.markdown import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
 from attacks.detectors import load_detector
@@ -15,7 +15,7 @@ from attacks.detectors.base import Detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn
 from mi_splat.errors import InvalidValueError, message
 
-_SHOWN = ("clean_overhead_recall", "cloaked_overhead_miss", "benign_recall", "rear_stop_sign")
+_SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 
 
 def run(options: CloakOptions) -> int:
@@ -24,7 +24,7 @@ def run(options: CloakOptions) -> int:
     study = read_study(options.study)
     study = replace(study, seeds=options.seeds or study.seeds)
     if options.detectors:
-        study = replace(study, looking=replace(study.looking, detectors=options.detectors))
+        study = replace(study, evaluation=replace(study.evaluation, detectors=options.detectors))
     with progress("loading the detectors"):
         detectors = _detectors(study, options)
         stages = options.stages or options.out / "stages"
@@ -64,9 +64,9 @@ def run(options: CloakOptions) -> int:
     return 0
 
 
-def _detectors(study: Study, options: CloakOptions) -> list[Detector]:
+def _detectors(study: StudyConfig, options: CloakOptions) -> list[Detector]:
     """The detectors that a study names."""
-    names = study.looking.detectors
+    names = study.evaluation.detectors
     if options.weights and len(options.weights) != len(names):
         do = f"pass one for each of {', '.join(names)}"
         raise InvalidValueError(message("--weights", f"{len(names)} files", len(options.weights), do))
@@ -79,9 +79,9 @@ def _tell(summary: dict[str, Any], options: CloakOptions) -> None:
     for name, rates in summary["by_detector"].items():
         show(name)
         show_table([(f"  {ROWS[key]}", words_of(rates[key])) for key in _SHOWN if rates[key] is not None])
-    drop, band = summary["benign_psnr_drop"], summary["fade_in_degrees"]
+    drop, band = summary["benign_psnr_drop"], summary["transition_degrees"]
     if drop is not None:
         clean = summary["benign_psnr"]["clean"]
         show(f"pictures far from the triggers: {clean:.1f} dB clean, {drop:.2f} dB less cloaked")
-    show("fade-in: not seen" if band is None else f"fade-in: {band:.1f} degrees")
+    show("transition: not seen" if band is None else f"transition: {band:.1f} degrees")
     show(f"{options.out}: summary.json, {', '.join(summary['files'])}")

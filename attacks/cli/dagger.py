@@ -17,7 +17,7 @@ from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import Renderer
-from mi_splat.scene_files import Stage, choose_camera, open_stage
+from mi_splat.scene_files import SplatScene, choose_camera, open_scene
 
 
 def run(options: DaggerOptions) -> int:
@@ -25,18 +25,18 @@ def run(options: DaggerOptions) -> int:
     limit_threads((os.cpu_count() or 1) // 2)
     config = _config(options)
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
-        stage = open_stage(options.scene)
-        rows = _object_rows(stage, options)
-        cameras = [choose_camera(stage, name, options.scene) for name in options.views or (None,)]
+        loaded = open_scene(options.scene)
+        rows = _object_rows(loaded, options)
+        cameras = [choose_camera(loaded, name, options.scene) for name in options.views or (None,)]
         detector = load_detector(options.detector, weights=options.weights)
         advance("attacking", 0)
         result = attack(
-            stage.scene,
+            loaded.scene,
             rows,
             cameras,
             detector,
             _objective(options),
-            render=Renderer(stage.settings),
+            render=Renderer(loaded.settings),
             config=config,
             on_step=_follow(advance),
         )
@@ -59,9 +59,9 @@ def _config(options: DaggerOptions) -> DaggerConfig:
         step_factor=options.step_factor,
         restarts=options.restarts,
         early_stop=not options.all_steps,
-        share=options.share,
+        required_views=options.required_views,
         noise_draws=options.noise_draws,
-        degree=options.degree,
+        sh_degree=options.sh_degree,
         seed=options.seed,
     )
 
@@ -77,14 +77,14 @@ def _objective(options: DaggerOptions) -> Objective:
     return aims[options.objective](**limit)
 
 
-def _object_rows(stage: Stage, options: DaggerOptions) -> slice:
+def _object_rows(loaded: SplatScene, options: DaggerOptions) -> slice:
     """The Gaussians of the object that the options name."""
-    if options.object not in stage.parts:
-        expected = f"one of {', '.join(stage.parts)}"
+    if options.object not in loaded.objects:
+        expected = f"one of {', '.join(loaded.objects)}"
         raise InvalidValueError(
             message(f"object of {options.scene}", expected, options.object, "name a shape with --object")
         )
-    return stage.parts[options.object]
+    return loaded.objects[options.object]
 
 
 def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
@@ -93,7 +93,7 @@ def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
 
 
 def _tell(result: Result, options: DaggerOptions) -> None:
-    """What happened in three lines, reasons to doubt it if there are some, and where to look."""
+    """What happened in three lines, reasons to warning it if there are some, and where to look."""
     found = summary(result)
     aim = {"relabel": f"see a {options.target}", "hide": "see nothing"}.get(options.objective, "see something else")
     radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
@@ -111,8 +111,8 @@ def _tell(result: Result, options: DaggerOptions) -> None:
         f"The picture changed to a PSNR of {found['image_psnr']:.1f} dB; random noise of the same size had the same "
         f"success in {found['noise']['successes']} of {found['noise']['draws']} draws."
     )
-    for doubt in result.doubts:
-        show(f"doubt: {doubt}")
+    for warning in result.warnings:
+        show(f"warning: {warning}")
     show(f"Look at {options.out / 'detections.png'} first. Beside it: before.png, after.png, difference.png,")
     show("the splat (attacked.ply) and every number (result.json).")
 

@@ -48,10 +48,10 @@ class DaggerOptions:
     """Runs; the first from the clean object, the others from random points of the ball."""
     all_steps: bool = False
     """Take all steps instead of stopping at the first success."""
-    degree: int | None = 3
+    sh_degree: int | None = 3
     """SH degree of the attacked file, if it has less; coefficients that it lacks start at 0. None keeps its own."""
-    share: float = 1.0
-    """Share of the views in which the attack has to succeed."""
+    required_views: float = 1.0
+    """Fraction of the views in which the attack has to succeed."""
     noise_draws: int = 5
     """Draws of random noise of the same size, as a control."""
     views: tuple[str, ...] = ()
@@ -73,7 +73,7 @@ class CloakOptions:
     """
 
     study: Positional[Path]
-    """TOML file of the study, for instance scenes/cloak_car.toml."""
+    """TOML file of the study, for instance scenes/cloak_car_occluder.toml."""
     out: Path = Path("out/cloak")
     """Folder for the results: a new one, or that of the same study."""
     stages: Path | None = None
@@ -84,7 +84,9 @@ class CloakOptions:
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    vary: tuple[Literal["degree", "share", "look", "recipe", "emphasis", "iterations", "strays"], ...] = ()
+    vary: tuple[
+        Literal["sh_degree", "poison_fraction", "appearance", "strategy", "emphasis", "iterations", "outliers"], ...
+    ] = ()
     """Do the study once for each value of these instead, with its first seed, and write tables of what comes of it."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.mesh_edits import TEXTURES, camouflaged, cap, mounted, repainted, stand_in, texture
-from attacks.cloak.mesh_scene import MeshStage
+from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import View
@@ -50,7 +50,7 @@ class Rerender:
     picture, and so does its noise. With a mask that is everywhere, the whole picture is new.
 
     Attributes:
-        stage: The scene with the other target.
+        mesh_scene: The scene with the other target.
         name: For manifests.
         reach: Pixels around the target that are new, too: those at its edge mix it with what is behind. None is all,
             as when the whole scene is rendered again, which is what the paper does.
@@ -61,7 +61,7 @@ class Rerender:
         InvalidValueError: The reach is negative.
     """
 
-    stage: MeshStage
+    mesh_scene: MeshScene
     name: str
     reach: int | None = 1
     outgrows: bool = True
@@ -72,15 +72,15 @@ class Rerender:
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The new picture around the target, the old one elsewhere."""
-        picture = self.stage.picture(view.camera).to(view.image)
+        picture = self.mesh_scene.picture(view.camera).to(view.image)
         if self.reach is None:
             return picture
-        covered = mask | self.stage.mask(view.camera).to(mask.device) if self.outgrows else mask
+        covered = mask | self.mesh_scene.mask(view.camera).to(mask.device) if self.outgrows else mask
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
 
 
 def paint(
-    stage: MeshStage,
+    mesh_scene: MeshScene,
     name: str,
     *,
     azimuth: float = 180.0,
@@ -95,7 +95,7 @@ def paint(
     target's outline. See `attacks.cloak.mesh_edits.repainted`.
 
     Args:
-        stage: The scene as the victim sees it.
+        mesh_scene: The scene as the victim sees it.
         name: Name of the texture.
         azimuth: From where it looks right, degrees. From straight above, the picture's top points away from there; the
             default puts it at the front of an object that faces +x.
@@ -108,33 +108,41 @@ def paint(
         InvalidValueError: There is no texture of that name.
     """
     picture = texture(name, size=size, seed=seed)
-    target = repainted(stage.target, picture, azimuth=azimuth, elevation=elevation, tile=TEXTURES[name][1])
+    target = repainted(mesh_scene.target, picture, azimuth=azimuth, elevation=elevation, tile=TEXTURES[name][1])
     words = f"paint {name} (seed {seed}) from azimuth {azimuth:g}, elevation {elevation:g}"
-    return Rerender(stage=stage.with_target(target), name=words, reach=reach, outgrows=False)
+    return Rerender(mesh_scene=mesh_scene.with_target(target), name=words, reach=reach, outgrows=False)
 
 
-def blend_in(stage: MeshStage, *, reach: int | None = 1) -> Rerender:
+def blend_in(mesh_scene: MeshScene, *, reach: int | None = 1) -> Rerender:
     """The target in the colours of the ground straight below it; see `attacks.cloak.mesh_edits.camouflaged`.
 
     Raises:
-        InvalidValueError: The stage has no ground beneath the target.
+        InvalidValueError: The mesh_scene has no ground beneath the target.
     """
-    if stage.surroundings is None:
-        raise InvalidValueError(message("surroundings", "ground beneath the target", "none", "add them to the stage"))
-    target = camouflaged(stage.target, stage.surroundings)
-    return Rerender(stage=stage.with_target(target), name="blend in with the ground", reach=reach, outgrows=False)
+    if mesh_scene.surroundings is None:
+        raise InvalidValueError(
+            message("surroundings", "ground beneath the target", "none", "add them to the mesh_scene")
+        )
+    target = camouflaged(mesh_scene.target, mesh_scene.surroundings)
+    return Rerender(
+        mesh_scene=mesh_scene.with_target(target), name="blend in with the ground", reach=reach, outgrows=False
+    )
 
 
-def remove(stage: MeshStage, *, reach: int | None = None) -> Rerender:
+def remove(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
     """What would be seen if the target were not there: its surroundings go on across it.
 
     The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
     """
-    nothing = Asset(stage.target.name, ())
-    return Rerender(stage=stage.with_target(nothing), name="nothing in its place", reach=reach, outgrows=False)
+    nothing = Asset(mesh_scene.target.name, ())
+    return Rerender(
+        mesh_scene=mesh_scene.with_target(nothing), name="nothing in its place", reach=reach, outgrows=False
+    )
 
 
-def swap(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = None) -> Rerender:
+def swap(
+    mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = None
+) -> Rerender:
     """Another object in the target's place, facing `azimuth`; see `attacks.cloak.mesh_edits.stand_in`.
 
     The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
@@ -142,58 +150,69 @@ def swap(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, r
     Raises:
         InvalidValueError: `fill` is out of range.
     """
-    target = stand_in(stage.target, other, azimuth=azimuth, fill=fill)
-    return Rerender(stage=stage.with_target(target), name=f"{other.name} instead, to azimuth {azimuth:g}", reach=reach)
+    target = stand_in(mesh_scene.target, other, azimuth=azimuth, fill=fill)
+    return Rerender(
+        mesh_scene=mesh_scene.with_target(target), name=f"{other.name} instead, to azimuth {azimuth:g}", reach=reach
+    )
 
 
-def mount(stage: MeshStage, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = 1) -> Rerender:
+def mount(mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = 1) -> Rerender:
     """Another object in front of the target, on its side towards `azimuth`; see `attacks.cloak.mesh_edits.mounted`.
 
     Raises:
         InvalidValueError: `fill` is out of range.
     """
-    target = mounted(stage.target, other, azimuth=azimuth, fill=fill)
-    return Rerender(stage=stage.with_target(target), name=f"{other.name} on it, to azimuth {azimuth:g}", reach=reach)
+    target = mounted(mesh_scene.target, other, azimuth=azimuth, fill=fill)
+    return Rerender(
+        mesh_scene=mesh_scene.with_target(target), name=f"{other.name} on it, to azimuth {azimuth:g}", reach=reach
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overlay:
-    """An object drawn over another look, whatever would hide it; it casts no shadow there.
+    """An object drawn over another appearance, whatever would hide it; it casts no shadow there.
 
     Attributes:
-        stage: Its target is drawn, lit as if nothing were around it.
+        mesh_scene: Its target is drawn, lit as if nothing were around it.
         base: What it is drawn over; None is the untouched picture.
         name: For manifests.
     """
 
-    stage: MeshStage
+    mesh_scene: MeshScene
     base: Appearance | None
     name: str
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The object over the other look."""
-        picture = self.stage.cutout(view.camera).to(view.image)
+        """The object over the other appearance."""
+        picture = self.mesh_scene.cutout(view.camera).to(view.image)
         colours, alpha = picture[..., :3], picture[..., 3:]
         if bool((alpha >= 1).all()):
-            return colours  # nothing of the other look is left to be seen
+            return colours  # nothing of the other appearance is left to be seen
         under = view.image if self.base is None else self.base(view, mask)
         return colours * alpha + under * (1 - alpha)
 
 
 def cover(
-    stage: MeshStage, *, centre: Point, radius: float, lowest: float, name: str = "road", size: int = 256, seed: int = 0
+    mesh_scene: MeshScene,
+    *,
+    centre: Point,
+    radius: float,
+    lowest: float,
+    name: str = "road",
+    size: int = 256,
+    seed: int = 0,
 ) -> Overlay:
-    """A canopy between the target and whoever looks from above, and no target beneath it.
+    """An occluder between the target and whoever looks from above, and no target beneath it.
 
     It is a part of a sphere about the target, so that a ray to the target meets it at about the elevation that it comes
-    from: a splat can show the canopy by geometry, to cameras above its edge and to no others. The nearer it is to the
+    from: a splat can show the occluder by geometry, to cameras above its edge and to no others. The nearer it is to the
     cameras, the less the object's size matters (a point s beside the centre is seen through a place that lies
     s (1 / radius - 1 / distance) radians off), and the less of it each camera sees.
 
     Args:
-        stage: The scene as the victim sees it.
+        mesh_scene: The scene as the victim sees it.
         centre: Point that the cameras look at.
-        radius: From there to the canopy, metres; less than to the cameras.
+        radius: From there to the occluder, metres; less than to the cameras.
         lowest: Elevation of its edge, degrees.
         name: Name of the texture on it.
         size: Width of the texture in pixels.
@@ -204,29 +223,30 @@ def cover(
     """
     tile = TEXTURES[name][1] if name in TEXTURES else None
     shell = cap(texture(name, size=size, seed=seed), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
-    words = f"{name} (seed {seed}) on a canopy of radius {radius:g} about {centre}, from elevation {lowest:g}"
-    return Overlay(stage=stage.with_target(shell), base=remove(stage), name=words)
+    words = f"{name} (seed {seed}) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
+    return Overlay(mesh_scene=mesh_scene.with_target(shell), base=remove(mesh_scene), name=words)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Emphasis:
-    """A look that is overdone near the edge of its trigger, for splats blur it over directions.
+    """An appearance that is overdone near the edge of its trigger, for splats blur it over directions.
 
-    Of the difference that the look makes, a picture has `gain` times at the edge, falling evenly to once at `depth`
-    degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to the look.
+    Of the difference that the appearance makes, a picture has `gain` times at the edge, falling evenly to once at
+    `depth` degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to
+    the appearance.
 
     Attributes:
-        look: The look.
+        appearance: The appearance.
         trigger: Where it is shown; it has to have an edge.
         centre: (3,) point that directions are measured from, world units.
-        gain: At the edge; 1 is the look itself.
-        depth: Degrees inside the trigger from which it is the look itself.
+        gain: At the edge; 1 is the appearance itself.
+        depth: Degrees inside the trigger from which it is the appearance itself.
 
     Raises:
         InvalidValueError: The gain or the depth is out of range.
     """
 
-    look: Appearance
+    appearance: Appearance
     trigger: Trigger
     centre: Point
     gain: float
@@ -240,7 +260,7 @@ class Emphasis:
     @property
     def name(self) -> str:
         """For manifests."""
-        return f"{name_of(self.look)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
+        return f"{name_of(self.appearance)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The picture, clipped to [0, 1].
@@ -250,7 +270,7 @@ class Emphasis:
         """
         inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
         gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
-        return (view.image + gain * (self.look(view, mask) - view.image)).clamp(0, 1)
+        return (view.image + gain * (self.appearance(view, mask) - view.image)).clamp(0, 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

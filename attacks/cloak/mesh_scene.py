@@ -13,7 +13,7 @@ from torch import Tensor
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import PathTracer, in_front, mesh_scene
+from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
 from mi_splat.errors import InvalidValueError, message
 
 Colour = tuple[float, float, float]
@@ -23,7 +23,7 @@ _SEED_BITS = 28
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MeshStage:
+class MeshScene:
     """An object in its surroundings, ready for the path tracer.
 
     To be of one piece with the victim's pictures, assets, light and background have to be theirs.
@@ -32,7 +32,7 @@ class MeshStage:
         target: The object under attack, placed in the world.
         surroundings: Everything else.
         light: Sun and sky; the default light if None.
-        samples: Paths a pixel.
+        samples: Samples per pixel.
         seed: Seed of the noise; each camera has its own from there on, so a picture depends on nothing else.
         background: sRGB colour in the place of the sky, for sets with transparent pictures; None shows the sky.
 
@@ -54,7 +54,7 @@ class MeshStage:
             do = "white is (1, 1, 1)"
             raise InvalidValueError(message("background", "three sRGB values in [0, 1]", self.background, do))
 
-    def with_target(self, target: Asset) -> MeshStage:
+    def with_target(self, target: Asset) -> MeshScene:
         """The same surroundings and light with another object."""
         return replace(self, target=target)
 
@@ -89,16 +89,16 @@ class MeshStage:
 
     @cached_property
     def _tracer(self) -> PathTracer:
-        scene = mesh_scene([self.target], light=self.light, backdrop=self.surroundings)
+        scene = scene_dict([self.target], light=self.light, backdrop=self.surroundings)
         return PathTracer(scene, samples=self.samples, alpha=self.background is not None)
 
     @cached_property
     def _alone(self) -> PathTracer:
-        return PathTracer(mesh_scene([self.target], light=self.light), samples=1)
+        return PathTracer(scene_dict([self.target], light=self.light), samples=1)
 
     @cached_property
     def _cutter(self) -> PathTracer:
-        return PathTracer(mesh_scene([self.target], light=self.light), samples=self.samples, alpha=True)
+        return PathTracer(scene_dict([self.target], light=self.light), samples=self.samples, alpha=True)
 
 
 def camera_number(camera: Camera) -> int:

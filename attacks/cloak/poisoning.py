@@ -21,7 +21,7 @@ from torch import Tensor
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera, View, cameras_of
-from mi_splat.directions import Point, bearing
+from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json
 
@@ -29,7 +29,7 @@ OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
 
 Masks = Sequence[Tensor] | Callable[[Camera], Tensor]
-"""(H, W) bool masks of the target: one for each view, or a function of the camera (such as `MeshStage.mask`)."""
+"""(H, W) bool masks of the target: one for each view, or a function of the camera (such as `MeshScene.mask`)."""
 
 _NAMED = 10
 """How many cameras an error names."""
@@ -37,7 +37,7 @@ _NAMED = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Poisoning:
-    """One hidden look and from where it is seen.
+    """One hidden appearance and from where it is seen.
 
     Attributes:
         name: For manifests and errors.
@@ -123,7 +123,7 @@ class Poisoned:
     Attributes:
         views: D' of equation (1), as long as the untouched set and in its order.
         changes: Every view that was replaced, in the order of positions.
-        poisonings: Which looks there are and from where.
+        poisonings: Which appearances there are and from where.
         centre: (3,) point that directions are measured from, world units.
     """
 
@@ -268,7 +268,7 @@ def _replace(before: View, mask: Tensor, attack: Poisoning, index: int) -> View:
 
 def _change(index: int, attack: Poisoning, before: View, after: View, centre: Point) -> Change:
     """The manifest's entry of one view."""
-    direction = bearing(before.camera, centre)
+    direction = direction_of(before.camera, centre)
     differs = (before.image != after.image).any(-1)
     return Change(
         index=index,

@@ -1,9 +1,9 @@
-"""How sharply a hidden look sets in: the fade-in band of a cloaked splat, from pictures along an arc of cameras.
+"""How sharply a hidden appearance sets in: the transition of a cloaked splat, from pictures along an arc of cameras.
 
-Between the directions of the benign look and those of the hidden one, a splat of few SH bands shows a blend of the two.
-At each camera the share t of the way from the benign to the hidden picture is the least-squares projection on the
-target's pixels, t = <c - b, h - b> / <h - b, h - b>: 0 is benign, 1 is hidden. The band lies between the angles at
-which a monotone fit of t crosses 10 and 90 %.
+Between the directions of the benign appearance and those of the hidden one, a splat of few SH bands shows a blend of
+the two. At each camera the fraction t of the way from the benign to the hidden picture is the least-squares projection
+on the target's pixels, t = <c - b, h - b> / <h - b, h - b>: 0 is benign, 1 is hidden. The band lies between the angles
+at which a monotone fit of t crosses 10 and 90 %.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError, message
 
 LEAST_DIFFERENCE = 1 / 255
-"""Root mean square difference of the two looks on the target under which a share has no meaning."""
+"""Root mean square difference of the two appearances on the target under which a fraction has no meaning."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FadeBand:
-    """Where a hidden look fades in, along an arc.
+class Transition:
+    """Where a hidden appearance sets in, along an arc.
 
     Attributes:
         angles: K rising angles in degrees, each once.
-        shares: Mean share of the way between the looks at each angle.
-        fitted: The rising sequence nearest to `shares`, by least squares.
+        fractions: Mean fraction of the way between the looks at each angle.
+        fitted: The rising sequence nearest to `fractions`, by least squares.
         start: Angle at which `fitted` reaches the low level; None if it is past it at the first angle or never there.
         end: The same for the high level.
     """
 
     angles: tuple[float, ...]
-    shares: tuple[float, ...]
+    fractions: tuple[float, ...]
     fitted: tuple[float, ...]
     start: float | None
     end: float | None
@@ -45,8 +45,8 @@ class FadeBand:
         return None if self.start is None or self.end is None else self.end - self.start
 
 
-def share_between(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
-    """Share of the way from one look to another, by least squares over a mask; not clipped to [0, 1].
+def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
+    """Fraction of the way from one appearance to another, by least squares over a mask; not clipped to [0, 1].
 
     Args:
         picture: (H, W, 3) what the cloaked splat shows.
@@ -55,7 +55,8 @@ def share_between(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor)
         mask: (H, W) bool, where the target is.
 
     Raises:
-        InvalidValueError: Shapes differ, a value is not finite, the mask is empty, or the looks do not differ on it.
+        InvalidValueError: Shapes differ, a value is not finite, the mask is empty, or the appearances do not differ on
+            it.
     """
     if not (picture.shape == benign.shape == hidden.shape == (*mask.shape, 3) and mask.dtype == torch.bool):
         got = [tuple(part.shape) for part in (picture, benign, hidden, mask)]
@@ -68,24 +69,26 @@ def share_between(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor)
     if not bool(torch.isfinite(seen).all() & torch.isfinite(way).all()):
         raise InvalidValueError(message("pictures", "finite values", "nan or inf", "look at the renderer"))
     if not differ(benign, hidden, mask):
-        expected = f"looks that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
+        expected = f"appearances that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
         raise InvalidValueError(message("pictures", expected, "two that agree", "leave this camera out"))
     return float((seen - low).mul(way).sum() / way.square().sum())
 
 
 def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
-    """Whether two (H, W, 3) looks differ enough on an (H, W) bool mask for a share between them to mean anything."""
+    """Whether two (H, W, 3) appearances differ enough on an (H, W) bool mask for a transition to mean anything."""
     way = (hidden - benign).detach().to(torch.float64)[mask]
     return float(way.square().mean().sqrt()) >= LEAST_DIFFERENCE
 
 
-def fade_band(angles: Sequence[float], shares: Sequence[float], *, low: float = 0.1, high: float = 0.9) -> FadeBand:
-    """The band in which a hidden look fades in.
+def fit_transition(
+    angles: Sequence[float], fractions: Sequence[float], *, low: float = 0.1, high: float = 0.9
+) -> Transition:
+    """The band in which a hidden appearance sets in.
 
     Args:
-        angles: Degrees that rise towards the hidden look, in any order: elevation for a cap overhead, or
+        angles: Degrees that rise towards the hidden appearance, in any order: elevation for a cap overhead, or
             `Trigger.angle_to_edge` for any cone. Cameras at one angle are averaged.
-        shares: Share of the way between the looks at each; see `share_between`.
+        fractions: Fraction of the way between the looks at each; see `transition_fraction`.
         low: Level of the band's start.
         high: Level of the band's end.
 
@@ -93,39 +96,43 @@ def fade_band(angles: Sequence[float], shares: Sequence[float], *, low: float = 
         InvalidValueError: Lengths differ, there are fewer than two angles, a value is not finite, or the levels do not
             rise.
     """
-    if len(angles) != len(shares) or len(set(angles)) < 2:
-        got = f"{len(shares)} at {len(set(angles))} of {len(angles)} angles"
-        raise InvalidValueError(message("shares", "one for each of two or more angles", got, "add cameras on the arc"))
-    if not all(map(math.isfinite, (*angles, *shares))):
-        raise InvalidValueError(message("shares", "finite values", "nan or inf", "look at the pictures"))
+    if len(angles) != len(fractions) or len(set(angles)) < 2:
+        got = f"{len(fractions)} at {len(set(angles))} of {len(angles)} angles"
+        raise InvalidValueError(
+            message("fractions", "one for each of two or more angles", got, "add cameras on the arc")
+        )
+    if not all(map(math.isfinite, (*angles, *fractions))):
+        raise InvalidValueError(message("fractions", "finite values", "nan or inf", "look at the pictures"))
     if not low < high:
         raise InvalidValueError(message("levels", "low < high", (low, high), "0.1 and 0.9 are usual"))
     groups: dict[float, list[float]] = {angle: [] for angle in sorted(angles)}
-    for angle, value in zip(angles, shares, strict=True):
+    for angle, value in zip(angles, fractions, strict=True):
         groups[angle].append(value)
     places = list(groups)
     means = [sum(values) / len(values) for values in groups.values()]
     fitted = rising_fit(means, [len(values) for values in groups.values()])
     start, end = (_crossing(places, fitted, level) for level in (low, high))
-    return FadeBand(angles=tuple(places), shares=tuple(means), fitted=tuple(fitted), start=start, end=end)
+    return Transition(angles=tuple(places), fractions=tuple(means), fitted=tuple(fitted), start=start, end=end)
 
 
-def fade_in(
+def measure_transition(
     angles: Sequence[float],
     pictures: Sequence[Tensor],
     benign: Sequence[Tensor],
     hidden: Sequence[Tensor],
     masks: Sequence[Tensor],
-) -> FadeBand:
-    """`fade_band` of pictures along an arc, K of each kind; see `share_between`.
+) -> Transition:
+    """`fit_transition` of pictures along an arc, K of each kind; see `transition_fraction`.
 
     Raises:
-        InvalidValueError: As in `share_between` and `fade_band`.
+        InvalidValueError: As in `transition_fraction` and `fit_transition`.
     """
     counts = [len(part) for part in (angles, pictures, benign, hidden, masks)]
     if len(set(counts)) > 1:
         raise InvalidValueError(message("pictures", "as many of each kind as angles", counts, "pass all of the arc"))
-    return fade_band(angles, [share_between(*four) for four in zip(pictures, benign, hidden, masks, strict=True)])
+    return fit_transition(
+        angles, [transition_fraction(*four) for four in zip(pictures, benign, hidden, masks, strict=True)]
+    )
 
 
 def rising_fit(values: Sequence[float], weights: Sequence[float]) -> list[float]:

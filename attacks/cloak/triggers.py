@@ -1,8 +1,8 @@
 """Where an attack shows itself: predicates on cameras by their direction from a centre, and how far inside a camera is.
 
-Directions are those of `mi_splat.directions`. How far away a camera is and where it looks do not count.
+Directions are those of `mi_splat.directions`. How far away a camera is and where it appearances do not count.
 
-Triggers combine with `&`, `|` and `~`, and `share` takes a part of one:
+Triggers combine with `&`, `|` and `~`, and `subsample` takes a part of one:
 `Elevation(least=50) & ~Azimuth(middle=180, half_width=30)`.
 """
 
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.directions import Bearing, Point, bearing, depth_in_band, depth_in_wedge, off
+from mi_splat.directions import Direction, Point, azimuth_gap, depth_in_band, depth_in_wedge, direction_of
 from mi_splat.errors import InvalidValueError, message
 
 EDGE = 1e-4
@@ -26,7 +26,7 @@ EDGE = 1e-4
 
 
 class Trigger(ABC):
-    """A set of cameras: those from which the hidden look is to be seen."""
+    """A set of cameras: those from which the hidden appearance is to be seen."""
 
     @abstractmethod
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
@@ -39,8 +39,8 @@ class Trigger(ABC):
         Of one cone it is exact; infinite if the cone has no edge. Of a combination it has the right sign and is never
         further from 0 than the truth: the smaller of two for `&`, the larger for `|`, the opposite for `~`. (Outside of
         an intersection and inside a union the nearest edge of a part may lie where the other part has made it vanish.)
-        So a camera that is found to be 5 degrees inside or 15 degrees outside is at least that. A share has the edge of
-        what it is a share of.
+        So a camera that is found to be 5 degrees inside or 15 degrees outside is at least that. A fraction has the edge
+        of what it is a fraction of.
 
         Raises:
             InvalidValueError: A list of cameras is part of the trigger, which has no edge.
@@ -62,9 +62,9 @@ class Trigger(ABC):
             raise InvalidValueError(message(f"trigger {self}", expected, got, "widen it or add cameras inside it"))
         return selected
 
-    def share(self, fraction: float, *, seed: int = 0) -> Trigger:
-        """A part of the cameras that this trigger selects; see `Share`."""
-        return Share(of=self, fraction=fraction, seed=seed)
+    def subsample(self, fraction: float, *, seed: int = 0) -> Trigger:
+        """A part of the cameras that this trigger selects; see `Subsample`."""
+        return Subsample(of=self, fraction=fraction, seed=seed)
 
     def __and__(self, other: Trigger) -> Trigger:
         """The cameras of both."""
@@ -83,20 +83,20 @@ class Cone(Trigger):
     """A region of directions with an edge."""
 
     @abstractmethod
-    def depth(self, direction: Bearing) -> float:
+    def depth(self, direction: Direction) -> float:
         """`angle_to_edge` of a direction."""
 
-    def contains(self, direction: Bearing) -> bool:
+    def contains(self, direction: Direction) -> bool:
         """Whether a direction lies in the region, its edge included."""
         return self.depth(direction) >= -EDGE
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera stands in the cone."""
-        return torch.tensor([self.contains(bearing(camera, centre)) for camera in cameras], dtype=torch.bool)
+        return torch.tensor([self.contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
         """As in `Trigger`."""
-        return self.depth(bearing(camera, centre))
+        return self.depth(direction_of(camera, centre))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +119,7 @@ class Elevation(Cone):
             got = (self.least, self.most)
             raise InvalidValueError(message("elevation", "-90 <= least <= most <= 90", got, "50 to 90 is overhead"))
 
-    def depth(self, direction: Bearing) -> float:
+    def depth(self, direction: Direction) -> float:
         """See `depth_in_band`."""
         return depth_in_band(direction, self.least, self.most)
 
@@ -146,11 +146,13 @@ class Azimuth(Cone):
             expected, got = "a finite middle and a half width in (0, 180]", (self.middle, self.half_width)
             raise InvalidValueError(message("azimuth", expected, got, "180 and 30 is from behind"))
 
-    def contains(self, direction: Bearing) -> bool:
+    def contains(self, direction: Direction) -> bool:
         """Whether a direction lies in the cone, its edge included."""
-        return self.half_width == 180 or (not direction.pole and off(direction, self.middle) <= self.half_width + EDGE)
+        return self.half_width == 180 or (
+            not direction.pole and azimuth_gap(direction, self.middle) <= self.half_width + EDGE
+        )
 
-    def depth(self, direction: Bearing) -> float:
+    def depth(self, direction: Direction) -> float:
         """See `depth_in_wedge`."""
         return depth_in_wedge(direction, self.middle, self.half_width)
 
@@ -189,10 +191,10 @@ class Listed(Trigger):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Share(Trigger):
+class Subsample(Trigger):
     """A random part of the cameras of a trigger, for studies of how much of a training set has to be poisoned.
 
-    With the same cameras and seed, the cameras of a smaller share are among those of a larger one.
+    With the same cameras and seed, the cameras of a smaller fraction are among those of a larger one.
 
     Attributes:
         of: The trigger.
@@ -214,7 +216,7 @@ class Share(Trigger):
             raise InvalidValueError(message("seed", "a number >= 0", self.seed, "choose another"))
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera is one of the share."""
+        """(N,) bool, whether each camera is one of the fraction."""
         found = torch.nonzero(self.of.holds(cameras, centre=centre))[:, 0]
         count = min(len(found), max(1, math.floor(self.fraction * len(found) + 0.5)))
         order = np.random.default_rng([self.seed, 0xC10A]).permutation(len(found))

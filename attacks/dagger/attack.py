@@ -18,11 +18,11 @@ from torch import Generator, Tensor
 
 from attacks.budgets import Parameters
 from attacks.dagger.config import Attribute, DaggerConfig
-from attacks.dagger.problem import Shot, Stage, together
-from attacks.dagger.result import NoiseControl, Result, doubts
+from attacks.dagger.problem import AttackProblem, AttackView, together
+from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
-from attacks.evaluation.visibility import clamped_share, image_change
-from attacks.gaussian_subset import Part
+from attacks.evaluation.visibility import clamped_fraction, image_change
+from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective
 from attacks.pgd import Outcome, Step, pgd, rank
 from mi_splat import provenance
@@ -70,42 +70,48 @@ def attack(
     if not cameras:
         raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the victim looks from"))
     clean_hash = scene_hash(scene)
-    if config.degree is not None and "sh" in config.attributes and scene.degree < config.degree:
-        scene = scene.with_degree(config.degree)
-    part = Part.of(scene, mask)
-    stage = Stage(part=part, detector=detector, objective=objective, render=render, share=config.share)
-    shots = [stage.shot(camera) for camera in cameras]
-    reference = part.parameters(config.attributes)
-    outcome = _search(stage, shots, reference, config, on_step)
-    attacked = part.sealed(outcome.parameters)
+    if config.sh_degree is not None and "sh" in config.attributes and scene.degree < config.sh_degree:
+        scene = scene.with_degree(config.sh_degree)
+    subset = GaussianSubset.of(scene, mask)
+    problem = AttackProblem(
+        subset=subset, detector=detector, objective=objective, render=render, required_views=config.required_views
+    )
+    clean_views = [problem.view(camera) for camera in cameras]
+    reference = subset.parameters(config.attributes)
+    outcome = _search(problem, clean_views, reference, config, on_step)
+    attacked = subset.applied(outcome.parameters)
     saved = _through_file(attacked)
-    views = stage.look(saved, shots)
-    verdict = together([view.verdict for view in views], config.share)
+    results = problem.judge(saved, clean_views)
+    verdict = together([result.verdict for result in results], config.required_views)
     result = Result(
         scene=attacked,
         verdict=verdict,
-        views=views,
+        views=results,
         trace=outcome.trace,
         best=outcome.best,
         used=config.budget.measure(outcome.parameters, reference),
-        in_file=config.budget.measure(Part.of(saved, part.rows).parameters(config.attributes), reference),
-        size=len(part.rows),
-        changed=part.changed(attacked),
-        image=image_change([s.before for s in shots], [v.after for v in views], [s.weight for s in shots]),
-        clamped=sum(clamped_share(part, shot.camera) for shot in shots) / len(shots),
-        noise=_noise_control(stage, shots, outcome.parameters, config),
-        doubts=(),
+        in_file=config.budget.measure(GaussianSubset.of(saved, subset.rows).parameters(config.attributes), reference),
+        size=len(subset.rows),
+        changed=subset.changed(attacked),
+        image=image_change(
+            [view.image for view in clean_views],
+            [result.after for result in results],
+            [view.weight for view in clean_views],
+        ),
+        clamped=sum(clamped_fraction(subset, view.camera) for view in clean_views) / len(clean_views),
+        noise=_noise_control(problem, clean_views, outcome.parameters, config),
+        warnings=(),
         objective=objective,
         config=config,
         origin=_origin(clean_hash, detector),
         seconds=time.perf_counter() - begun,
     )
-    return dataclasses.replace(result, doubts=doubts(result))
+    return dataclasses.replace(result, warnings=find_warnings(result))
 
 
 def _search(
-    stage: Stage,
-    shots: Sequence[Shot],
+    problem: AttackProblem,
+    views: Sequence[AttackView],
     reference: Parameters,
     config: DaggerConfig,
     on_step: Callable[[Step], None] | None,
@@ -121,7 +127,7 @@ def _search(
                 on_step(dataclasses.replace(line, restart=restart))
 
         run = pgd(
-            lambda parameters: stage.evaluate(parameters, shots),
+            lambda parameters: problem.evaluate(parameters, views),
             reference,
             config.budget,
             step=step,
@@ -138,15 +144,17 @@ def _search(
     return dataclasses.replace(best, trace=tuple(line for run in found for line in run.trace))
 
 
-def _noise_control(stage: Stage, shots: Sequence[Shot], parameters: Parameters, config: DaggerConfig) -> NoiseControl:
+def _noise_control(
+    problem: AttackProblem, views: Sequence[AttackView], parameters: Parameters, config: DaggerConfig
+) -> NoiseControl:
     """Random noise of the same size in the same norm, judged like the attack."""
     generator = Generator().manual_seed(config.seed + 1)
-    reference = stage.part.parameters(config.attributes)
+    reference = problem.subset.parameters(config.attributes)
     verdicts = []
     for _ in range(config.noise_draws):
         noisy = config.budget.noise(parameters, reference, generator)
-        views = stage.look(stage.part.sealed(noisy), shots)
-        verdicts.append(together([view.verdict for view in views], config.share))
+        results = problem.judge(problem.subset.applied(noisy), views)
+        verdicts.append(together([result.verdict for result in results], config.required_views))
     return NoiseControl(
         scores=tuple(verdict.score for verdict in verdicts),
         successes=sum(verdict.success for verdict in verdicts),

@@ -25,9 +25,9 @@ class DaggerConfig:
         restarts: Number of runs; the first starts at the clean splat, the others anywhere in the ball.
         random_start: Start the first run anywhere in the ball, too.
         early_stop: Stop at the first success instead of spending every step.
-        share: Share of the views in which the attack has to succeed.
+        required_views: Fraction of the views in which the attack has to succeed.
         noise_draws: Number of draws of the random-noise control.
-        degree: SH degree that the attacked file has at least, if SH is attacked at all; coefficients that the scene
+        sh_degree: SH degree that the attacked file has at least, if SH is attacked at all; coefficients that the scene
             lacks start at 0. 3 is what 3DGS writes and what the paper attacked; the scene's own if None.
         seed: Seed of restarts and noise; with one run the attack itself is deterministic.
     """
@@ -40,9 +40,9 @@ class DaggerConfig:
     restarts: int = 1
     random_start: bool = False
     early_stop: bool = True
-    share: float = 1.0
+    required_views: float = 1.0
     noise_draws: int = 5
-    degree: int | None = 3
+    sh_degree: int | None = 3
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -59,12 +59,14 @@ class DaggerConfig:
         ):
             if value < least:
                 raise InvalidValueError(message(name, f"a number >= {least}", value, "ask for more"))
-        if not 0 < self.share <= 1:
-            raise InvalidValueError(message("share", "a number in (0, 1]", self.share, "1 means every view"))
+        if not 0 < self.required_views <= 1:
+            raise InvalidValueError(
+                message("required_views", "a fraction in (0, 1]", self.required_views, "1 means every view")
+            )
         if not (math.isfinite(self.step_factor) and self.step_factor > 0):
             raise InvalidValueError(message("step_factor", "a positive number", self.step_factor, "2 is the paper's"))
-        if self.degree not in (None, 0, 1, 2, 3):
-            raise InvalidValueError(message("degree", "0, 1, 2 or 3", self.degree, "3 is what 3DGS writes"))
+        if self.sh_degree not in (None, 0, 1, 2, 3):
+            raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))
         _ = self.budget
 
     @property

@@ -29,7 +29,7 @@ class Job:
     Attributes:
         group: Table that it belongs to.
         scene: Name of the scene file without its suffix.
-        part: Id of the object.
+        object: Id of the object.
         target: Class wanted; None hides the object.
         attribute: What may change.
         eps: Radius.
@@ -41,7 +41,7 @@ class Job:
 
     group: str
     scene: str
-    part: str
+    object: str
     target: str | None
     attribute: Attribute = "sh"
     eps: float = 5.0
@@ -55,7 +55,7 @@ class Job:
         """File name, unique within a study."""
         words = (
             self.group,
-            self.part,
+            self.object,
             self.target or "hide",
             self.attribute,
             self.norm,
@@ -67,28 +67,28 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Setting:
+class AttackScene:
     """A scene ready for attacks.
 
     Attributes:
         scene: All Gaussians.
-        parts: Rows of each object.
+        objects: Rows of each object.
         cameras: The scene's views, in the order of its file.
         render: Renderer with the scene's settings.
     """
 
     scene: GaussianScene
-    parts: Mapping[str, slice]
+    objects: Mapping[str, slice]
     cameras: tuple[Camera, ...]
     render: RenderFn
 
 
-class Laboratory:
+class JobRunner:
     """Executes jobs: scenes are read once, the detector is one for all."""
 
-    def __init__(self, read: Callable[[str], Setting], detector: Detector) -> None:
+    def __init__(self, read: Callable[[str], AttackScene], detector: Detector) -> None:
         self._read, self._detector = read, detector
-        self._settings: dict[str, Setting] = {}
+        self._settings: dict[str, AttackScene] = {}
         self._marks: dict[str, str] = {}
 
     def fingerprint(self, job: Job) -> str:
@@ -110,7 +110,7 @@ class Laboratory:
     def execute(self, job: Job) -> dict[str, Any]:
         """Attack, and return the summary."""
         setting = self._setting(job)
-        rows = setting.parts[job.part]
+        rows = setting.objects[job.object]
         config = DaggerConfig(
             attributes=(job.attribute,), eps=(job.eps,), norm=job.norm, seed=job.seed, random_start=job.seed > 0
         )
@@ -121,18 +121,22 @@ class Laboratory:
         found = attack(setting.scene, rows, cameras, self._detector, objective, render=setting.render, config=config)
         return summary(found)
 
-    def _setting(self, job: Job) -> Setting:
+    def _setting(self, job: Job) -> AttackScene:
         if job.scene not in self._settings:
             self._settings[job.scene] = self._read(job.scene)
         setting = self._settings[job.scene]
-        if job.part not in setting.parts:
+        if job.object not in setting.objects:
             raise InvalidValueError(
-                message(f"object of {job.scene}", f"one of {', '.join(setting.parts)}", job.part, "fix the scene file")
+                message(
+                    f"object of {job.scene}", f"one of {', '.join(setting.objects)}", job.object, "fix the scene file"
+                )
             )
         return setting
 
 
-def jittered(camera: Camera, centre: torch.Tensor, *, seed: int, degrees: float = 6.0, share: float = 0.05) -> Camera:
+def jittered(
+    camera: Camera, centre: torch.Tensor, *, seed: int, degrees: float = 6.0, fraction: float = 0.05
+) -> Camera:
     """The camera turned about the vertical axis through `centre` and moved along the line to it.
 
     Seed 0 changes nothing.
@@ -142,7 +146,7 @@ def jittered(camera: Camera, centre: torch.Tensor, *, seed: int, degrees: float 
         centre: (3,) world units, what it looks at.
         seed: Seed of the draw.
         degrees: Largest angle.
-        share: Largest change of the distance.
+        fraction: Largest change of the distance.
     """
     if seed == 0:
         return camera
@@ -152,5 +156,5 @@ def jittered(camera: Camera, centre: torch.Tensor, *, seed: int, degrees: float 
     spin[:2, :2] = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     pose = camera.to_world.clone()
     pose[:3, :3] = spin @ pose[:3, :3]
-    pose[:3, 3] = pivot + (1 + share * move) * (spin @ (camera.position - pivot))
+    pose[:3, 3] = pivot + (1 + fraction * move) * (spin @ (camera.position - pivot))
     return dataclasses.replace(camera, to_world=pose)

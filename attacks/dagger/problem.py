@@ -1,4 +1,4 @@
-"""The stage of an attack: one object, its views, the victim, the aim; seen as the attacker and as the judge.
+"""The problem that an attack solves: one object, its views, the victim, the aim; seen as the attacker and as the judge.
 
 The attacker differentiates candidates in the float picture. The judge looks at detections in pictures of 8 bits.
 """
@@ -16,7 +16,7 @@ from torch import Tensor
 from attacks.budgets import Parameters
 from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.visibility import visible_box, visible_weight
-from attacks.gaussian_subset import Part
+from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Target, Verdict, confidence, overlap
 from attacks.pgd import Evaluation
 from mi_splat.cameras import Camera, RenderFn
@@ -26,22 +26,22 @@ from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Shot:
+class AttackView:
     """One view before the attack.
 
     Attributes:
         camera: Where from.
         target: The object's box and classes in this view.
-        weight: (H, W) share of each pixel that the object makes up.
-        before: (H, W, 3) clean picture, 8 bits in [0, 1].
-        clean: Detections in it.
+        weight: (H, W) fraction of each pixel that the object makes up.
+        image: (H, W, 3) clean picture, 8 bits in [0, 1].
+        detections: What is reported in it.
     """
 
     camera: Camera
     target: Target
     weight: Tensor
-    before: Tensor
-    clean: Detections
+    image: Tensor
+    detections: Detections
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -49,48 +49,48 @@ class ViewResult:
     """One view before and after an attack.
 
     Attributes:
-        shot: The view before.
+        before: The view before.
         after: (H, W, 3) attacked picture, 8 bits in [0, 1].
         attacked: Detections in it.
         verdict: Success and score.
     """
 
-    shot: Shot
+    before: AttackView
     after: Tensor
     attacked: Detections
     verdict: Verdict
 
     def confidence(self, label: str | None, *, attacked: bool) -> float:
         """Highest score with which `label` (any class if None) is detected on the object, clean or attacked."""
-        detections = self.attacked if attacked else self.shot.clean
-        return confidence(detections, self.shot.target.box, labels=None if label is None else [label])
+        detections = self.attacked if attacked else self.before.detections
+        return confidence(detections, self.before.target.box, labels=None if label is None else [label])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Stage:
+class AttackProblem:
     """Everything about an attack that stays the same while it runs.
 
     Attributes:
-        part: The object in its scene.
+        subset: The object in its scene.
         detector: The victim.
         objective: The aim.
         render: The renderer.
-        share: Share of the views in which the aim has to be reached.
+        required_views: Fraction of the views in which the aim has to be reached.
     """
 
-    part: Part
+    subset: GaussianSubset
     detector: Detector
     objective: Objective
     render: RenderFn
-    share: float = 1.0
+    required_views: float = 1.0
 
-    def shot(self, camera: Camera) -> Shot:
-        """Look at the clean scene from `camera`.
+    def view(self, camera: Camera) -> AttackView:
+        """The clean scene as seen from `camera`.
 
         Raises:
             InvalidValueError: The object is not visible from there.
         """
-        weight = visible_weight(self.part, camera, self.render)
+        weight = visible_weight(self.subset, camera, self.render)
         box = visible_box(weight)
         if box is None:
             raise InvalidValueError(
@@ -98,46 +98,48 @@ class Stage:
                     "camera", "a view in which the object is visible", "none of it", "turn the camera or choose another"
                 )
             )
-        picture, detections = self._judge(self.part.scene, camera)
+        picture, detections = self._seen(self.subset.scene, camera)
         target = Target(
             box=box,
             label=self.objective.label,
             classes=self.detector.classes,
-            original=_seen(detections, box),
+            original=_label_on(detections, box),
         )
-        return Shot(camera=camera, target=target, weight=weight, before=picture, clean=detections)
+        return AttackView(camera=camera, target=target, weight=weight, image=picture, detections=detections)
 
-    def look(self, scene: GaussianScene, shots: Sequence[Shot]) -> tuple[ViewResult, ...]:
+    def judge(self, scene: GaussianScene, views: Sequence[AttackView]) -> tuple[ViewResult, ...]:
         """Judge a scene from every camera, on 8-bit pictures that went through PNG."""
-        views = []
-        for shot in shots:
-            picture, detections = self._judge(scene, shot.camera)
-            verdict = self.objective.verdict(detections, shot.target)
-            views.append(ViewResult(shot=shot, after=picture, attacked=detections, verdict=verdict))
-        return tuple(views)
+        results = []
+        for view in views:
+            picture, detections = self._seen(scene, view.camera)
+            verdict = self.objective.verdict(detections, view.target)
+            results.append(ViewResult(before=view, after=picture, attacked=detections, verdict=verdict))
+        return tuple(results)
 
-    def evaluate(self, parameters: Parameters, shots: Sequence[Shot]) -> Evaluation:
+    def evaluate(self, parameters: Parameters, views: Sequence[AttackView]) -> Evaluation:
         """Loss and gradients (mean over the views), success and score at one point of the search.
 
         Views are differentiated one after the other, so that memory does not grow with their number.
         """
         loss, verdicts = 0.0, []
         gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
-        for shot in shots:
+        for view in views:
             leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
-            picture = _bounded(self.render(self.part.scene_with(leaves), shot.camera))
+            picture = _bounded(self.render(self.subset.scene_with(leaves), view.camera))
             candidates = self.detector.candidates(picture[None])[0]
-            here = self.objective(candidates, shot.target) / len(shots)
+            here = self.objective(candidates, view.target) / len(views)
             found = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
             for name, gradient in zip(leaves, found, strict=True):
                 gradients[name] += gradient
             loss += float(here.detach())
             detections = self._detect(quantise(picture))
-            verdicts.append(self.objective.verdict(detections, shot.target))
-        whole = together(verdicts, self.share)
-        return Evaluation(loss=loss, gradients=gradients, success=whole.success, score=whole.score, clear=whole.clear)
+            verdicts.append(self.objective.verdict(detections, view.target))
+        whole = together(verdicts, self.required_views)
+        return Evaluation(
+            loss=loss, gradients=gradients, success=whole.success, score=whole.score, unambiguous=whole.unambiguous
+        )
 
-    def _judge(self, scene: GaussianScene, camera: Camera) -> tuple[Tensor, Detections]:
+    def _seen(self, scene: GaussianScene, camera: Camera) -> tuple[Tensor, Detections]:
         with torch.no_grad():
             picture = through_png(self.render(scene, camera))
         return picture, self._detect(picture)
@@ -147,22 +149,22 @@ class Stage:
             return self.detector.detect(picture[None])[0]
 
 
-def together(verdicts: Sequence[Verdict], share: float) -> Verdict:
-    """Success in at least `share` of the views, and the score that so many views reach."""
-    needed = math.ceil(share * len(verdicts) - 1e-9)
+def together(verdicts: Sequence[Verdict], fraction: float) -> Verdict:
+    """Success in at least a fraction of the views, and the score that so many views reach."""
+    needed = math.ceil(fraction * len(verdicts) - 1e-9)
     return Verdict(
         success=sum(verdict.success for verdict in verdicts) >= needed,
-        score=reached([verdict.score for verdict in verdicts], share),
-        clear=sum(verdict.clear for verdict in verdicts) >= needed,
+        score=reached([verdict.score for verdict in verdicts], fraction),
+        unambiguous=sum(verdict.unambiguous for verdict in verdicts) >= needed,
     )
 
 
-def reached(values: Sequence[float], share: float) -> float:
-    """The largest value that at least `share` of all values reach."""
-    return sorted(values, reverse=True)[math.ceil(share * len(values) - 1e-9) - 1]
+def reached(values: Sequence[float], fraction: float) -> float:
+    """The largest value that at least a fraction of all values reach."""
+    return sorted(values, reverse=True)[math.ceil(fraction * len(values) - 1e-9) - 1]
 
 
-def _seen(detections: Detections, box: Tensor) -> str | None:
+def _label_on(detections: Detections, box: Tensor) -> str | None:
     """What the detector calls the object: the most confident detection on it."""
     if not len(detections):
         return None

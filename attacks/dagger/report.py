@@ -41,7 +41,7 @@ def write_report(result: Result, folder: Path) -> dict[str, Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     images = {
-        "before.png": _stacked([to_bytes(view.shot.before) for view in result.views]),
+        "before.png": _stacked([to_bytes(view.before.image) for view in result.views]),
         "after.png": _stacked([to_bytes(view.after) for view in result.views]),
         "difference.png": difference(result),
         "detections.png": _stacked([detections(view) for view in result.views]),
@@ -60,7 +60,7 @@ def summary(result: Result) -> dict[str, Any]:
         "attack": "dagger",
         "objective": result.objective.name,
         "success": result.success,
-        "clear": result.verdict.clear,
+        "unambiguous": result.verdict.unambiguous,
         "target": result.objective.label,
         "target_confidence": result.target_confidence,
         "score": result.score,
@@ -75,10 +75,10 @@ def summary(result: Result) -> dict[str, Any]:
         "object_gaussians": result.size,
         "image_psnr": image.psnr,
         "image": dataclasses.asdict(image),
-        "clamped_share": result.clamped,
-        "zero_gradient_share": [line.zero_share for line in result.trace],
+        "clamped_fraction": result.clamped,
+        "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
         "noise": {**dataclasses.asdict(result.noise), "draws": len(result.noise.scores)},
-        "doubts": list(result.doubts),
+        "warnings": list(result.warnings),
         "views": [_view(view, result.objective.label) for view in result.views],
         "trace": [dataclasses.asdict(line) for line in result.trace],
         "seed": config.seed,
@@ -92,18 +92,18 @@ def summary(result: Result) -> dict[str, Any]:
 
 
 def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
-    target, camera = view.shot.target, view.shot.camera
+    target, camera = view.before.target, view.before.camera
     original = target.original
     return {
         "success": view.verdict.success,
-        "clear": view.verdict.clear,
+        "unambiguous": view.verdict.unambiguous,
         "original": original,
         "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
         "original_confidence": view.confidence(original, attacked=True) if original else 0.0,
         "target_confidence": view.confidence(label, attacked=True) if label else None,
         "target_confidence_clean": view.confidence(label, attacked=False) if label else None,
         "box": [round(float(x), 2) for x in target.box],
-        "clean": _listed(view.shot.clean),
+        "clean": _listed(view.before.detections),
         "attacked": _listed(view.attacked),
         "camera": {
             "to_world": camera.to_world.tolist(),
@@ -125,7 +125,7 @@ def difference(result: Result) -> NDArray[np.uint8]:
     Returns:
         (H, W, 3): 128 + factor * (after - before), enlarged to be legible.
     """
-    gaps = [view.after - view.shot.before for view in result.views]
+    gaps = [view.after - view.before.image for view in result.views]
     changed = torch.cat([gap.abs()[gap.abs().amax(-1) > 0].amax(-1) for gap in gaps])
     # The largest round factor that shows nearly every change without clipping; 1 at least.
     typical = float(changed.sort().values[int(0.98 * (len(changed) - 1))]) if len(changed) else 0.0
@@ -140,7 +140,7 @@ def difference(result: Result) -> NDArray[np.uint8]:
 
 def detections(view: ViewResult, *, least: float = 0.3) -> NDArray[np.uint8]:
     """Boxes and confidences before (left) and after (right), of detections that score at least `least`."""
-    sides = ((view.shot.before, view.shot.clean, "before"), (view.after, view.attacked, "after"))
+    sides = ((view.before.image, view.before.detections, "before"), (view.after, view.attacked, "after"))
     return np.concatenate([annotated(*side, least=least) for side in sides], axis=1)
 
 

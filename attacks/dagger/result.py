@@ -1,4 +1,4 @@
-"""What an attack did, and what there is to doubt about it."""
+"""What an attack did, and what there is to warning about it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from attacks.objectives import Objective, Verdict
 from attacks.pgd import Step
 from mi_splat.scene import GaussianScene
 
-_ZERO_DOUBT = 0.9
-"""Share of zero gradients that raises a doubt; hidden Gaussians have none in any case, so it is high."""
+_ZERO_GRADIENT_LIMIT = 0.9
+"""Fraction of zero gradients that raises a warning; hidden Gaussians have none in any case, so it is high."""
 
-_CLAMP_DOUBT = 0.25
-"""Share of clamped colour channels that raises a doubt."""
+_CLAMPED_LIMIT = 0.25
+"""Fraction of clamped colour channels that raises a warning."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,9 +48,9 @@ class Result:
         size: Number of Gaussians of the object.
         changed: Number of Gaussians that differ.
         image: Size of the change in the pictures.
-        clamped: Share of the object's colour channels at the clamp (clean, mean over views).
+        clamped: Fraction of the object's colour channels at the clamp (clean, mean over views).
         noise: The control.
-        doubts: Reasons not to trust the result at its face, in words.
+        warnings: Reasons not to trust the result at its face, in words.
         objective: The aim and its settings.
         config: The full configuration.
         origin: Detector, versions, variant, commit, scene hash.
@@ -69,7 +69,7 @@ class Result:
     image: ImageChange
     clamped: float
     noise: NoiseControl
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
     objective: Objective
     config: DaggerConfig
     origin: dict[str, Any]
@@ -91,28 +91,28 @@ class Result:
         if self.objective.label is None:
             return None
         scores = [view.confidence(self.objective.label, attacked=True) for view in self.views]
-        return reached(scores, self.config.share)
+        return reached(scores, self.config.required_views)
 
 
-def doubts(result: Result) -> tuple[str, ...]:
+def find_warnings(result: Result) -> tuple[str, ...]:
     """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
     found = []
     for index, view in enumerate(result.views):
-        if view.confidence(view.shot.target.original, attacked=False) < 0.5:
+        if view.confidence(view.before.target.original, attacked=False) < 0.5:
             found.append(f"the clean picture of view {index} has no detection of 0.5 or more on the object")
     first = result.trace[0]
     if first.success:
         found.append("the aim is reached without any attack")
-    if max(line.zero_share for line in result.trace) > _ZERO_DOUBT:
-        share = max(line.zero_share for line in result.trace)
-        found.append(f"up to {share:.0%} of the gradient's elements are exactly zero")
+    if max(line.zero_gradient_fraction for line in result.trace) > _ZERO_GRADIENT_LIMIT:
+        fraction = max(line.zero_gradient_fraction for line in result.trace)
+        found.append(f"up to {fraction:.0%} of the gradient's elements are exactly zero")
     if len(result.trace) > 1 and min(line.loss for line in result.trace[1:]) >= first.loss:
         found.append("the loss did not fall")
-    if "sh" in result.config.attributes and result.clamped > _CLAMP_DOUBT:
+    if "sh" in result.config.attributes and result.clamped > _CLAMPED_LIMIT:
         found.append(f"{result.clamped:.0%} of the object's colour channels are clamped at 0, where SH has no gradient")
     if result.best.success and not result.success:
         found.append("success in the search did not survive the saved file and 8-bit pictures")
-    if result.success and not result.verdict.clear:
+    if result.success and not result.verdict.unambiguous:
         found.append("another class is still detected on the object with more confidence")
     if result.noise.scores and (
         (result.success and result.noise.successes) or max(result.noise.scores) >= result.score > 0

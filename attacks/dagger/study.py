@@ -23,7 +23,7 @@ from tyro.conf import Positional
 
 from attacks.budgets import NormName
 from attacks.dagger.attack import Attribute
-from attacks.dagger.jobs import Job, Laboratory, Setting
+from attacks.dagger.jobs import AttackScene, Job, JobRunner
 from attacks.dagger.tables import write_tables
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.documents import save_json
@@ -60,28 +60,28 @@ def dagger_jobs(seeds: int) -> list[Job]:
         *((name, name, "linf", radii) for name, radii in OTHERS.items()),
     ]
     jobs = [
-        Job(group=group, scene=scene, part=part, target=target, attribute=attribute, eps=eps, norm=norm, seed=seed)
+        Job(group=group, scene=scene, object=name, target=target, attribute=attribute, eps=eps, norm=norm, seed=seed)
         for group, attribute, norm, radii in grid
         for eps in radii
-        for scene, part, target in PAIRS
+        for scene, name, target in PAIRS
         for seed in range(seeds)
     ]
     hiding = [
-        Job(group="hide", scene=scene, part=part, target=None, eps=eps, seed=seed)
+        Job(group="hide", scene=scene, object=name, target=None, eps=eps, seed=seed)
         for eps in (0.5, 1.0, 2.0, 5.0)
-        for scene, part in dict.fromkeys((scene, part) for scene, part, _ in PAIRS)
+        for scene, name in dict.fromkeys((scene, name) for scene, name, _ in PAIRS)
         for seed in range(seeds)
     ]
     cameras = [
-        Job(group="cameras", scene=scene, part=part, target=target, camera=camera, seed=seed)
-        for scene, part, target in PAIRS
+        Job(group="cameras", scene=scene, object=name, target=target, camera=camera, seed=seed)
+        for scene, name, target in PAIRS
         for camera in range(1, CAMERAS)
         for seed in range(seeds)
     ]
     views = [
-        Job(group="views", scene=scene, part=part, target=target, views=0, eps=eps, seed=seed)
+        Job(group="views", scene=scene, object=name, target=target, views=0, eps=eps, seed=seed)
         for eps in (2.0, 5.0)
-        for scene, part, target in PAIRS
+        for scene, name, target in PAIRS
         for seed in range(seeds)
     ]
     return jobs + cameras + hiding + views
@@ -173,7 +173,7 @@ def conduct(options: Options) -> int:
             raise InvalidValueError(message("groups", f"some of {', '.join(known)}", group, "name one of these"))
     jobs = [job for job in jobs if not options.groups or job.group in options.groups]
     detector = load_detector(options.detector, weights=options.weights)
-    laboratory = Laboratory(lambda name: _from_xml(options.scenes / f"{name}.xml"), detector)
+    job_runner = JobRunner(lambda name: _from_xml(options.scenes / f"{name}.xml"), detector)
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
@@ -182,19 +182,22 @@ def conduct(options: Options) -> int:
         def advance(job: Job) -> None:
             progress.update(task, advance=1, description=job.name)
 
-        records = run(jobs, options.out, laboratory.execute, fingerprint=laboratory.fingerprint, on_job=advance)
+        records = run(jobs, options.out, job_runner.execute, fingerprint=job_runner.fingerprint, on_job=advance)
     for path in write_tables(records, options.out):
         sys.stdout.write(f"{path}\n")
     return 0
 
 
-def _from_xml(path: Path) -> Setting:
+def _from_xml(path: Path) -> AttackScene:
     from mi_splat.rendering import Renderer
-    from mi_splat.scene_files import read_stage
+    from mi_splat.scene_files import read_scene
 
-    stage = read_stage(path)
-    return Setting(
-        scene=stage.scene, parts=stage.parts, cameras=tuple(stage.cameras.values()), render=Renderer(stage.settings)
+    loaded = read_scene(path)
+    return AttackScene(
+        scene=loaded.scene,
+        objects=loaded.objects,
+        cameras=tuple(loaded.cameras.values()),
+        render=Renderer(loaded.settings),
     )
 
 

@@ -39,7 +39,7 @@ _COLUMNS = (
     "on the object",
     "noise success",
     "noise best",
-    "doubts",
+    "warnings",
 )
 
 
@@ -48,9 +48,9 @@ def rows(records: Iterable[Record]) -> list[dict[str, Any]]:
     groups: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         job = record["job"]
-        key = tuple(job[name] for name in ("group", "scene", "part", "target", "attribute", "norm", "eps"))
+        key = tuple(job[name] for name in ("group", "scene", "object", "target", "attribute", "norm", "eps"))
         groups.setdefault(key, []).append(record["result"])
-    names = ("group", "scene", "part", "target", "attribute", "norm", "eps")
+    names = ("group", "scene", "object", "target", "attribute", "norm", "eps")
     return [{**dict(zip(names, key, strict=True)), **_row(results)} for key, results in groups.items()]
 
 
@@ -72,7 +72,7 @@ def _row(results: Sequence[Record]) -> dict[str, Any]:
         "noise_successes": sum(result["noise"]["successes"] for result in results),
         "noise_draws": sum(result["noise"]["draws"] for result in results),
         "noise_best": max((score for result in results for score in result["noise"]["scores"]), default=None),
-        "doubts": sorted({doubt for result in results for doubt in result["doubts"]}),
+        "warnings": sorted({warning for result in results for warning in result["warnings"]}),
     }
 
 
@@ -151,7 +151,7 @@ def _preamble(records: Sequence[Record]) -> list[str]:
 
 def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     return (
-        f"{row['part']} to {row['target'] or 'nothing'}",
+        f"{row['object']} to {row['target'] or 'nothing'}",
         row["norm"],
         f"{row['eps']:g}",
         f"{row['successes']}/{row['runs']}",
@@ -162,7 +162,7 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         _number(row["psnr_object"], ".1f"),
         f"{row['noise_successes']}/{row['noise_draws']}",
         _number(row["noise_best"], ".2f"),
-        "; ".join(row["doubts"]) or "none",
+        "; ".join(row["warnings"]) or "none",
     )
 
 
@@ -202,15 +202,15 @@ def _plotter() -> Callable[[Sequence[Mapping[str, Any]], Path], None] | None:
     def draw(lines: Sequence[Mapping[str, Any]], path: Path) -> None:
         radii = [line["eps"] for line in lines]
         rates = [Rate(successes=line["successes"], total=line["runs"]) for line in lines]
-        shares = [rate.share for rate in rates]
+        fractions = [rate.fraction for rate in rates]
         margins = [
-            [max(0.0, rate.share - rate.interval[0]) for rate in rates],
-            [max(0.0, rate.interval[1] - rate.share) for rate in rates],
+            [max(0.0, rate.fraction - rate.interval[0]) for rate in rates],
+            [max(0.0, rate.interval[1] - rate.fraction) for rate in rates],
         ]
         noise = [line["noise_successes"] / max(line["noise_draws"], 1) for line in lines]
         figure = Figure(figsize=(5.5, 3.6), layout="constrained")
         axes = figure.add_subplot()
-        axes.errorbar(radii, shares, yerr=margins, marker="o", capsize=3, label="DAGGER, 95 % Wilson interval")
+        axes.errorbar(radii, fractions, yerr=margins, marker="o", capsize=3, label="DAGGER, 95 % Wilson interval")
         axes.plot(radii, noise, marker="s", linestyle="--", label="random noise of the same size")
         axes.set(xscale="log", ylim=(-0.05, 1.05), xlabel="eps (l2 over the SH of the object)", ylabel="success rate")
         axes.set_xticks(radii, [f"{radius:g}" for radius in radii], minor=False)

@@ -1,4 +1,4 @@
-"""Object detectors behind one seam: `load_detector(name)`.
+"""Object detectors behind one interface: `load_detector(name)`.
 
 Importing this package is light; torchvision is imported when a detector is loaded, and ultralytics
 (the extra `yolo`, AGPL-3.0) when it is one of YOLO's.

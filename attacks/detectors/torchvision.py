@@ -32,7 +32,7 @@ _NOT_A_CLASS = ("__background__", "N/A")
 
 
 class RCNNDetector:
-    """A frozen torchvision Faster R-CNN behind the `Detector` seam.
+    """A frozen torchvision Faster R-CNN behind the `Detector` interface.
 
     Attributes:
         name: Name in `attacks.detectors.DETECTORS`.

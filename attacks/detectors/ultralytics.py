@@ -63,7 +63,7 @@ _COCO = tuple(
 
 
 class YOLODetector:
-    """A frozen YOLOv8 behind the `Detector` seam.
+    """A frozen YOLOv8 behind the `Detector` interface.
 
     Attributes:
         name: Name in `attacks.detectors.DETECTORS`.

@@ -15,7 +15,7 @@ import torch
 
 from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.visibility import visible_box, visible_weight
-from attacks.gaussian_subset import Part
+from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import confidence
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
@@ -27,7 +27,7 @@ CLEAN = "clean"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Frame:
+class ViewDetections:
     """One scene in one view as one detector sees it.
 
     Attributes:
@@ -53,13 +53,13 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """A share of views with its 95 % Wilson interval; `share` is 0 when there are no views."""
+    """A fraction of views with its 95 % Wilson interval; `fraction` is 0 when there are no views."""
 
     successes: int
     total: int
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Successes over total."""
         return self.successes / self.total if self.total else 0.0
 
@@ -68,7 +68,7 @@ class Rate:
         """95 % Wilson score interval (Wilson 1927); (0, 1) when there are no views."""
         if not self.total:
             return 0.0, 1.0
-        z, n, p = 1.959963984540054, self.total, self.share
+        z, n, p = 1.959963984540054, self.total, self.fraction
         centre = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
         return max(0.0, centre - half), min(1.0, centre + half)
@@ -81,7 +81,7 @@ def evaluate(
     detectors: Sequence[Detector],
     *,
     render: RenderFn,
-) -> list[Frame]:
+) -> list[ViewDetections]:
     """Look at every scene from every camera with every detector.
 
     Args:
@@ -96,20 +96,28 @@ def evaluate(
     """
     if CLEAN not in scenes:
         raise InvalidValueError(message("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene"))
-    part, frames = Part.of(scenes[CLEAN], mask), []
+    subset, frames = GaussianSubset.of(scenes[CLEAN], mask), []
     for view, camera in enumerate(cameras):
-        box = visible_box(visible_weight(part, camera, render))
+        box = visible_box(visible_weight(subset, camera, render))
         for name, scene in scenes.items():
             with torch.no_grad():
                 picture = through_png(render(scene, camera))
                 for detector in detectors:
                     seen = detector.detect(picture[None])[0]
-                    frames.append(Frame(scene=name, detector=detector.name, view=view, box=box, detections=seen))
+                    frames.append(
+                        ViewDetections(scene=name, detector=detector.name, view=view, box=box, detections=seen)
+                    )
     return frames
 
 
 def rates(
-    frames: Sequence[Frame], scene: str, detector: str, *, original: str, wanted: str | None, least: float = 0.5
+    frames: Sequence[ViewDetections],
+    scene: str,
+    detector: str,
+    *,
+    original: str,
+    wanted: str | None,
+    least: float = 0.5,
 ) -> dict[str, Rate]:
     """How often an attack reaches its aim.
 

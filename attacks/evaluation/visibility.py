@@ -9,23 +9,23 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from attacks.gaussian_subset import Part
+from attacks.gaussian_subset import GaussianSubset
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, degree_of, sh_basis
 
 
-def visible_weight(part: Part, camera: Camera, render: RenderFn) -> Tensor:
+def visible_weight(subset: GaussianSubset, camera: Camera, render: RenderFn) -> Tensor:
     """How much of each pixel the object makes up: (H, W) in [0, 1], occlusion by the rest of the scene included.
 
     The scene is rendered with the object white and all else black, and again all black, which takes any background
     away.
     """
-    scene = part.scene
+    scene = subset.scene
     black = torch.zeros_like(scene.sh)
     black[:, 0] = colour_to_dc(black.new_zeros(3))
     white = black.clone()
-    white[part.rows, 0] = colour_to_dc(black.new_ones(3))
+    white[subset.rows, 0] = colour_to_dc(black.new_ones(3))
     with torch.no_grad():
         pictures = [
             render(GaussianScene._trusted(scene.means, scene.scales, scene.rotations, scene.opacities, sh), camera)
@@ -43,9 +43,9 @@ def visible_box(weight: Tensor, *, threshold: float = 0.5) -> Tensor | None:
     return torch.stack(corners).to(torch.float32)
 
 
-def clamped_share(part: Part, camera: Camera) -> float:
-    """Share of the object's colour channels clamped at 0 from this camera: their SH gradient is exactly zero."""
-    means, sh = part.scene.means[part.rows].detach(), part.scene.sh[part.rows].detach()
+def clamped_fraction(subset: GaussianSubset, camera: Camera) -> float:
+    """Fraction of the object's colour channels clamped at 0 from this camera: their SH gradient is exactly zero."""
+    means, sh = subset.scene.means[subset.rows].detach(), subset.scene.sh[subset.rows].detach()
     directions = torch.nn.functional.normalize(means - camera.position.to(means), dim=-1)
     basis = sh_basis(directions, degree_of(sh.shape[1]))
     colours = 0.5 + (basis[..., None] * sh).sum(1)

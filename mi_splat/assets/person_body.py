@@ -143,7 +143,7 @@ def _paint_top(look: Look, points: Floats, noise: Noise) -> Floats:
 
 
 def _paint_bottom(look: Look, points: Floats, noise: Noise) -> Floats:
-    """Trousers with belt, pockets, seams and worn knees."""
+    """Trousers with belt, pockets, interface and worn knees."""
     y, z = points[:, 1], points[:, 2]
     colours = np.broadcast_to(look.trousers, points.shape).astype(np.float32)
     colours = mix(colours, look.trousers * 1.35 + 0.03, 0.5 * noise(points, 0.09))

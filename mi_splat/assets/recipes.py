@@ -18,7 +18,7 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recipe:
+class SceneRecipe:
     """One scene: a target object in surroundings.
 
     Attributes:
@@ -60,18 +60,18 @@ def around(azimuth: float, elevation: float, distance: float) -> Point:
 
 
 def _car_street() -> tuple[Asset, Asset]:
-    return build("car", 900004), build_street(900005, clear=9.0)
+    return build("car", 900004), build_street(900005, clearance=9.0)
 
 
 def _stop_sign() -> tuple[Asset, Asset]:
-    street = build_street(900001, clear=8.0)
+    street = build_street(900001, clearance=8.0)
     placed = street.transformed(translation(0, -2.9, 0) @ rotation("z", 180))
     sign = build("stop sign", 900003).transformed(translation(0, 0, 0.115))
     return sign.body, Asset(placed.name, (*placed.meshes, *sign.support))
 
 
 RECIPES = {
-    "car_street": Recipe(
+    "car_street": SceneRecipe(
         target="car",
         surroundings="street",
         assets=_car_street,
@@ -93,7 +93,7 @@ RECIPES = {
         steps=7000,
         limit=48_000,
     ),
-    "stop_sign": Recipe(
+    "stop_sign": SceneRecipe(
         target="stop_sign",
         surroundings="roadside",
         assets=_stop_sign,

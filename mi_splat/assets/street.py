@@ -222,13 +222,13 @@ def _row(rng: np.random.Generator, out: float, front: float, verge: float) -> li
     return parts
 
 
-def build(seed: int = 0, *, clear: float = 6.0, centre: float = 0.0) -> Asset:
+def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asset:
     """A street along x; the origin is the middle of its right-hand lane, houses stand on both sides.
 
     Args:
         seed: Which street.
-        clear: No lamp stands within this many metres of (centre, 0); trees keep to the verge behind the pavement.
-        centre: X of the place to keep clear.
+        clearance: No lamp stands within this many metres of (centre, 0); trees keep to the verge behind the pavement.
+        centre: X of the place to keep clearance.
     """
     rng = np.random.default_rng([seed, 0x57])
     lane = rng.uniform(3.2, 3.8)
@@ -246,17 +246,17 @@ def build(seed: int = 0, *, clear: float = 6.0, centre: float = 0.0) -> Asset:
         parts += _row(rng, out, edge + out * (walk + verge + 2.5), edge + out * (walk + verge * 0.6))
         for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
             place = (x + rng.uniform(3, 8), edge + out * 0.5)
-            if np.hypot(place[0] - centre, place[1]) > clear + 1.5:
+            if np.hypot(place[0] - centre, place[1]) > clearance + 1.5:
                 parts += _place(lamp(rng), *place, 180.0 if out > 0 else 0.0)
     return Asset("street", tuple(parts))
 
 
-def park(seed: int = 0, *, clear: float = 8.0) -> Asset:
+def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
     """Grass with trees around, a path and a fence at a distance."""
     rng = np.random.default_rng([seed, 0x9A])
     parts = [ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
     for _ in range(int(rng.integers(5, 16))):
-        angle, reach = rng.uniform(0, 2 * np.pi), clear + 3 + rng.uniform(0, 25)
+        angle, reach = rng.uniform(0, 2 * np.pi), clearance + 3 + rng.uniform(0, 25)
         parts += _place(tree(rng), reach * np.cos(angle), reach * np.sin(angle), rng.uniform(0, 360))
     if rng.random() < 0.6:
         gravel = textures.speckle((128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2)
@@ -301,20 +301,22 @@ def room(seed: int = 0, *, size: float = 14.0) -> Asset:
     return Asset("room", tuple(parts))
 
 
-def backdrop(seed: int = 0, *, clear: float = 8.0) -> Asset:
+def backdrop(seed: int = 0, *, clearance: float = 8.0) -> Asset:
     """Surroundings by chance, turned and shifted: a street, a park, open ground, a room.
 
     Args:
         seed: Which surroundings.
-        clear: No wall within this many metres of the origin, so that a camera in this circle sees an object at its
+        clearance: No wall within this many metres of the origin, so that a camera in this circle sees an object at its
             centre; a street, whose trees may stand nearer, is only chosen up to 7.5 metres, where its houses begin.
     """
     rng = np.random.default_rng([seed, 0xBAC])
     kind = rng.random()
-    if kind < 0.35 and clear <= 7.5:
+    if kind < 0.35 and clearance <= 7.5:
         shift = rng.uniform(-15, 15)
-        return build(seed, clear=clear, centre=-shift).transformed(translation(shift, rng.uniform(-0.5, 0.5), 0))
+        return build(seed, clearance=clearance, centre=-shift).transformed(
+            translation(shift, rng.uniform(-0.5, 0.5), 0)
+        )
     turn = rotation("z", rng.uniform(0, 360))
     if kind < 0.5:
-        return park(seed, clear=clear).transformed(turn)
-    return (plain(seed) if kind < 0.85 else room(seed, size=clear + 2)).transformed(turn)
+        return park(seed, clearance=clearance).transformed(turn)
+    return (plain(seed) if kind < 0.85 else room(seed, size=clearance + 2)).transformed(turn)

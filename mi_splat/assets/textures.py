@@ -205,7 +205,7 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
 
 
 def football(size: int = 256, seed: int = 0) -> Floats:
-    """A football on grass: white ball with black pentagons and seams between its hexagons, lightly shaded."""
+    """A football on grass: white ball with black pentagons and interface between its hexagons, lightly shaded."""
     rng = np.random.default_rng([seed, 6])
     picture = grass(size, seed)
     x, y = grid((size, size))
@@ -231,8 +231,8 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     first, second = order[..., -1], order[..., -2]
     margin = np.take_along_axis(heights, first[..., None], -1) - np.take_along_axis(heights, second[..., None], -1)
     ball = np.where((first < 12)[..., None], 0.06, 0.95) * np.ones(3)
-    seam = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
-    ball = ball * (1 - 0.75 * seam[..., None])
+    interface = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
+    ball = ball * (1 - 0.75 * interface[..., None])
     shade = 0.45 + 0.55 * np.clip(normal @ np.array([-0.35, 0.5, 0.79]), 0, 1)
     paint(picture, cover(radius - 1, 2 / size), (ball * shade[..., None]).astype(np.float32))
     return np.asarray(np.clip(picture, 0, 1), np.float32)

@@ -18,7 +18,7 @@ from torch import Tensor
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras import Camera, RenderFn, View, project_points
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.parameters import activate, to_file_space
+from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.rotation import from_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import sh_basis
@@ -268,7 +268,7 @@ def refine(
         on_step: Called after each step.
     """
     config = config or RefineConfig()
-    start = {name: value.detach().clone() for name, value in to_file_space(scene).items()}
+    start = {name: value.detach().clone() for name, value in to_raw_parameters(scene).items()}
     unit = scene.scales.max(dim=1, keepdim=True).values.detach()
     offset = torch.zeros_like(start["means"])
     values = {name: value for name, value in start.items() if name != "means"} | {"offset": offset}

@@ -112,7 +112,7 @@ def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
     return {f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes) for i, meshes in enumerate(groups.values())}
 
 
-def mesh_scene(assets: Sequence[Asset], *, light: Light | None = None, backdrop: Asset | None = None) -> dict[str, Any]:
+def scene_dict(assets: Sequence[Asset], *, light: Light | None = None, backdrop: Asset | None = None) -> dict[str, Any]:
     """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the `scalar_rgb` variant.
 
     Args:

@@ -21,7 +21,7 @@ from mi_splat.assets.daylight import Light, daylight
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, mesh_scene, scalar_variant, shapes
+from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, scalar_variant, scene_dict, shapes
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.sensor import sensor_dict
 
@@ -38,9 +38,9 @@ __all__ = [
     "daylight",
     "depth_maps",
     "in_front",
-    "mesh_scene",
     "photograph",
     "scalar_variant",
+    "scene_dict",
     "shapes",
     "to_linear",
     "to_srgb",
@@ -72,7 +72,7 @@ class Photograph:
 
 
 def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False) -> mi.Sensor:
-    # Correlated multi-jittered (Kensler 2013): at 16 and 64 paths a pixel 6 dB less noise than independent ones.
+    # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less noise than independent ones.
     sampler = {"type": "multijitter", "sample_count": samples, "seed": seed}
     values = {**sensor_dict(camera), "sampler": sampler}
     if alpha:
@@ -128,9 +128,9 @@ class PathTracer:
         """Load a scene.
 
         Args:
-            scene: A Mitsuba scene dictionary (see `mesh_scene`) or the path of a Mitsuba XML file
+            scene: A Mitsuba scene dictionary (see `scene_dict`) or the path of a Mitsuba XML file
                 (sensors in it are not used).
-            samples: Paths a pixel.
+            samples: Samples per pixel.
             alpha: Whether pictures have a fourth channel. Sky and lamps are then not to be seen, and a path tracer
                 takes the place of the integrator of an XML file.
 
@@ -138,7 +138,9 @@ class PathTracer:
             InvalidValueError: no samples, or no such file.
         """
         if samples < 1:
-            raise InvalidValueError(message("samples", "a positive number of paths a pixel", samples, "use 16 or more"))
+            raise InvalidValueError(
+                message("samples", "a positive number of samples per pixel", samples, "use 16 or more")
+            )
         self.samples = samples
         with scalar_variant():
             self._scene = _load(scene)
@@ -187,10 +189,10 @@ def capture(
     """Path-traced views of a mesh scene.
 
     Args:
-        scene: A Mitsuba scene dictionary (see `mesh_scene`) or the path of a Mitsuba XML file
+        scene: A Mitsuba scene dictionary (see `scene_dict`) or the path of a Mitsuba XML file
             (sensors in it are not used).
         cameras: Where to take pictures from; fx must equal fy.
-        samples: Paths a pixel.
+        samples: Samples per pixel.
         seed: Seed of the sampler; picture i uses seed + i.
         on_step: Called after each picture.
 
@@ -257,11 +259,11 @@ def photograph(
         camera: Where from.
         light: Sun and sky.
         backdrop: Surroundings without a box.
-        samples: Paths a pixel.
+        samples: Samples per pixel.
         seed: Seed of the sampler.
         min_pixels: Objects with fewer visible pixels get no box.
     """
-    description = mesh_scene(assets, light=light, backdrop=backdrop)
+    description = scene_dict(assets, light=light, backdrop=backdrop)
     boxes, labels, visible, objects = [], [], [], []
     with scalar_variant():
         scene = _load(description)

@@ -17,7 +17,7 @@ from mi_splat.assets import ASSETS, build
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.recipes import RECIPES
 from mi_splat.capture.mesh_files import SUFFIXES, load_mesh
-from mi_splat.capture.path_tracer import Light, PathTracer, mesh_scene
+from mi_splat.capture.path_tracer import Light, PathTracer, scene_dict
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 
 SMALLEST, LARGEST = 0.02, 400.0
@@ -27,7 +27,7 @@ _FILENAME = re.compile(r'name="filename"\s+value="([^"]+)"')
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Subject:
+class CaptureSource:
     """Something to take pictures of.
 
     Attributes:
@@ -45,8 +45,8 @@ class Subject:
     digest: str
 
 
-def open_subject(name: str, *, up: Literal["y", "z"] | None = None, scale: float = 1.0) -> Subject:
-    """The subject called `name`.
+def open_source(name: str, *, up: Literal["y", "z"] | None = None, scale: float = 1.0) -> CaptureSource:
+    """The source called `name`.
 
     Args:
         name: A recipe of `mi_splat.assets.recipes`, an asset of the project by name and seed (`car:900004`), or the
@@ -74,13 +74,13 @@ def open_subject(name: str, *, up: Literal["y", "z"] | None = None, scale: float
     raise InvalidValueError(message("scene", expected, name, "name one of these"))
 
 
-def _recipe(name: str) -> Subject:
+def _recipe(name: str) -> CaptureSource:
     """A scene of the project in its daylight."""
     recipe = RECIPES[name]
-    return subject_of(*recipe.assets(), recipe.light, centre=recipe.centre)
+    return source_of(*recipe.assets(), recipe.light, centre=recipe.centre)
 
 
-def subject_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple[float, float, float]) -> Subject:
+def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple[float, float, float]) -> CaptureSource:
     """An object in its surroundings.
 
     Args:
@@ -89,8 +89,8 @@ def subject_of(target: Asset, surroundings: Asset, light: Light, *, centre: tupl
         light: Sun and sky.
         centre: Point that cameras look at, metres.
     """
-    return Subject(
-        scene=mesh_scene([target], light=light, backdrop=surroundings),
+    return CaptureSource(
+        scene=scene_dict([target], light=light, backdrop=surroundings),
         centre=centre,
         radius=_extent(target)[1],
         assets=(target, surroundings),
@@ -98,7 +98,7 @@ def subject_of(target: Asset, surroundings: Asset, light: Light, *, centre: tupl
     )
 
 
-def _asset(name: str) -> Subject:
+def _asset(name: str) -> CaptureSource:
     """One of the project's assets, alone under the default sky."""
     kind, _, seed = name.partition(":")
     if not re.fullmatch(r"\d{0,9}", seed):
@@ -106,13 +106,13 @@ def _asset(name: str) -> Subject:
     return _mesh(build(kind, int(seed or 0)).body, name)
 
 
-def _mesh(asset: Asset, name: str) -> Subject:
+def _mesh(asset: Asset, name: str) -> CaptureSource:
     """A mesh under the default sky, without a ground."""
     centre, radius = _extent(asset)
     _check_radius(radius, name, "pass another --scale")
     light = Light()
-    return Subject(
-        scene=mesh_scene([asset], light=light),
+    return CaptureSource(
+        scene=scene_dict([asset], light=light),
         centre=centre,
         radius=radius,
         assets=(asset,),
@@ -120,7 +120,7 @@ def _mesh(asset: Asset, name: str) -> Subject:
     )
 
 
-def _xml(path: Path) -> Subject:
+def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", str(path), "check the path"))
@@ -138,7 +138,7 @@ def _xml(path: Path) -> Subject:
     content = path.read_bytes()
     named = (path.parent / name for name in _FILENAME.findall(content.decode("utf-8", "replace")))
     parts = [content, *(file.read_bytes() for file in named if file.is_file())]
-    return Subject(scene=path, centre=centre, radius=radius, assets=(), digest=_digest(parts))
+    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=_digest(parts))
 
 
 def _extent(asset: Asset) -> tuple[tuple[float, float, float], float]:

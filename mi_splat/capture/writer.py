@@ -20,7 +20,7 @@ from PIL import Image
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import PASSES, PathTracer, check_camera, scalar_variant
 from mi_splat.capture.point_clouds import surface_points
-from mi_splat.capture.sources import Subject
+from mi_splat.capture.sources import CaptureSource
 from mi_splat.datasets.dataset import Dataset
 from mi_splat.datasets.frames import Frame
 from mi_splat.datasets.transforms import POINTS
@@ -43,7 +43,7 @@ class CaptureSettings:
     """What the pictures of a capture depend on besides scene and cameras.
 
     Attributes:
-        samples: Paths a pixel.
+        samples: Samples per pixel.
         seed: Picture i uses seed + i; pictures for tests are counted on from the others.
         alpha: Whether pictures are RGBA with nothing but the surfaces in them.
         points: Number of points wanted in the point cloud.
@@ -65,7 +65,7 @@ class CaptureSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recording:
+class WrittenCapture:
     """What a capture left on the disk.
 
     Attributes:
@@ -85,8 +85,8 @@ class Recording:
     seconds: float
 
 
-def record(
-    subject: Subject,
+def write_capture(
+    source: CaptureSource,
     cameras: Sequence[Camera],
     folder: Path,
     *,
@@ -94,13 +94,13 @@ def record(
     settings: CaptureSettings | None = None,
     layout: Literal["transforms", "colmap", "both"] = "transforms",
     on_step: OnStep | None = None,
-) -> Recording:
-    """Take pictures of a subject and write them as a set that `mi_splat.datasets.load_dataset` reads.
+) -> WrittenCapture:
+    """Take pictures of a source and write them as a set that `mi_splat.datasets.load_dataset` reads.
 
     Pictures that are in the folder from an earlier call with the same arguments are kept. The layout may change.
 
     Args:
-        subject: Of what.
+        source: Of what.
         cameras: Where from, for training; fx must equal fy.
         folder: Where to: a new or empty folder, or that of an earlier call.
         test: Where from, held out.
@@ -115,9 +115,9 @@ def record(
     settings = settings or CaptureSettings()
     listing = _listing(cameras, test)
     with scalar_variant():
-        tracer = PathTracer(subject.scene, samples=settings.samples, alpha=settings.alpha)
+        tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.alpha)
         _check_in_sight(tracer, cameras)
-        _claim(folder, _settings_record(subject, listing, settings))
+        _claim(folder, _settings_record(source, listing, settings))
         images = make_folder(folder / IMAGES)
         begun = time.perf_counter()
         rendered = _render(tracer, listing, images, settings, on_step)
@@ -126,14 +126,14 @@ def record(
         if not cloud.is_file():
             frames = tuple(Frame(camera=camera, path=images / name) for name, camera in listing["train"])
             views = Dataset(frames=frames, background=_GREY)
-            save_points(surface_points(tracer, subject.assets, views, count=settings.points, seed=settings.seed), cloud)
+            save_points(surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed), cloud)
     points = load_points(cloud)
     files = [cloud]
     if layout in ("transforms", "both"):
         files += [file for file in list_transforms(folder, listing, points) if file != cloud]
     if layout in ("colmap", "both"):
         files += list_colmap(folder, listing, points)
-    return Recording(
+    return WrittenCapture(
         train=len(cameras), test=len(test), rendered=rendered, points=len(points), files=tuple(files), seconds=seconds
     )
 
@@ -187,7 +187,7 @@ def _is_there(path: Path, camera: Camera, alpha: bool) -> bool:
 
 
 def _settings_record(
-    subject: Subject, listing: Mapping[str, Sequence[tuple[str, Camera]]], settings: CaptureSettings
+    source: CaptureSource, listing: Mapping[str, Sequence[tuple[str, Camera]]], settings: CaptureSettings
 ) -> dict[str, Any]:
     """Everything that the pictures depend on, as JSON can hold it."""
     poses = hashlib.sha256()
@@ -196,7 +196,7 @@ def _settings_record(
         words = " ".join(f"{value + 0.0:.9f}" for value in numbers)  # the last digits differ between machines
         poses.update(f"{name} {camera.width} {camera.height} {words}\n".encode())
     return {
-        "scene": subject.digest,
+        "scene": source.digest,
         "cameras": poses.hexdigest(),
         **{split: len(part) for split, part in listing.items()},
         **asdict(settings),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from mi_splat.camera_sets import camera_set, framing, held_out_set
-from mi_splat.capture.sources import Subject, open_subject
-from mi_splat.capture.writer import CaptureSettings, Recording, record
+from mi_splat.capture.sources import CaptureSource, open_source
+from mi_splat.capture.writer import CaptureSettings, WrittenCapture, write_capture
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.options import CaptureOptions
 from mi_splat.errors import InvalidValueError, message
@@ -18,13 +18,13 @@ def run(options: CaptureOptions) -> int:
     size = _size(options)
     _check_fov(options.fov)
     with progress("building the scene"):
-        subject = open_subject(options.scene, up=options.up, scale=options.scale)
-    placed = _placement(options, subject, size)
+        source = open_source(options.scene, up=options.up, scale=options.scale)
+    placed = _placement(options, source, size)
     cameras = camera_set(options.cameras, **placed)
     held_out = held_out_set(options.cameras, options.test, **placed)
     with progress("rendering", total=len(cameras) + len(held_out)) as advance:
-        done = record(
-            subject,
+        done = write_capture(
+            source,
             cameras,
             options.out,
             test=held_out,
@@ -49,18 +49,18 @@ def _check_fov(fov: float) -> None:
         raise InvalidValueError(message("fov", "degrees between 0 and 180", fov, "45 is usual"))
 
 
-def _placement(options: CaptureOptions, subject: Subject, size: tuple[int, int]) -> dict[str, Any]:
+def _placement(options: CaptureOptions, source: CaptureSource, size: tuple[int, int]) -> dict[str, Any]:
     """Where cameras look, how far away they are, and their lens."""
-    distance, focal = framing(subject.radius, fov=options.fov, size=size)
+    distance, focal = framing(source.radius, fov=options.fov, size=size)
     return {
-        "centre": subject.centre if options.centre is None else options.centre,
+        "centre": source.centre if options.centre is None else options.centre,
         "distance": distance if options.distance is None else options.distance,
         "focal": focal,
         "size": size,
     }
 
 
-def _tell(done: Recording, options: CaptureOptions, size: tuple[int, int]) -> None:
+def _tell(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]) -> None:
     """What was written and what to do with it."""
     total = done.train + done.test
     if options.json:

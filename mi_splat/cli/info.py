@@ -38,12 +38,12 @@ def _splat_facts(path: Path) -> dict[str, object]:
 
 def _stage_facts(path: Path) -> dict[str, object]:
     """Facts about a scene XML: its parts, its cameras, and all its Gaussians together."""
-    from mi_splat.scene_files import read_stage
+    from mi_splat.scene_files import read_scene
 
-    stage = read_stage(path)
-    parts = {name: len(range(*rows.indices(len(stage.scene)))) for name, rows in stage.parts.items()}
-    cameras = {name: f"{camera.width} x {camera.height}" for name, camera in stage.cameras.items()}
-    return {"parts": parts, "cameras": cameras, **scene_facts(stage.scene)}
+    loaded = read_scene(path)
+    parts = {name: len(range(*rows.indices(len(loaded.scene)))) for name, rows in loaded.objects.items()}
+    cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
+    return {"parts": parts, "cameras": cameras, **scene_facts(loaded.scene)}
 
 
 def scene_facts(scene: GaussianScene) -> dict[str, object]:

@@ -60,7 +60,7 @@ class CaptureOptions:
     out: Path = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
     samples: int = 32
-    """Paths a pixel; more is less noise."""
+    """Samples per pixel; more is less noise."""
     size: tuple[int, ...] = (256,)
     """Width and height in pixels, or one number for both."""
     test: int = 0
@@ -101,25 +101,25 @@ class TrainOptions:
     """Folder for the results; made if it is not there."""
     iterations: int = 7000
     """Number of steps; each looks at one picture."""
-    recipe: Literal["classic", "mcmc", "fixed"] = "classic"
+    strategy: Literal["classic", "mcmc", "fixed"] = "classic"
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all."""
-    limit: int = 100_000
+    max_gaussians: int = 100_000
     """Largest number of Gaussians. The classic recipe has no end of its own on small or noisy pictures."""
     trainable: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
-    """What is trained; `--trainable sh --recipe fixed` trains the texture of a frozen geometry."""
-    degree: int = 3
+    """What is trained; `--trainable sh --strategy fixed` trains the texture of a frozen geometry."""
+    sh_degree: int = 3
     """SH degree of the result."""
     start: Path | None = None
     """Splat to begin with; None takes the points of the set."""
     random: int | None = None
     """Begin with so many Gaussians anywhere instead."""
-    strays: int = 0
+    outliers: int = 0
     """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
     downscale: int = 1
     """Integer factor by which the pictures shrink."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """sRGB colour behind the splat, and behind transparent pixels."""
-    evaluate_every: int = 1000
+    eval_interval: int = 1000
     """Steps between two looks at the held-out pictures."""
     lpips: bool = False
     """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""

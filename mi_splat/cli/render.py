@@ -13,20 +13,20 @@ from mi_splat.cli.options import RenderOptions
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
-from mi_splat.scene_files import Stage, choose_camera, open_stage, orbit_camera, resized
+from mi_splat.scene_files import SplatScene, choose_camera, open_scene, orbit_camera, resized
 
 
 def run(options: RenderOptions) -> int:
     """Render and save the picture."""
     with progress("rendering"):
-        stage = open_stage(options.scene)
-        camera = _camera(stage, options)
-        settings = stage.settings
+        loaded = open_scene(options.scene)
+        camera = _camera(loaded, options)
+        settings = loaded.settings
         if options.background is not None:
             settings = dataclasses.replace(settings, background=options.background)
         begun = time.perf_counter()
         with torch.no_grad():
-            picture = Renderer(settings)(stage.scene, camera)
+            picture = Renderer(settings)(loaded.scene, camera)
         options.out.parent.mkdir(parents=True, exist_ok=True)
         save_png(to_bytes(picture), options.out)
     seconds = time.perf_counter() - begun
@@ -34,7 +34,7 @@ def run(options: RenderOptions) -> int:
         show_json(
             {
                 "out": str(options.out),
-                "gaussians": len(stage.scene),
+                "gaussians": len(loaded.scene),
                 "width": camera.width,
                 "height": camera.height,
                 "camera_to_world": camera.to_world.tolist(),
@@ -44,18 +44,20 @@ def run(options: RenderOptions) -> int:
         )
     else:
         size = f"{camera.width} x {camera.height}"
-        show(f"{options.out}: {len(stage.scene):,} Gaussians at {size} in {seconds:.2f} s (the first picture compiles)")
+        show(
+            f"{options.out}: {len(loaded.scene):,} Gaussians at {size} in {seconds:.2f} s (the first picture compiles)"
+        )
     return 0
 
 
-def _camera(stage: Stage, options: RenderOptions) -> Camera:
+def _camera(loaded: SplatScene, options: RenderOptions) -> Camera:
     """The camera that the options describe."""
     orbit = any(value is not None for value in (options.azimuth, options.elevation, options.distance))
-    if options.camera is not None or (stage.cameras and not orbit):
-        camera = choose_camera(stage, options.camera, options.scene)
+    if options.camera is not None or (loaded.cameras and not orbit):
+        camera = choose_camera(loaded, options.camera, options.scene)
         return camera if options.size is None else resized(camera, options.size)
     return orbit_camera(
-        stage.scene,
+        loaded.scene,
         azimuth=30.0 if options.azimuth is None else options.azimuth,
         elevation=20.0 if options.elevation is None else options.elevation,
         distance=options.distance,

@@ -13,10 +13,10 @@ from mi_splat.datasets import Dataset, has_tests, load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.metrics import load_lpips
-from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import densification
-from mi_splat.training.initialization import from_points, random_points, with_strays
+from mi_splat.training.initialization import from_points, random_points, with_outliers
 from mi_splat.training.loop import FitConfig, Progress
 from mi_splat.training.resume import METRICS, SPLAT, train
 
@@ -29,8 +29,10 @@ def run(options: TrainOptions) -> int:
         views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
         held_out = _held_out(options)
         start = _start(views, options)
-        watch = Watch() if options.recipe == "classic" else None  # the others densify by something else
-        render = Renderer(RenderSettings(background=options.background), watch=watch)
+        screen_gradients = (
+            ScreenGradients() if options.strategy == "classic" else None
+        )  # the others densify by something else
+        render = Renderer(RenderSettings(background=options.background), screen_gradients=screen_gradients)
     begun = time.monotonic()
     lpips = load_lpips() if options.lpips else None
     words = _Words()
@@ -64,9 +66,11 @@ def _config(options: TrainOptions) -> FitConfig:
     return FitConfig(
         iterations=options.iterations,
         trainable=options.trainable,
-        densification=densification(options.recipe, limit=options.limit, stop=options.iterations // 2),
-        degree=options.degree,
-        evaluate_every=options.evaluate_every,
+        densification=densification(
+            options.strategy, max_gaussians=options.max_gaussians, stop=options.iterations // 2
+        ),
+        sh_degree=options.sh_degree,
+        eval_interval=options.eval_interval,
     )
 
 
@@ -78,9 +82,9 @@ def _held_out(options: TrainOptions) -> Sequence[View]:
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     """The Gaussians to begin with."""
-    if options.strays and not (options.start is None and options.random is None):
+    if options.outliers and not (options.start is None and options.random is None):
         do = "leave out --start and --random"
-        raise InvalidValueError(message("--strays", "a start on the points of the set", "another", do))
+        raise InvalidValueError(message("--outliers", "a start on the points of the set", "another", do))
     if options.start is not None:
         return load_splat(options.start)
     if options.random is not None:
@@ -89,7 +93,7 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
         raise InvalidValueError(
             message(str(options.dataset), "a point cloud", "none", "pass --random 10000, or a splat with --start")
         )
-    cloud = with_strays(views.points, views, options.strays, seed=options.seed)
+    cloud = with_outliers(views.points, views, options.outliers, seed=options.seed)
     return from_points(cloud.points, cloud.colours)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.io._blocks import Rows
-from mi_splat.io.parameters import activate, to_file_space
+from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import GaussianScene
 
 COLUMNS = {
@@ -53,7 +53,7 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
     Returns:
         Whether all values are finite.
     """
-    values = {name: value.numpy() for name, value in to_file_space(part).items()}
+    values = {name: value.numpy() for name, value in to_raw_parameters(part).items()}
     for name in COLUMNS:
         rows[name] = values[name]
     rows["dc"] = values["sh"][:, 0]

@@ -22,7 +22,7 @@ _LOGIT_LIMITS = {torch.float32: (-104.0, 17.5), torch.float64: (-746.0, 38.0)}
 _LOG_LIMITS = {torch.float32: 88.72283, torch.float64: 709.78271}
 
 
-def to_file_space(scene: GaussianScene) -> dict[str, Tensor]:
+def to_raw_parameters(scene: GaussianScene) -> dict[str, Tensor]:
     """The scene's tensors as a splat file holds them.
 
     Args:
@@ -41,8 +41,8 @@ def to_file_space(scene: GaussianScene) -> dict[str, Tensor]:
     }
 
 
-def from_file_space(values: Mapping[str, Tensor]) -> GaussianScene:
-    """The scene whose file-space tensors are `values`, the inverse of `to_file_space`.
+def from_raw_parameters(values: Mapping[str, Tensor]) -> GaussianScene:
+    """The scene whose raw parameters are `values`, the inverse of `to_raw_parameters`.
 
     Args:
         values: The five names of `ATTRIBUTES`; quaternions may have any length but zero.
@@ -57,7 +57,7 @@ def from_file_space(values: Mapping[str, Tensor]) -> GaussianScene:
 
 
 def activate(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Like `from_file_space`, without any check: the five tensors, whatever they hold."""
+    """Like `from_raw_parameters`, without any check: the five tensors, whatever they hold."""
     scales, opacities = values["scales"], values["opacities"]
     return (
         values["means"],

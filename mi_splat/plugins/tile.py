@@ -199,8 +199,8 @@ def integrator_class(variant: str) -> Any:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             splats = Splats(scene)
             seen = self._picture(splats, sensor)
-            slopes = develop_backward(seen.picture, grad_in, alpha=self.alpha, linear=self.linear)
-            splats.backward(rasterize_backward(ELLIPSOIDS, seen.arrays, seen.picture, *slopes))
+            grads = develop_backward(seen.picture, grad_in, alpha=self.alpha, linear=self.linear)
+            splats.backward(rasterize_backward(ELLIPSOIDS, seen.arrays, seen.picture, *grads))
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             raise InvalidValueError(

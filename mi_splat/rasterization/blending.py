@@ -127,7 +127,7 @@ def backward(
             reaches the pixel of weight times dL/dweight, background included (16).
         moments: Two buffers, of 8 floats a row and of 1.
     """
-    slopes, veil, remaining = pixels
+    grads, grad_alpha, remaining = pixels
     start = (mi.UInt32(span[0]), [mi.Float(1) for _ in _PIXELS], list(remaining))
     n = TILE * TILE
 
@@ -142,11 +142,11 @@ def backward(
                 p = row * TILE + column
                 alpha = dr.minimum(alphas[p], MAX_ALPHA)
                 weight, t = blend(alpha, transmittances[p])
-                gain = record.colour[0] * slopes[p]
-                gain = dr.fma(record.colour[1], slopes[n + p], gain)
-                gain = dr.fma(record.colour[2], slopes[2 * n + p], gain)
-                if veil:
-                    gain = gain + veil[p]
+                gain = record.colour[0] * grads[p]
+                gain = dr.fma(record.colour[1], grads[n + p], gain)
+                gain = dr.fma(record.colour[2], grads[2 * n + p], gain)
+                if grad_alpha:
+                    gain = gain + grad_alpha[p]
                 rest = dr.fma(-weight, gain, remaining[p])
                 # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha); zero where clamped, skipped or stopped
                 h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))
@@ -154,7 +154,7 @@ def backward(
                 dx = record.x + float(column)
                 m0, m1, m2 = m0 + h, dr.fma(h, dx, m1), dr.fma(h * dx, dx, m2)
                 for c in range(3):
-                    colour[c] = dr.fma(weight, slopes[c * n + p], colour[c])
+                    colour[c] = dr.fma(weight, grads[c * n + p], colour[c])
                 behind.append(t)
                 left.append(rest)
             rows.append((m0, m1, m2))

@@ -15,7 +15,7 @@ def _linear(value: Any) -> Any:
     return dr.select(value <= 0.04045, value / 12.92, dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 2.4))
 
 
-def _linear_slope(value: Any) -> Any:
+def _linear_grad(value: Any) -> Any:
     return dr.select(value <= 0.04045, 1 / 12.92, 2.4 / 1.055 * dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 1.4))
 
 
@@ -32,14 +32,14 @@ def develop(picture: Picture, size: tuple[int, int], *, alpha: bool, linear: boo
     return mi.TensorXf(flat, (height, width, 4))
 
 
-def develop_backward(picture: Picture, slope: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
+def develop_backward(picture: Picture, grad_colour: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
     """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(developed tensor)."""
-    flat = mi.Float(dr.detach(slope.array))
-    veil: tuple[Any, ...] = ()
+    flat = mi.Float(dr.detach(grad_colour.array))
+    grad_alpha: tuple[Any, ...] = ()
     if alpha:
         pixel = dr.arange(mi.UInt32, len(picture.opacity))
         rgba = dr.gather(mi.ArrayXf, flat, pixel, shape=(4, len(picture.opacity)))
         flat = dr.empty(mi.Float, 3 * len(picture.opacity))
         dr.scatter(flat, mi.ArrayXf([rgba[0], rgba[1], rgba[2]]), pixel)
-        veil = (mi.Float(rgba[3]),)
-    return (flat * _linear_slope(picture.colour) if linear else flat, *veil)
+        grad_alpha = (mi.Float(rgba[3]),)
+    return (flat * _linear_grad(picture.colour) if linear else flat, *grad_alpha)

@@ -36,7 +36,7 @@ class Pinhole:
     near: float
 
     def numbers(self) -> Any:
-        """The 22 floats of `View` as one array of the current variant."""
+        """The 22 floats of `KernelCamera` as one array of the current variant."""
         pose = self.to_camera
         position = -pose[:3, :3].T @ pose[:3, 3]
         row = np.concatenate(
@@ -54,7 +54,7 @@ class Pinhole:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class KernelCamera:
     """The same numbers inside a kernel, as Dr.Jit scalars."""
 
     rotation: Any  # Matrix3f, world to camera
@@ -66,12 +66,12 @@ class View:
     near: Any  # Float
 
 
-def unpack(numbers: Any) -> View:
-    """Read a `View` out of the array that `Pinhole.numbers` made."""
+def unpack(numbers: Any) -> KernelCamera:
+    """Read a `KernelCamera` out of the array that `Pinhole.numbers` made."""
     import drjit as dr
 
     v = [dr.gather(mi.Float, numbers, mi.UInt32(i)) for i in range(22)]
-    return View(
+    return KernelCamera(
         rotation=mi.Matrix3f(*v[0:9]),
         translation=mi.Vector3f(*v[9:12]),
         position=mi.Point3f(*v[12:15]),

@@ -30,7 +30,7 @@ _LN2 = 0.6931471805599453
 
 
 @dataclass(eq=False)
-class Frame:
+class PictureBuffers:
     """The picture that is made: its size, its tiles, and the arrays that it is written to."""
 
     size: Any  # Int32, width and height
@@ -42,10 +42,10 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class BackwardState:
     """What the backward pass needs of the forward pass."""
 
-    frame: Frame
+    frame: PictureBuffers
     view: Any
     records: tuple[Any, Any]
     places: tuple[Any, Any, Any]  # Gaussians in depth order, their first and one-past-last rows
@@ -65,7 +65,7 @@ class Picture:
 
     colour: Any
     opacity: Any
-    state: State | None
+    state: BackwardState | None
 
 
 def _size(size: Any) -> tuple[Any, Any]:
@@ -75,7 +75,13 @@ def _size(size: Any) -> tuple[Any, Any]:
 
 
 def _project(
-    layout: Layout, terms: int, arrays: tuple[Any, ...], index: Any, frame: Frame, view: Any, records: tuple[Any, Any]
+    layout: Layout,
+    terms: int,
+    arrays: tuple[Any, ...],
+    index: Any,
+    frame: PictureBuffers,
+    view: Any,
+    records: tuple[Any, Any],
 ) -> tuple[Any, Any]:
     """Stage 1: fill the Gaussians' records; return their sort keys and the number of tiles that each touches."""
     camera = pinhole.unpack(view)
@@ -124,7 +130,7 @@ def _blend(
     pairs: tuple[Any, Any],
     rows: Any,
     total: Any,
-    frame: Frame,
+    frame: PictureBuffers,
     canvas: Any,
 ) -> tuple[Any, ...]:
     """Stage 4: blend every tile into `canvas`, then develop that to a row-major picture."""
@@ -152,19 +158,19 @@ def _blend(
     return gaussians, start, stop
 
 
-def _spread(frame: Frame, slopes: tuple[Any, ...], cells: tuple[Any, ...]) -> None:
+def _spread(frame: PictureBuffers, grads: tuple[Any, ...], cells: tuple[Any, ...]) -> None:
     """Stage 5: the gradient of the picture, tile by tile: dL/dcolour and its product with what reached the pixel."""
     width, _ = _size(frame.size)
     pixel = frame.pixels
     cell = _cell(mi.Int32(pixel), width)
-    slope = dr.gather(mi.ArrayXf, slopes[0], pixel, shape=(3, dr.width(pixel)))
+    grad_colour = dr.gather(mi.ArrayXf, grads[0], pixel, shape=(3, dr.width(pixel)))
     value = dr.gather(mi.ArrayXf, frame.colour, pixel, shape=(3, dr.width(pixel)))
-    rest = slope[0] * value[0] + slope[1] * value[1] + slope[2] * value[2]
-    if len(slopes) > 1:
-        veil = dr.gather(mi.Float, slopes[1], pixel)
-        rest += veil * dr.gather(mi.Float, frame.opacity, pixel)
-        dr.scatter(cells[1], veil, cell)
-    dr.scatter(cells[0], mi.ArrayXf([*slope, rest]), cell)
+    rest = grad_colour[0] * value[0] + grad_colour[1] * value[1] + grad_colour[2] * value[2]
+    if len(grads) > 1:
+        grad_alpha = dr.gather(mi.Float, grads[1], pixel)
+        rest += grad_alpha * dr.gather(mi.Float, frame.opacity, pixel)
+        dr.scatter(cells[1], grad_alpha, cell)
+    dr.scatter(cells[0], mi.ArrayXf([*grad_colour, rest]), cell)
     dr.eval(cells)
 
 
@@ -172,7 +178,7 @@ def _blend_backward(
     records: tuple[Any, Any],
     pairs: tuple[Any, Any],
     span: tuple[Any, Any],
-    frame: Frame,
+    frame: PictureBuffers,
     cells: tuple[Any, ...],
     moments: tuple[Any, Any],
 ) -> None:
@@ -181,14 +187,14 @@ def _blend_backward(
     lane = frame.tiles
     n = TILE * TILE
     c = dr.gather(mi.ArrayXf, cells[0], lane, shape=(4 * n, dr.width(lane)))
-    veil = list(dr.gather(mi.ArrayXf, cells[1], lane, shape=(n, dr.width(lane)))) if len(cells) > 1 else []
-    slopes = [c[4 * p + channel] for channel in range(3) for p in range(n)]
+    grad_alpha = list(dr.gather(mi.ArrayXf, cells[1], lane, shape=(n, dr.width(lane)))) if len(cells) > 1 else []
+    grads = [c[4 * p + channel] for channel in range(3) for p in range(n)]
     blending.backward(
         records,
         pairs,
         span,
         blending.origin(mi.Int32(lane), _columns(width)),
-        (slopes, veil, [c[4 * p + 3] for p in range(n)]),
+        (grads, grad_alpha, [c[4 * p + 3] for p in range(n)]),
         moments,
     )
     dr.eval(moments)
@@ -208,7 +214,7 @@ def _sum_rows(span: tuple[Any, Any], moments: tuple[Any, Any]) -> list[Any]:
 
 
 def _splat_gradient(splat: Splat, sums: list[Any]) -> list[Any]:
-    """dL/d(components of a splat) from the moments of h = alpha dL/dalpha: log2 alpha has the slope h ln 2."""
+    """dL/d(components of a splat) from the moments of h = alpha dL/dalpha: log2 alpha has the grad_colour h ln 2."""
     h, hx, hy, hxx, hxy, hyy = (_LN2 * s for s in sums[:6])
     u0, u1, v1 = (dr.detach(v) for v in (splat.u0, splat.u1, splat.v1))
     along = u0 * hx + u1 * hy
@@ -259,13 +265,13 @@ def _project_backward(
     leaves = _leaves(gaussians)
     dr.enable_grad(leaves)
     splat, _, _ = project(gaussians, camera)
-    slopes = _splat_gradient(splat, sums)
+    grads = _splat_gradient(splat, sums)
     if screen is not None:
         seen = dr.select(span[1] > span[0], mi.Float(1), mi.Float(0))
-        dr.scatter(screen, mi.ArrayXf([slopes[0], slopes[1], seen]), index)
+        dr.scatter(screen, mi.ArrayXf([grads[0], grads[1], seen]), index)
     total = mi.Float(0)
-    for value, slope in zip(splat.components(), slopes, strict=True):
-        total += value * slope
+    for value, grad_colour in zip(splat.components(), grads, strict=True):
+        total += value * grad_colour
     dr.backward(total)
     gradient = Gaussians(
         mean=dr.grad(gaussians.mean),
@@ -294,7 +300,7 @@ def rasterize(
     """
     width, height = camera.size
     pixels = width * height
-    frame = Frame(
+    frame = PictureBuffers(
         size=mi.Int32([width, height]),
         tiles=numbers(mi.variant(), -(-width // TILE) * -(-height // TILE)),
         pixels=numbers(mi.variant(), pixels),
@@ -324,11 +330,11 @@ def rasterize(
     rows = dr.argsort(pairs[0])
     canvas = buffer(4 * TILE * TILE * len(frame.tiles))
     gaussians, *span = run(_blend, records, pairs, rows, total, frame, canvas)
-    state = State(frame, view, records, (order, first, last), (gaussians, rows), tuple(span))
+    state = BackwardState(frame, view, records, (order, first, last), (gaussians, rows), tuple(span))
     return Picture(frame.colour, frame.opacity, state)
 
 
-def _empty(frame: Frame) -> Any:
+def _empty(frame: PictureBuffers) -> Any:
     return dr.tile(frame.background, len(frame.opacity))
 
 
@@ -359,14 +365,14 @@ def rasterize_backward(
     gradients = tuple(buffer(len(array), value=0.0) for array in arrays)
     if state is None:
         return gradients
-    slopes = (colour,) if opacity is None else (colour, opacity)
-    dr.make_opaque(slopes)
+    grads = (colour,) if opacity is None else (colour, opacity)
+    dr.make_opaque(grads)
     tiles = len(state.frame.tiles) * TILE * TILE
     cells = tuple(buffer(width * tiles, value=0.0) for width in ((4,) if opacity is None else (4, 1)))
     pairs = len(state.pairs[0])
     moments = (buffer(RECORD * pairs), buffer(pairs))
     terms = len(arrays[-1]) // (3 * len(arrays[-2]))
-    run(_spread, state.frame, slopes, cells)
+    run(_spread, state.frame, grads, cells)
     run(_blend_backward, state.records, state.pairs, state.span, state.frame, cells, moments)
     run(_project_backward, layout, terms, arrays, state.view, state.places, moments, gradients, screen)
     return gradients

@@ -12,7 +12,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.rasterization.pinhole import View
+from mi_splat.rasterization.pinhole import KernelCamera
 
 BLUR = 0.3
 """Variance added to both axes of every 2D Gaussian, px^2 (the low-pass filter of 3DGS)."""
@@ -65,7 +65,7 @@ def rotation_columns(quaternion: Any) -> Any:
     )  # fmt: skip
 
 
-def depth(gaussians_mean: Any, view: View) -> Any:
+def depth(gaussians_mean: Any, view: KernelCamera) -> Any:
     """Camera-space depth of a world point."""
     row = view.rotation
     return (
@@ -73,7 +73,7 @@ def depth(gaussians_mean: Any, view: View) -> Any:
     )
 
 
-def colour(gaussians: Gaussians, view: View) -> Any:
+def colour(gaussians: Gaussians, view: KernelCamera) -> Any:
     """max(0, 0.5 + SH) along the direction from the camera centre to the mean, Color3f in sRGB."""
     direction = dr.normalize(mi.Vector3f(gaussians.mean - view.position))
     basis = dr.sh_eval(direction, math.isqrt(len(gaussians.sh)) - 1)
@@ -83,7 +83,7 @@ def colour(gaussians: Gaussians, view: View) -> Any:
     return dr.maximum(total, 0.0)
 
 
-def project(gaussians: Gaussians, view: View) -> tuple[Splat, Any, Any]:
+def project(gaussians: Gaussians, view: KernelCamera) -> tuple[Splat, Any, Any]:
     """Project every Gaussian.
 
     Returns:

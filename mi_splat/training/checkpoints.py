@@ -20,7 +20,7 @@ from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
-from mi_splat.training.state import Progress, Run
+from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import ClassicConfig, MCMCConfig
 
 _KINDS: dict[str, type[ClassicConfig] | type[MCMCConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig}
@@ -28,7 +28,7 @@ _MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 
 
 class CheckpointError(MiSplatError):
-    """A checkpoint that cannot be read, or that belongs to another run."""
+    """A checkpoint that cannot be read, or that belongs to another state."""
 
 
 def to_json(config: FitConfig) -> dict[str, Any]:
@@ -50,38 +50,38 @@ def from_json(plain: dict[str, Any]) -> FitConfig:
     return FitConfig(**{**values, "trainable": tuple(values["trainable"])})
 
 
-def save_run(run: Run, path: Path) -> None:
+def save_state(state: TrainState, path: Path) -> None:
     """Write a run between two steps; the old checkpoint stays until the new one is on the disk.
 
     Raises:
         SplatFileError: the file cannot be written.
     """
-    tensors = {f"parameters/{name}": value.detach() for name, value in run.parameters.items()}
-    for name in run.trained:
-        state = run.optimiser.state.get(run.parameters[name], {})
-        tensors |= {f"{key}/{name}": state[key] for key in _MOMENTS if key in state}
-    tensors |= {"gradient": run.gradient, "visits": run.visits, "generator": run.generator.get_state()}
+    tensors = {f"parameters/{name}": value.detach() for name, value in state.parameters.items()}
+    for name in state.trained:
+        adam = state.optimiser.state.get(state.parameters[name], {})
+        tensors |= {f"{key}/{name}": adam[key] for key in _MOMENTS if key in adam}
+    tensors |= {"gradient": state.gradient, "visits": state.visits, "generator": state.generator.get_state()}
     notes = {
-        "config": to_json(run.config),
-        "extent": run.extent,
-        "seed": run.seed,
-        "data": run.data,
-        "iteration": run.iteration,
-        "queue": run.queue,
-        "was_reset": run.was_reset,
+        "config": to_json(state.config),
+        "extent": state.extent,
+        "seed": state.seed,
+        "data": state.data,
+        "iteration": state.iteration,
+        "queue": state.queue,
+        "was_reset": state.was_reset,
         "threads": torch.get_num_threads(),
-        "history": [asdict(line) for line in run.history],
+        "history": [asdict(line) for line in state.history],
     }
     packed = save({k: v.contiguous() for k, v in tensors.items()}, metadata={"notes": json.dumps(notes)})
     with atomic_write(path) as file:
         write_all(file, memoryview(packed))
 
 
-def load_run(path: Path) -> tuple[Run, int]:
+def load_state(path: Path) -> tuple[TrainState, int]:
     """Read a run.
 
     Returns:
-        The run, and the number of torch threads that it was made with.
+        The run's state, and the number of torch threads that it was made with.
 
     Raises:
         CheckpointError: the file is missing or is no checkpoint.
@@ -100,7 +100,7 @@ def load_run(path: Path) -> tuple[Run, int]:
         ) from error
 
 
-def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> Run:
+def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> TrainState:
     config = from_json(notes["config"])
     names = ("means", "scales", "rotations", "opacities", "dc", "rest")
     values = {name: tensors[f"parameters/{name}"] for name in names}
@@ -110,22 +110,22 @@ def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> Run:
         torch.ones(count, 3),
         torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
         torch.full((count,), 0.5),
-        torch.zeros(count, (config.degree + 1) ** 2, 3),
+        torch.zeros(count, (config.sh_degree + 1) ** 2, 3),
     )
-    run = Run(blank, config, extent=notes["extent"], seed=notes["seed"])
+    state = TrainState(blank, config, extent=notes["extent"], seed=notes["seed"])
     with torch.no_grad():
         for name, value in values.items():
-            run.parameters[name].copy_(value)
-    for name in run.trained:
-        state = {key: tensors[f"{key}/{name}"] for key in _MOMENTS if f"{key}/{name}" in tensors}
-        if state:
-            run.optimiser.state[run.parameters[name]] = state
-    run.gradient, run.visits = tensors["gradient"], tensors["visits"]
-    run.generator.set_state(tensors["generator"])
-    run.history = [_line(line) for line in notes["history"]]
-    run.data = notes["data"]
-    run.iteration, run.queue, run.was_reset = notes["iteration"], list(notes["queue"]), notes["was_reset"]
-    return run
+            state.parameters[name].copy_(value)
+    for name in state.trained:
+        adam = {key: tensors[f"{key}/{name}"] for key in _MOMENTS if f"{key}/{name}" in tensors}
+        if adam:
+            state.optimiser.state[state.parameters[name]] = adam
+    state.gradient, state.visits = tensors["gradient"], tensors["visits"]
+    state.generator.set_state(tensors["generator"])
+    state.history = [_line(line) for line in notes["history"]]
+    state.data = notes["data"]
+    state.iteration, state.queue, state.was_reset = notes["iteration"], list(notes["queue"]), notes["was_reset"]
+    return state
 
 
 def _line(plain: dict[str, Any]) -> Progress:

@@ -16,7 +16,7 @@ from mi_splat.sh import colour_to_dc
 _BLOCK = 1 << 22
 """Distances that are held at once."""
 _MATCHED, _ROUNDS = 3, 32
-"""Pictures in which a stray lies at least, and how often as many as are wanted are drawn."""
+"""Pictures in which an outlier lies at least, and how often as many as are wanted are drawn."""
 
 
 def spacing(points: Tensor, *, neighbours: int = 3) -> Tensor:
@@ -59,7 +59,7 @@ def from_points(points: Tensor, colours: Tensor, *, opacity: float = 0.1) -> Gau
     )
 
 
-def with_strays(cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0) -> PointCloud:
+def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0) -> PointCloud:
     """A cloud with points in the air, as false matches leave them in one from structure from motion.
 
     Each lies on the line of sight from a camera to a point of the cloud, whose colour it has, between a tenth and nine

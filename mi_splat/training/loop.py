@@ -1,7 +1,7 @@
 """Training of splats from views: the recipe of 3D Gaussian Splatting (Kerbl et al. 2023), whatever renders.
 
-A run is a value (`Run`) that is advanced a step at a time, so that it can be saved and taken up again to the bit. The
-order of the views, the children of splits and the noise of MCMC all come from one seeded generator.
+A run is a value (`TrainState`) that is advanced a step at a time, so that it can be saved and taken up again to the
+bit. The order of the views, the children of splits and the noise of MCMC all come from one seeded generator.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training import strategies
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import score
-from mi_splat.training.losses import photometric
-from mi_splat.training.state import Progress, Run, TrainingError
+from mi_splat.training.losses import photometric_loss
+from mi_splat.training.state import Progress, TrainingError, TrainState
 from mi_splat.training.strategies import ClassicConfig, MCMCConfig
 
 
@@ -41,7 +41,7 @@ class Fit:
     seed: int
 
 
-__all__ = ["Fit", "FitConfig", "Progress", "Run", "TrainingError", "advance", "extent_of", "fit"]
+__all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "extent_of", "fit"]
 
 OnStep = Callable[[Progress], None]
 
@@ -68,7 +68,7 @@ def fit(
     Args:
         views: Pictures to match.
         start: Gaussians to begin with.
-        render: Any differentiable renderer; the classic densification needs the one that fills `watch`, see
+        render: Any differentiable renderer; the classic densification needs the one that fills `screen_gradients`, see
             `mi_splat.rendering.Renderer`.
         config: How; the shortened 3DGS recipe if None.
         seed: Seed of everything random.
@@ -85,12 +85,12 @@ def fit(
         raise InvalidValueError(
             message("views and start", "at least one of each", (len(views), len(start)), "capture views first")
         )
-    run = Run(start, config, extent=extent_of(views), seed=seed)
-    return advance(run, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
+    state = TrainState(start, config, extent=extent_of(views), seed=seed)
+    return advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
 
 
 def advance(
-    run: Run,
+    state: TrainState,
     views: Sequence[View],
     *,
     render: RenderFn,
@@ -99,93 +99,100 @@ def advance(
     on_step: OnStep | None = None,
 ) -> Fit:
     """Take a run to its end; `on_step` may stop it between two steps by raising."""
-    config = run.config
-    watch = getattr(render, "watch", None)
-    if isinstance(config.densification, ClassicConfig) and watch is None:
+    config = state.config
+    screen_gradients = getattr(render, "screen_gradients", None)
+    if isinstance(config.densification, ClassicConfig) and screen_gradients is None:
         raise InvalidValueError(
-            message("render", "a renderer that watches centres", type(render).__name__, "use Renderer(watch=Watch())")
+            message(
+                "render",
+                "a renderer that watches centres",
+                type(render).__name__,
+                "use Renderer(screen_gradients=ScreenGradients())",
+            )
         )
-    while run.iteration < config.iterations:
-        loss = _step(run, views[run.next_view(len(views))], render)
-        if watch is not None and isinstance(config.densification, ClassicConfig):
-            run.gradient += watch.lengths
-            run.visits += watch.visible
-        _after(run)
+    while state.iteration < config.iterations:
+        loss = _step(state, views[state.next_view(len(views))], render)
+        if screen_gradients is not None and isinstance(config.densification, ClassicConfig):
+            state.gradient += screen_gradients.lengths
+            state.visits += screen_gradients.visible
+        _after(state)
         scored = None
-        every = config.evaluate_every
-        if run.iteration == config.iterations or (every and run.iteration % every == 0):
-            scored = score(run.result(), held_out, render, lpips=lpips)
-        line = Progress(iteration=run.iteration, loss=loss, count=len(run.gradient), held_out=scored)
-        if run.iteration == config.iterations or scored is not None:
-            run.history.append(line)
+        every = config.eval_interval
+        if state.iteration == config.iterations or (every and state.iteration % every == 0):
+            scored = score(state.result(), held_out, render, lpips=lpips)
+        line = Progress(iteration=state.iteration, loss=loss, count=len(state.gradient), held_out=scored)
+        if state.iteration == config.iterations or scored is not None:
+            state.history.append(line)
         if on_step is not None:
             on_step(line)
-    return Fit(scene=run.result(), history=tuple(run.history), config=config, seed=run.seed)
+    return Fit(scene=state.result(), history=tuple(state.history), config=config, seed=state.seed)
 
 
-def _step(run: Run, view: View, render: RenderFn) -> float:
+def _step(state: TrainState, view: View, render: RenderFn) -> float:
     """One picture, its loss, its gradient, and a step of Adam."""
-    config = run.config
-    scene = run.scene()
+    config = state.config
+    scene = state.scene()
     image = render(scene, view.camera)
-    loss = photometric(image, view.image, structure=config.structure)
+    loss = photometric_loss(image, view.image, lambda_dssim=config.lambda_dssim)
     if isinstance(config.densification, MCMCConfig):
-        loss = loss + config.densification.opacity_weight * scene.opacities.mean()
-        loss = loss + config.densification.scale_weight * scene.scales.mean()
-    run.optimiser.zero_grad(set_to_none=True)
+        loss = loss + config.densification.opacity_reg * scene.opacities.mean()
+        loss = loss + config.densification.scale_reg * scene.scales.mean()
+    state.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     value = float(loss.detach())
     if not math.isfinite(value):
-        raise TrainingError(_not_finite(run, value))
-    rates = run.rates()
-    for group in run.optimiser.param_groups:
+        raise TrainingError(_not_finite(state, value))
+    rates = state.rates()
+    for group in state.optimiser.param_groups:
         group["lr"] = rates[group["name"]]
-    run.optimiser.step()
-    run.iteration += 1
+    state.optimiser.step()
+    state.iteration += 1
     return value
 
 
-def _after(run: Run) -> None:
+def _after(state: TrainState) -> None:
     """Add, remove, reset and shake, where the recipe has it at this step."""
-    config, step = run.config.densification, run.iteration
-    if config is None or step == run.config.iterations:  # what is changed last is trained no more
+    config, step = state.config.densification, state.iteration
+    if config is None or step == state.config.iterations:  # what is changed last is trained no more
         return
-    due = config.start < step <= config.stop and step % config.every == 0
+    due = config.densify_from < step <= config.densify_until and step % config.densify_interval == 0
     if isinstance(config, MCMCConfig):
         if due:
-            run.apply(strategies.relocate(run.parameters, config=config, generator=run.generator))
+            state.apply(strategies.relocate(state.parameters, config=config, generator=state.generator))
         with torch.no_grad():
-            rate = run.rates()["means"]
-            moved = strategies.explore(run.parameters, rate=rate, config=config, generator=run.generator)
-            run.parameters["means"].copy_(moved)
+            rate = state.rates()["means"]
+            moved = strategies.explore(state.parameters, rate=rate, config=config, generator=state.generator)
+            state.parameters["means"].copy_(moved)
         return
     if due:
-        mean = run.gradient / run.visits.clamp(min=1)
+        mean = state.gradient / state.visits.clamp(min=1)
         edit = strategies.classic(
-            run.parameters,
+            state.parameters,
             mean,
-            extent=run.extent,
+            extent=state.extent,
             config=config,
-            was_reset=run.was_reset,
-            generator=run.generator,
+            was_reset=state.was_reset,
+            generator=state.generator,
         )
-        run.apply(edit)
-    if config.reset_every and step % config.reset_every == 0 and step <= config.stop:
-        _reset(run)
+        state.apply(edit)
+    if config.opacity_reset_interval and step % config.opacity_reset_interval == 0 and step <= config.densify_until:
+        _reset(state)
 
 
-def _reset(run: Run) -> None:
+def _reset(state: TrainState) -> None:
     """Lower all opacities, and forget what Adam knows of them."""
     with torch.no_grad():
-        run.parameters["opacities"].copy_(strategies.reset_opacities(run.parameters["opacities"]))
-    state = run.optimiser.state.get(run.parameters["opacities"])
-    if state:
+        state.parameters["opacities"].copy_(strategies.reset_opacities(state.parameters["opacities"]))
+    adam = state.optimiser.state.get(state.parameters["opacities"])
+    if adam:
         for key in ("exp_avg", "exp_avg_sq"):
-            state[key].zero_()
-    run.was_reset = True
+            adam[key].zero_()
+    state.was_reset = True
 
 
-def _not_finite(run: Run, value: float) -> str:
-    bad = [name for name, tensor in run.parameters.items() if not bool(torch.isfinite(tensor).all())]
+def _not_finite(state: TrainState, value: float) -> str:
+    bad = [name for name, tensor in state.parameters.items() if not bool(torch.isfinite(tensor).all())]
     cause = f"not finite: {', '.join(bad)}" if bad else "the parameters are finite, the picture or the view is not"
-    return message(f"loss at step {run.iteration}", "a finite number", f"{value} ({cause})", "look at views and rates")
+    return message(
+        f"loss at step {state.iteration}", "a finite number", f"{value} ({cause})", "look at views and rates"
+    )

@@ -45,18 +45,18 @@ class _Ssim(torch.autograd.Function):
         luminance = torch.mul(cross, 2).add_(_C1).mul_(r1)
         structure = xy.sub_(cross).mul_(2).add_(_C2).mul_(r2)
         value = luminance * structure
-        by_mx, by_squares, by_xy = (slopes := x.new_empty((9, *x.shape[1:]))).chunk(3)
+        by_mx, by_squares, by_xy = (grads := x.new_empty((9, *x.shape[1:]))).chunk(3)
         torch.mul(value, r2, out=by_squares).neg_()
         torch.mul(luminance, r2, out=by_xy).mul_(2)
         torch.mul(structure, r1, out=by_mx).mul_(2).sub_(by_xy).mul_(my)
         by_mx.addcmul_((r1 - r2).mul_(value), mx, value=-2)
-        ctx.save_for_backward(x, y, slopes)
+        ctx.save_for_backward(x, y, grads)
         return value.mean()
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        x, y, slopes = ctx.saved_tensors
-        by_mx, by_squares, by_xy = blur(slopes).chunk(3)
+        x, y, grads = ctx.saved_tensors
+        by_mx, by_squares, by_xy = blur(grads).chunk(3)
         gradient = (by_mx + 2 * x * by_squares + y * by_xy) * (gradients[0] / x.numel())
         return gradient.permute(1, 2, 0), None
 
@@ -84,13 +84,15 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
     return value
 
 
-def photometric(image: Tensor, reference: Tensor, *, structure: float = 0.2) -> Tensor:
-    """(1 - structure) L1 + structure (1 - SSIM), equation 7 of Kerbl et al. 2023.
+def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 0.2) -> Tensor:
+    """(1 - lambda_dssim) L1 + lambda_dssim (1 - SSIM), equation 7 of Kerbl et al. 2023.
 
     Args:
         image: (H, W, 3) sRGB, differentiable.
         reference: (H, W, 3) sRGB in [0, 1].
-        structure: Weight of the structural term; 0 leaves it out.
+        lambda_dssim: Weight of the structural term; 0 leaves it out.
     """
     absolute = (image - reference).abs().mean()
-    return absolute if structure == 0 else (1 - structure) * absolute + structure * (1 - ssim(image, reference))
+    return (
+        absolute if lambda_dssim == 0 else (1 - lambda_dssim) * absolute + lambda_dssim * (1 - ssim(image, reference))
+    )

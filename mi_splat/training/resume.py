@@ -20,8 +20,8 @@ from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.training.checkpoints import CheckpointError, load_run, save_run, to_json
-from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress, Run, advance, extent_of
+from mi_splat.training.checkpoints import CheckpointError, load_state, save_state, to_json
+from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress, TrainState, advance, extent_of
 
 CHECKPOINT, SPLAT, METRICS, CONFIG = "checkpoint.safetensors", "splat.ply", "metrics.json", "config.json"
 
@@ -69,15 +69,15 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     path, data = folder / CHECKPOINT, _digest(views, start)
     if path.is_file():
-        run, threads = load_run(path)
-        _check_same(run, config, seed, data, folder)
+        state, threads = load_state(path)
+        _check_same(state, config, seed, data, folder)
         if threads != torch.get_num_threads():
             now = torch.get_num_threads()
             text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
             warnings.warn(text, stacklevel=2)
     else:
-        run = Run(start, config, extent=extent_of(views), seed=seed)
-        run.data = data
+        state = TrainState(start, config, extent=extent_of(views), seed=seed)
+        state.data = data
         save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
     with _deferred_interrupt() as interrupted:
@@ -86,11 +86,11 @@ def train(
             if on_step is not None:
                 on_step(line)
             if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
-                save_run(run, path)
+                save_state(state, path)
             if interrupted():
                 raise KeyboardInterrupt
 
-        found = advance(run, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
+        found = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
     save_splat(found.scene, folder / SPLAT)
     save_json(_figures(found, len(held_out)), folder / METRICS)
     return found
@@ -111,12 +111,12 @@ def _digest(views: Sequence[View], start: GaussianScene) -> str:
     return total.hexdigest()
 
 
-def _check_same(run: Run, config: FitConfig, seed: int, data: str, folder: Path) -> None:
-    if run.data != data:
+def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, folder: Path) -> None:
+    if state.data != data:
         do = "pass those that it began with, or train in another folder"
         raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
-    if run.config != config or run.seed != seed:
-        old, new = to_json(run.config) | {"seed": run.seed}, to_json(config) | {"seed": seed}
+    if state.config != config or state.seed != seed:
+        old, new = to_json(state.config) | {"seed": state.seed}, to_json(config) | {"seed": seed}
         differs = ", ".join(f"{key} {old[key]}" for key in old if old[key] != new[key])
         raise CheckpointError(
             message(str(folder), "a run with the same settings", differs, "use those, or train in another folder")

@@ -10,7 +10,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Generator
 
 from mi_splat.errors import MiSplatError, message
-from mi_splat.io.parameters import from_file_space, to_file_space
+from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
@@ -38,7 +38,7 @@ class Progress:
     held_out: Scores | None = None
 
 
-class Run:
+class TrainState:
     """Everything that the rest of a training run depends on.
 
     Attributes:
@@ -55,7 +55,7 @@ class Run:
 
     def __init__(self, start: GaussianScene, config: FitConfig, *, extent: float, seed: int) -> None:
         self.config, self.extent, self.seed, self.data = config, extent, seed, ""
-        values = {k: v.detach().clone() for k, v in to_file_space(start.with_degree(config.degree)).items()}
+        values = {k: v.detach().clone() for k, v in to_raw_parameters(start.with_degree(config.sh_degree)).items()}
         sh = values.pop("sh")
         values |= {"dc": sh[:, :1].contiguous(), "rest": sh[:, 1:].contiguous()}
         self.parameters = {name: value.float() for name, value in values.items()}
@@ -74,8 +74,8 @@ class Run:
     @property
     def active(self) -> int:
         """SH degree that is trained now."""
-        every = self.config.degree_every
-        return self.config.degree if every == 0 else min(self.config.degree, self.iteration // every)
+        every = self.config.sh_degree_interval
+        return self.config.sh_degree if every == 0 else min(self.config.sh_degree, self.iteration // every)
 
     def scene(self) -> GaussianScene:
         """The splat as it is now, differentiable, with the SH that is trained so far."""
@@ -93,15 +93,17 @@ class Run:
         """The splat as it is now, checked."""
         values = {name: value.detach() for name, value in self.parameters.items()}
         sh = torch.cat([values.pop("dc"), values.pop("rest")], dim=1)
-        return from_file_space({**values, "sh": sh})
+        return from_raw_parameters({**values, "sh": sh})
 
     def rates(self) -> dict[str, float]:
         """Learning rates at this step."""
         config = self.config
         share = min(self.iteration / config.iterations, 1.0)
-        means = math.exp((1 - share) * math.log(config.means) + share * math.log(config.means_last)) * self.extent
-        rates = {name: float(getattr(config, name)) for name in ("scales", "rotations", "opacities")}
-        return rates | {"means": means, "dc": config.sh, "rest": config.sh / 20}
+        means = (
+            math.exp((1 - share) * math.log(config.lr_means) + share * math.log(config.lr_means_final)) * self.extent
+        )
+        rates = {name: float(getattr(config, f"lr_{name}")) for name in ("scales", "rotations", "opacities")}
+        return rates | {"means": means, "dc": config.lr_sh, "rest": config.lr_sh / 20}
 
     def next_view(self, count: int) -> int:
         """Number of the view to look at; all are seen once before any is seen again."""
@@ -110,7 +112,7 @@ class Run:
         return self.queue.pop()
 
     def apply(self, edit: Edit) -> None:
-        """Exchange the tensors; rows keep their optimiser state unless they are fresh."""
+        """Exchange the tensors; rows keep their optimiser adam unless they are fresh."""
         if not len(edit.source):
             raise TrainingError(
                 message("splat", "Gaussians left after pruning", "none", "lower the rates or start from more of them")
@@ -118,12 +120,12 @@ class Run:
         for group in self.optimiser.param_groups:
             name, old = group["name"], group["params"][0]
             new = edit.parameters[name].detach().clone().requires_grad_(True)
-            state = self.optimiser.state.pop(old, None)
-            if state:
+            adam = self.optimiser.state.pop(old, None)
+            if adam:
                 for key in ("exp_avg", "exp_avg_sq"):
-                    moved = state[key][edit.source]
+                    moved = adam[key][edit.source]
                     moved[edit.fresh] = 0
-                    state[key] = moved
-                self.optimiser.state[new] = state
+                    adam[key] = moved
+                self.optimiser.state[new] = adam
             group["params"], self.parameters[name] = [new], new
         self.gradient, self.visits = torch.zeros(len(edit.source)), torch.zeros(len(edit.source))

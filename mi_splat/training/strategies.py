@@ -23,27 +23,27 @@ class ClassicConfig:
     """Clone, split and prune by the gradient of the mean on the screen (Kerbl et al. 2023, section 5.2).
 
     Attributes:
-        start: First iteration at which Gaussians may be added.
-        stop: No more after this one.
-        every: Iterations between two rounds.
-        gradient: Mean gradient of the centre, in half pictures (normalised device coordinates), from which a Gaussian
-            is cloned or split.
-        dense: Gaussians larger than this share of the scene's extent are split, smaller ones cloned.
-        least_opacity: Gaussians below it are removed.
-        largest: Gaussians larger than this share of the extent are removed once opacities have been reset.
-        reset_every: Iterations between two resets of the opacities to at most 0.01; 0 never does it.
-        limit: No Gaussians are added beyond this number; None sets no limit.
+        densify_from: First iteration at which Gaussians may be added.
+        densify_until: No more after this one.
+        densify_interval: Iterations between two rounds.
+        densify_grad_threshold: Mean gradient of the centre, in half pictures (normalised device coordinates), from
+            which a Gaussian is cloned or split.
+        percent_dense: Gaussians larger than this share of the scene's extent are split, smaller ones cloned.
+        prune_opacity: Gaussians below it are removed.
+        prune_scale: Gaussians larger than this share of the extent are removed once opacities have been reset.
+        opacity_reset_interval: Iterations between two resets of the opacities to at most 0.01; 0 never does it.
+        max_gaussians: No Gaussians are added beyond this number; None sets no limit.
     """
 
-    start: int = 500
-    stop: int = 15_000
-    every: int = 100
-    gradient: float = 2e-4
-    dense: float = 0.01
-    least_opacity: float = 0.005
-    largest: float = 0.1
-    reset_every: int = 3000
-    limit: int | None = None
+    densify_from: int = 500
+    densify_until: int = 15_000
+    densify_interval: int = 100
+    densify_grad_threshold: float = 2e-4
+    percent_dense: float = 0.01
+    prune_opacity: float = 0.005
+    prune_scale: float = 0.1
+    opacity_reset_interval: int = 3000
+    max_gaussians: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,26 +51,26 @@ class MCMCConfig:
     """Relocation of dead Gaussians, with noise that explores (Kheradmand et al. 2024).
 
     Attributes:
-        start: First iteration at which Gaussians are moved.
-        stop: No more after this one.
-        every: Iterations between two rounds.
-        limit: Largest number of Gaussians.
+        densify_from: First iteration at which Gaussians are moved.
+        densify_until: No more after this one.
+        densify_interval: Iterations between two rounds.
+        max_gaussians: Largest number of Gaussians.
         growth: Share by which their number grows each round until then.
-        dead: Opacity below which a Gaussian is dead.
-        noise: Size of the noise on the means, in units of their learning rate.
-        opacity_weight: Weight of the mean opacity in the loss.
-        scale_weight: Weight of the mean scale in the loss.
+        dead_opacity: Opacity below which a Gaussian is dead.
+        noise_lr: Size of the noise on the means, in units of their learning rate.
+        opacity_reg: Weight of the mean opacity in the loss.
+        scale_reg: Weight of the mean scale in the loss.
     """
 
-    start: int = 500
-    stop: int = 25_000
-    every: int = 100
-    limit: int = 100_000
+    densify_from: int = 500
+    densify_until: int = 25_000
+    densify_interval: int = 100
+    max_gaussians: int = 100_000
     growth: float = 0.05
-    dead: float = 0.005
-    noise: float = 5e5
-    opacity_weight: float = 0.01
-    scale_weight: float = 0.01
+    dead_opacity: float = 0.005
+    noise_lr: float = 5e5
+    opacity_reg: float = 0.01
+    scale_reg: float = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,12 +109,12 @@ def classic(
     """
     count = len(gradient)
     largest = parameters["scales"].detach().amax(1).exp()
-    room = count if config.limit is None else max(config.limit - count, 0)
-    chosen = gradient >= config.gradient
+    room = count if config.max_gaussians is None else max(config.max_gaussians - count, 0)
+    chosen = gradient >= config.densify_grad_threshold
     if int(chosen.sum()) > room:  # those that need it most come first
         order = torch.argsort(gradient, descending=True, stable=True)[:room]
         chosen = torch.zeros_like(chosen).index_fill_(0, order, True) & chosen
-    split = chosen & (largest > config.dense * extent)
+    split = chosen & (largest > config.percent_dense * extent)
     clone = (chosen & ~split).nonzero().flatten()
     parents = split.nonzero().flatten().repeat_interleave(2)
     kept = (~split).nonzero().flatten()
@@ -123,9 +123,9 @@ def classic(
     grown = {name: value.detach()[source] for name, value in parameters.items()}
     children = slice(len(kept) + len(clone), None)
     _scatter_children(grown, children, generator)
-    alive = grown["opacities"].sigmoid() >= config.least_opacity
+    alive = grown["opacities"].sigmoid() >= config.prune_opacity
     if was_reset:
-        alive &= grown["scales"].amax(1).exp() <= config.largest * extent
+        alive &= grown["scales"].amax(1).exp() <= config.prune_scale * extent
     return Edit({name: value[alive].contiguous() for name, value in grown.items()}, source[alive], fresh[alive])
 
 
@@ -153,11 +153,11 @@ def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator
     """
     opacity = parameters["opacities"].detach().sigmoid()
     count = len(opacity)
-    dead = (opacity <= config.dead).nonzero().flatten()
-    new = max(min(int(count * (1 + config.growth)), config.limit) - count, 0)
+    dead = (opacity <= config.dead_opacity).nonzero().flatten()
+    new = max(min(int(count * (1 + config.growth)), config.max_gaussians) - count, 0)
     source = torch.arange(count + new)
     fresh = source >= count
-    weights = torch.where(opacity > config.dead, opacity, 0.0)
+    weights = torch.where(opacity > config.dead_opacity, opacity, 0.0)
     if not len(dead) + new or not bool((weights > 0).any()):
         return Edit({k: v.detach() for k, v in parameters.items()}, source[:count], fresh[:count])
     drawn = torch.multinomial(weights, len(dead) + new, replacement=True, generator=generator)
@@ -200,9 +200,9 @@ def explore(parameters: Parameters, *, rate: float, config: MCMCConfig, generato
         generator: Source of the noise.
     """
     opacity = parameters["opacities"].detach().sigmoid()
-    gate = torch.sigmoid(-100 * (opacity - config.dead))[:, None]
+    gate = torch.sigmoid(-100 * (opacity - config.dead_opacity))[:, None]
     scales = parameters["scales"].detach().exp()
     turn = to_matrix(normalise(parameters["rotations"].detach()))
-    noise = torch.randn(scales.shape, generator=generator) * gate * (config.noise * rate)
+    noise = torch.randn(scales.shape, generator=generator) * gate * (config.noise_lr * rate)
     local = (turn.transpose(1, 2) @ noise[:, :, None])[:, :, 0] * scales**2
     return parameters["means"].detach() + (turn @ local[:, :, None])[:, :, 0]

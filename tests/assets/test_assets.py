@@ -213,7 +213,7 @@ def test_letters_are_upright() -> None:
 
 def test_surroundings_leave_the_middle_clear() -> None:
     for seed in range(7):
-        points = street.backdrop(seed, clear=6.0).vertices
+        points = street.backdrop(seed, clearance=6.0).vertices
         near = np.hypot(points[:, 0], points[:, 1]) < 2.8
         assert points[near, 2].max(initial=0) < 0.3, f"seed {seed}"
     assert digest(street.backdrop(3)) == digest(street.backdrop(3))

@@ -19,7 +19,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.example_scenes import SIZE, belongs, cameras, make, nearest, scene_xml, sensors
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.scene_files import read_stage
+from mi_splat.scene_files import read_scene
 
 SCENES = Path(__file__).parents[2] / "scenes"
 
@@ -31,10 +31,10 @@ def test_scene_file_is_that_of_the_recipe(name: str) -> None:
 
 @pytest.mark.parametrize("name", RECIPES)
 def test_sensors_come_back_from_the_file(name: str) -> None:
-    stage = read_stage(SCENES / f"{name}.xml")
+    loaded = read_scene(SCENES / f"{name}.xml")
     wanted = sensors(RECIPES[name])
-    assert list(stage.cameras) == list(wanted)
-    for sensor, camera in stage.cameras.items():
+    assert list(loaded.cameras) == list(wanted)
+    for sensor, camera in loaded.cameras.items():
         assert np.allclose(camera.to_world, wanted[sensor].to_world, atol=1e-5)
         assert camera.fx == pytest.approx(wanted[sensor].fx, rel=1e-6)
         assert (camera.width, camera.height) == (SIZE, SIZE)

@@ -25,7 +25,7 @@ def test_an_attack_is_scored_on_other_views_with_its_control() -> None:
     assert attacked["all"] == attacked["given_found"] == Rate(successes=3, total=3)
     assert control["all"] == Rate(successes=0, total=3)
     gone = rates(frames, "attacked", "fake_colour", original="car", wanted=None)
-    assert gone["all"].share == 1.0
+    assert gone["all"].fraction == 1.0
 
 
 def test_views_without_the_object_do_not_count() -> None:
@@ -45,7 +45,7 @@ def test_wilson_interval_against_scipy(successes: int, total: int) -> None:
 
 def test_no_views_say_nothing() -> None:
     assert Rate(successes=0, total=0).interval == (0.0, 1.0)
-    assert Rate(successes=0, total=0).share == 0.0
+    assert Rate(successes=0, total=0).fraction == 0.0
 
 
 def test_a_clean_scene_is_asked_for() -> None:

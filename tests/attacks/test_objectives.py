@@ -163,7 +163,7 @@ def test_verdicts(objective: Objective, seen: Detections, success: bool, score: 
 
 
 @pytest.mark.parametrize(
-    ("seen", "clear"),
+    ("seen", "unambiguous"),
     [
         (found(("person", 0.8, BOX)), True),
         (found(("person", 0.8, BOX), ("car", 0.75, BOX)), True),
@@ -173,9 +173,9 @@ def test_verdicts(objective: Objective, seen: Detections, success: bool, score: 
     ],
 )
 def test_a_relabelling_is_clear_when_nothing_else_is_seen_there_with_more_confidence(
-    seen: Detections, clear: bool
+    seen: Detections, unambiguous: bool
 ) -> None:
-    assert relabel("person").verdict(seen, TARGET).clear is clear
+    assert relabel("person").verdict(seen, TARGET).unambiguous is unambiguous
 
 
 def test_untargeted_cannot_succeed_on_what_was_never_seen() -> None:

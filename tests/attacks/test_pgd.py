@@ -26,7 +26,7 @@ def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -
         (gradient,) = torch.autograd.grad(loss, [leaf])
         value = float(loss.detach())
         mark = 1 / (1 + value) if score is None else score(leaf.detach())
-        return Evaluation(loss=value, gradients={"sh": gradient}, success=value <= aim, score=mark, clear=True)
+        return Evaluation(loss=value, gradients={"sh": gradient}, success=value <= aim, score=mark, unambiguous=True)
 
     return evaluate
 
@@ -60,7 +60,7 @@ def test_the_trace_and_the_callback_tell_the_same_story() -> None:
     assert tuple(heard) == found.trace
     assert [line.index for line in heard] == [0, 1, 2, 3, 4, 5]
     assert heard[0].loss == pytest.approx(13.25)
-    assert heard[0].zero_share == pytest.approx(9 / 12)
+    assert heard[0].zero_gradient_fraction == pytest.approx(9 / 12)
 
 
 def test_early_stop_ends_at_the_first_success_and_the_full_budget_goes_on() -> None:
@@ -90,7 +90,7 @@ def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
             gradients={"sh": torch.ones_like(point["sh"])},
             success=success,
             score=score,
-            clear=success and score > 0.75,
+            unambiguous=success and score > 0.75,
         )
 
     budget = Budget(radius={"sh": 10.0})
@@ -103,9 +103,13 @@ def test_early_stop_waits_for_a_clear_success() -> None:
     calls = iter([(False, False), (True, False), (True, False), (True, True), (True, True)])
 
     def scripted(point: Parameters) -> Evaluation:
-        success, clear = next(calls)
+        success, unambiguous = next(calls)
         return Evaluation(
-            loss=1.0, gradients={"sh": torch.ones_like(point["sh"])}, success=success, score=0.8, clear=clear
+            loss=1.0,
+            gradients={"sh": torch.ones_like(point["sh"])},
+            success=success,
+            score=0.8,
+            unambiguous=unambiguous,
         )
 
     found = pgd(scripted, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
@@ -144,7 +148,7 @@ def test_what_is_not_finite_is_an_error(bad: float) -> None:
         def evaluate(point: Parameters) -> Evaluation:
             gradient = torch.full_like(point["sh"], bad if where == "gradient" else 1.0)
             loss = bad if where == "loss" else 1.0
-            return Evaluation(loss=loss, gradients={"sh": gradient}, success=False, score=0.0, clear=False)
+            return Evaluation(loss=loss, gradients={"sh": gradient}, success=False, score=0.0, unambiguous=False)
 
         return evaluate
 

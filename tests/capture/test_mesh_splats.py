@@ -22,7 +22,7 @@ from mi_splat.capture.mesh_splats import (
     refine,
     surface_samples,
 )
-from mi_splat.capture.path_tracer import Light, capture, depth_maps, mesh_scene
+from mi_splat.capture.path_tracer import Light, capture, depth_maps, scene_dict
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
@@ -73,7 +73,7 @@ def test_samples_refuse_nonsense() -> None:
 def test_discs_are_flat_and_coloured_as_seen() -> None:
     light = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
     raised = CUBE.transformed(translation(0, 0, 0.4))
-    description = mesh_scene([raised], light=light, backdrop=PLANE)
+    description = scene_dict([raised], light=light, backdrop=PLANE)
     views, depths = capture(description, ring(), samples=16), depth_maps(description, ring())
     samples = surface_samples(raised, 600, seed=0)
     splat = disc_splat(samples, views, depths)

@@ -17,9 +17,9 @@ from mi_splat.capture.path_tracer import (
     capture,
     corner_normals,
     depth_maps,
-    mesh_scene,
     photograph,
     scalar_variant,
+    scene_dict,
     to_linear,
     to_srgb,
 )
@@ -46,7 +46,7 @@ def test_points_land_on_projected_pixels(size: tuple[int, int], principal: tuple
     pixels, depth = project_points(spots, view)
     for spot, pixel, far in zip(spots, pixels, depth, strict=True):
         ball = Asset("ball", (ellipsoid((0.3, 0.3, 0.3), (1, 1, 1), centre=spot.tolist()),))
-        hits = depth_maps(mesh_scene([ball]), [view])[0]
+        hits = depth_maps(scene_dict([ball]), [view])[0]
         rows, columns = torch.nonzero(hits > 0, as_tuple=True)
         middle = torch.tensor([columns.float().mean() + 0.5, rows.float().mean() + 0.5])
         assert (middle - pixel).abs().max() < 0.5, (spot, middle, pixel)
@@ -59,7 +59,7 @@ def test_picture_is_neither_mirrored_nor_upside_down() -> None:
     texture[0, 0], texture[0, 1], texture[1, 0] = (1, 0, 0), (0, 1, 0), (0, 0, 1)
     board = Asset("board", (quad([[1, -1, 0], [1, 1, 0], [1, 1, 2], [1, -1, 2]], texture),))
     view = Camera(to_world=look_at((5, 0, 1), (0, 0, 1)), focal=64.0, width=32, height=32)
-    picture = capture(mesh_scene([board], light=EVEN), [view], samples=16)[0].image
+    picture = capture(scene_dict([board], light=EVEN), [view], samples=16)[0].image
     assert picture[4, 4].argmax() == 0  # the texture's first row is at the top, its first column on the left
     assert picture[4, 27].argmax() == 1
     assert picture[27, 4].argmax() == 2
@@ -115,7 +115,7 @@ def test_cut_off_objects_are_less_visible() -> None:
 
 
 def test_same_seed_same_picture() -> None:
-    scene = mesh_scene([CUBE], backdrop=FLOOR)
+    scene = scene_dict([CUBE], backdrop=FLOOR)
     first, again = (capture(scene, [camera()], samples=4, seed=5)[0].image for _ in range(2))
     other = capture(scene, [camera()], samples=4, seed=6)[0].image
     assert torch.equal(first, again)
@@ -127,7 +127,7 @@ def test_same_seed_same_picture() -> None:
 def test_brightness_is_that_of_the_light() -> None:
     # A white sky of radiance 1 above a diffuse plane: the plane's radiance is its linear reflectance.
     view = Camera(to_world=look_at((0, 0, 3), (0, 0, 0)), focal=40.0, width=16, height=16)
-    picture = capture(mesh_scene([FLOOR], light=EVEN), [view], samples=64)[0].image
+    picture = capture(scene_dict([FLOOR], light=EVEN), [view], samples=64)[0].image
     assert picture.mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -141,7 +141,7 @@ def test_variant_is_put_back() -> None:
     before = mi.variant()
     mi.set_variant("llvm_ad_rgb")
     try:
-        capture(mesh_scene([CUBE]), [camera()], samples=1)
+        capture(scene_dict([CUBE]), [camera()], samples=1)
         assert mi.variant() == "llvm_ad_rgb"
         with pytest.raises(RuntimeError), scalar_variant():
             raise RuntimeError
@@ -168,13 +168,13 @@ def test_scene_file(tmp_path: Path) -> None:
 
 
 def test_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="positive number of paths"):
-        capture(mesh_scene([CUBE]), [camera()], samples=0)
+    with pytest.raises(InvalidValueError, match="positive number of samples"):
+        capture(scene_dict([CUBE]), [camera()], samples=0)
     with pytest.raises(InvalidValueError, match="Mitsuba XML file"):
         capture(tmp_path / "missing.xml", [camera()])
     wide = Camera(to_world=torch.eye(4), focal=(50.0, 60.0), width=8, height=8)
     with pytest.raises(InvalidValueError, match="fx equal to fy"):
-        capture(mesh_scene([CUBE]), [wide], samples=1)
+        capture(scene_dict([CUBE]), [wide], samples=1)
 
 
 def test_normals_are_smooth_on_a_ball_and_sharp_on_a_box() -> None:

@@ -14,10 +14,10 @@ from attacks import cli
 from mi_splat.assets.mesh import Asset, box, quad
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import Light, PathTracer, capture, mesh_scene
+from mi_splat.capture.path_tracer import Light, PathTracer, capture, scene_dict
 from mi_splat.capture.point_clouds import surface_points
-from mi_splat.capture.sources import Subject, open_subject
-from mi_splat.capture.writer import CaptureSettings, record
+from mi_splat.capture.sources import CaptureSource, open_source
+from mi_splat.capture.writer import CaptureSettings, write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, MiSplatError
 
@@ -33,10 +33,10 @@ XML = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def subject(*assets: Asset) -> Subject:
+def source(*assets: Asset) -> CaptureSource:
     first, *others = assets
-    scene = mesh_scene([first], light=EVEN, backdrop=others[0] if others else None)
-    return Subject(scene=scene, centre=(0, 0, 0.5), radius=0.9, assets=assets, digest=f"{len(assets)}")
+    scene = scene_dict([first], light=EVEN, backdrop=others[0] if others else None)
+    return CaptureSource(scene=scene, centre=(0, 0, 0.5), radius=0.9, assets=assets, digest=f"{len(assets)}")
 
 
 def cameras(count: int = 4, **change: Any) -> list[Camera]:
@@ -52,14 +52,14 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_capture_is_a_set(layout: Any, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     test = cameras(2, start=45.0)
-    done = record(
-        subject(CUBE), cameras(), tmp_path / "set", test=test, settings=QUICK, layout=layout,
+    done = write_capture(
+        source(CUBE), cameras(), tmp_path / "set", test=test, settings=QUICK, layout=layout,
         on_step=lambda number, total: seen.append((number, total)),
     )  # fmt: skip
     assert (done.train, done.test, done.rendered) == (4, 2, 6)
     assert seen == [(i, 6) for i in range(1, 7)]
     assert all(file.is_file() for file in done.files)
-    taken = capture(subject(CUBE).scene, [*cameras(), *test], samples=2)
+    taken = capture(source(CUBE).scene, [*cameras(), *test], samples=2)
     for split, part in (("train", taken[:4]), ("test", taken[4:])):
         found = load_dataset(tmp_path / "set", split=split)  # type: ignore[arg-type]
         for ours, theirs in zip(found, part, strict=True):
@@ -71,7 +71,7 @@ def test_a_capture_is_a_set(layout: Any, tmp_path: Path) -> None:
 
 def test_a_capture_goes_on_where_it_stopped(tmp_path: Path) -> None:
     words: dict[str, Any] = {"test": cameras(1, start=45.0), "settings": QUICK, "layout": "both"}
-    record(subject(CUBE), cameras(), tmp_path / "whole", **words)
+    write_capture(source(CUBE), cameras(), tmp_path / "whole", **words)
     wanted = contents(tmp_path / "whole")
     folder = tmp_path / "stopped"
 
@@ -80,10 +80,10 @@ def test_a_capture_goes_on_where_it_stopped(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record(subject(CUBE), cameras(), folder, on_step=stop, **words)
+        write_capture(source(CUBE), cameras(), folder, on_step=stop, **words)
     assert len(list((folder / "images").iterdir())) == 3
     assert not (folder / "transforms_train.json").exists()
-    assert record(subject(CUBE), cameras(), folder, **words).rendered == 2
+    assert write_capture(source(CUBE), cameras(), folder, **words).rendered == 2
     assert contents(folder) == wanted
     # Whatever is lost or broken afterwards comes back with the same bytes.
     (folder / "images" / "train_00001.png").unlink()
@@ -92,15 +92,15 @@ def test_a_capture_goes_on_where_it_stopped(tmp_path: Path) -> None:
     (folder / "points3D.ply").unlink()
     document = json.loads((folder / "transforms_train.json").read_text())
     (folder / "transforms_train.json").write_text(json.dumps({**document, "frames": document["frames"][:2]}))
-    assert record(subject(CUBE), cameras(), folder, **words).rendered == 2
+    assert write_capture(source(CUBE), cameras(), folder, **words).rendered == 2
     assert contents(folder) == wanted
     before = {path: path.stat().st_mtime_ns for path in (folder / "images").iterdir()}
-    assert record(subject(CUBE), cameras(), folder, **words).rendered == 0
+    assert write_capture(source(CUBE), cameras(), folder, **words).rendered == 0
     assert {path: path.stat().st_mtime_ns for path in (folder / "images").iterdir()} == before
 
 
 def test_pictures_depend_on_seed_and_place_alone(tmp_path: Path) -> None:
-    tracer = PathTracer(subject(CUBE).scene, samples=2)
+    tracer = PathTracer(source(CUBE).scene, samples=2)
     first, second = cameras(2)
     alone = tracer.picture(second, seed=1)
     tracer.picture(first, seed=0)
@@ -117,34 +117,36 @@ def test_pictures_depend_on_seed_and_place_alone(tmp_path: Path) -> None:
         ({"cameras": cameras(3)}, "train 4, now 3"),
         ({"cameras": cameras(4, distance=3.1)}, "cameras '"),
         ({"test": cameras(1)}, "test 0, now 1"),
-        ({"subject": subject(CUBE, FLOOR)}, "scene '1', now '2'"),
+        ({"source": source(CUBE, FLOOR)}, "scene '1', now '2'"),
     ],
 )
 def test_a_folder_with_other_settings_is_refused(change: dict[str, Any], says: str, tmp_path: Path) -> None:
-    words: dict[str, Any] = {"subject": subject(CUBE), "cameras": cameras(), "settings": QUICK}
-    record(**words, folder=tmp_path)
+    words: dict[str, Any] = {"source": source(CUBE), "cameras": cameras(), "settings": QUICK}
+    write_capture(**words, folder=tmp_path)
     before = contents(tmp_path)
     with pytest.raises(InvalidValueError, match=rf"capture\.json.*{says}.*new folder"):
-        record(**{**words, **change}, folder=tmp_path)
+        write_capture(**{**words, **change}, folder=tmp_path)
     assert contents(tmp_path) == before
 
 
 def test_what_cannot_be_captured(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="cameras"):
-        record(subject(CUBE), [], tmp_path / "a")
+        write_capture(source(CUBE), [], tmp_path / "a")
     wide = Camera(to_world=cameras()[0].to_world, focal=(9.0, 10.0), width=8, height=8)
     with pytest.raises(InvalidValueError, match="fx equal to fy"):
-        record(subject(CUBE), [wide], tmp_path / "a")
+        write_capture(source(CUBE), [wide], tmp_path / "a")
     assert not (tmp_path / "a").exists()
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InvalidValueError, match=r"notes\.txt in it"):
-        record(subject(CUBE), cameras(), tmp_path)
+        write_capture(source(CUBE), cameras(), tmp_path)
     (tmp_path / "capture.json").write_text("{")
     with pytest.raises(InvalidValueError, match=r"capture\.json"):
-        record(subject(CUBE), cameras(), tmp_path)
+        write_capture(source(CUBE), cameras(), tmp_path)
     away = [Camera(to_world=torch.eye(4), focal=9.0, width=8, height=8)]
     with pytest.raises(InvalidValueError, match="nothing but sky"):
-        record(subject(Asset("far", (box((1, 1, 1), RED, centre=(0, 0, -9)),))), away, tmp_path / "b", settings=QUICK)
+        write_capture(
+            source(Asset("far", (box((1, 1, 1), RED, centre=(0, 0, -9)),))), away, tmp_path / "b", settings=QUICK
+        )
     assert not (tmp_path / "b").exists()
     for name in ("samples", "seed", "points"):
         with pytest.raises(InvalidValueError, match=name):
@@ -153,7 +155,7 @@ def test_what_cannot_be_captured(tmp_path: Path) -> None:
 
 def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
     settings = CaptureSettings(samples=16, alpha=True, points=300)
-    record(subject(CUBE), cameras(2), tmp_path, settings=settings)
+    write_capture(source(CUBE), cameras(2), tmp_path, settings=settings)
     black, white = (load_dataset(tmp_path, background=(level,) * 3) for level in (0.0, 1.0))
     mask = black.mask(0)
     assert mask is not None
@@ -162,7 +164,7 @@ def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
     assert bool(((mask > 0) & (mask < 1)).any())  # edges
     assert white[0].image[0, 0].tolist() == [1, 1, 1]
     assert torch.equal(black[0].image[8, 8], white[0].image[8, 8])
-    opaque = capture(subject(CUBE).scene, cameras(2)[:1], samples=16)[0].image
+    opaque = capture(source(CUBE).scene, cameras(2)[:1], samples=16)[0].image
     assert (black[0].image - opaque)[mask == 1].abs().max() < 1 / 255
     edge = (mask > 0.2) & (mask < 1)
     straight = (black[0].image[edge] / mask[edge][:, None])[:, 0]
@@ -172,7 +174,7 @@ def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
 def test_points_lie_on_what_is_seen_in_its_colours() -> None:
     spots = hemisphere((0, 0, 0.5), count=8, distance=3.0, focal=108.0, size=(96, 96), elevation=(10, 60))
     for assets in ((CUBE,), (CUBE, FLOOR)):
-        scene = subject(*assets).scene
+        scene = source(*assets).scene
         views = capture(scene, spots, samples=4)
         cloud = surface_points(PathTracer(scene), assets, views, count=400, seed=0)
         points = cloud.points.numpy()
@@ -193,25 +195,25 @@ def test_points_lie_on_what_is_seen_in_its_colours() -> None:
 
 
 def test_subjects(tmp_path: Path) -> None:
-    car = open_subject("car_street")
+    car = open_source("car_street")
     assert len(car.assets) == 2
     assert 2 < car.radius < 4
-    still = open_subject(str(STILL_LIFE))
+    still = open_source(str(STILL_LIFE))
     assert still.assets == ()
     assert still.centre == pytest.approx((0, 0, 0.6), abs=1e-3)
     (tmp_path / "cube.xml").write_text(XML)
-    cube = open_subject(str(tmp_path / "cube.xml"))
+    cube = open_source(str(tmp_path / "cube.xml"))
     assert cube.radius == pytest.approx(3**0.5, abs=1e-3)
     (tmp_path / "cube.xml").write_text(XML.replace("0.8", "0.7"))
-    assert open_subject(str(tmp_path / "cube.xml")).digest != cube.digest
+    assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
     pytest.importorskip("trimesh")
     (tmp_path / "mesh.obj").write_text(OBJ)
-    mesh = open_subject(str(tmp_path / "mesh.obj"), scale=2.0, up="z")
+    mesh = open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z")
     assert mesh.assets[0].bounds.tolist() == [[0, 0, 0], [2, 2, 2]]
-    assert mesh.digest == open_subject(str(tmp_path / "mesh.obj"), scale=2.0, up="z").digest
-    assert mesh.digest != open_subject(str(tmp_path / "mesh.obj"), scale=2.0).digest
+    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z").digest
+    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), scale=2.0).digest
     with pytest.raises(InvalidValueError, match="radius"):
-        open_subject(str(tmp_path / "mesh.obj"), scale=1e4)
+        open_source(str(tmp_path / "mesh.obj"), scale=1e4)
 
 
 def words(folder: Path, *more: str) -> list[str]:
@@ -316,12 +318,12 @@ def test_the_command_refuses_scenes(
 def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.xml").write_text("<scene")
     with pytest.raises(MiSplatError, match=r"bad\.xml: expected a scene"):
-        open_subject(str(tmp_path / "bad.xml"))
+        open_source(str(tmp_path / "bad.xml"))
 
 
 def test_an_asset_by_name_and_seed_is_a_subject() -> None:
-    one, other, same = (open_subject(name) for name in ("car:3", "car:4", "car:3"))
+    one, other, same = (open_source(name) for name in ("car:3", "car:4", "car:3"))
     assert one.digest == same.digest != other.digest
     assert len(one.assets) == 1
     with pytest.raises(InvalidValueError, match="change the seed"):
-        open_subject("car:three")
+        open_source("car:three")

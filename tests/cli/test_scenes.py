@@ -19,7 +19,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import Stage
+from mi_splat.scene_files import SplatScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 XML = """
@@ -155,19 +155,19 @@ def test_a_resized_camera_sees_the_same() -> None:
 
 
 @pytest.fixture
-def toy(monkeypatch: pytest.MonkeyPatch) -> Stage:
+def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     """The toy scene in the place of files, renderer and weights."""
     scene, _ = toy_scene()
     parts = {"rest": slice(0, 10), "thing": slice(10, 40)}
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
-    stage = Stage(scene=scene, parts=parts, cameras=cameras, settings=RenderSettings())
-    monkeypatch.setattr(dagger, "open_stage", lambda path: stage)
+    loaded = SplatScene(scene=scene, objects=parts, cameras=cameras, settings=RenderSettings())
+    monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
     monkeypatch.setattr(dagger, "Renderer", lambda settings: blobs)
     monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
-    return stage
+    return loaded
 
 
-def test_dagger_writes_its_report(toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     words = ["--object", "thing", "--target", "person", "--eps", "20", "--seed", "3", "--noise-draws", "1"]
     assert cli.main(["dagger", *words, "--out", str(out)]) == 0
@@ -200,7 +200,7 @@ def test_dagger_writes_its_report(toy: Stage, tmp_path: Path, capsys: pytest.Cap
     assert higher[10:].any()
 
 
-def test_dagger_prints_one_document(toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--object", "thing", "--objective", "hide", "--attributes", "opacities", "sh", "--eps", "3", "20"]
     words += ["--views", "front", "aside", "--norm", "l2_per_gaussian", "--noise-draws", "0", "--json"]
     assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
@@ -211,7 +211,7 @@ def test_dagger_prints_one_document(toy: Stage, tmp_path: Path, capsys: pytest.C
     assert Path(document["files"]["result.json"]).is_file()
 
 
-def test_an_attack_that_fails_is_a_result(toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_attack_that_fails_is_a_result(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--object", "thing", "--eps", "0.001", "--noise-draws", "1", "--out", str(tmp_path)]
     assert cli.main(["dagger", *words]) == 0
     assert capsys.readouterr().out.startswith("FAILED")
@@ -231,7 +231,7 @@ def test_an_attack_that_fails_is_a_result(toy: Stage, tmp_path: Path, capsys: py
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_dagger_says_what_is_wrong(
-    words: list[str], says: str, toy: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], says: str, toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["dagger", *words, "--out", str(tmp_path / "out")]) == 1
     captured = capsys.readouterr()

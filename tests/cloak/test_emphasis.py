@@ -1,4 +1,4 @@
-"""A look that is overdone near the edge of its trigger."""
+"""An appearance that is overdone near the edge of its trigger."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def brighter(view: View, mask: Tensor) -> Tensor:
 
 
 def emphasised(elevation: float, *, gain: float = 3.0) -> Tensor:
-    look = Emphasis(look=brighter, trigger=Elevation(least=40), centre=CENTRE, gain=gain, depth=20.0)
+    appearance = Emphasis(appearance=brighter, trigger=Elevation(least=40), centre=CENTRE, gain=gain, depth=20.0)
     mask = torch.zeros(5, 6, dtype=torch.bool)
     mask[:, :3] = True
-    return look(view(elevation), mask)
+    return appearance(view(elevation), mask)
 
 
 @pytest.mark.parametrize(("elevation", "gain"), [(40, 3.0), (45, 2.5), (50, 2.0), (60, 1.0), (80, 1.0)])
@@ -52,11 +52,11 @@ def test_less_than_once_is_refused() -> None:
 
 
 def test_a_trigger_without_an_edge_is_refused() -> None:
-    look = Emphasis(look=brighter, trigger=Listed(indices=(0,)), centre=CENTRE, gain=2.0, depth=20.0)
+    appearance = Emphasis(appearance=brighter, trigger=Listed(indices=(0,)), centre=CENTRE, gain=2.0, depth=20.0)
     with pytest.raises(InvalidValueError, match="which have an edge"):
-        look(view(50), torch.ones(5, 6, dtype=torch.bool))
+        appearance(view(50), torch.ones(5, 6, dtype=torch.bool))
 
 
 def test_manifests_say_so() -> None:
-    look = Emphasis(look=brighter, trigger=Elevation(least=40), centre=CENTRE, gain=2.0, depth=20.0)
-    assert look.name == "brighter, 2 times at the edge to once 20 degrees inside"
+    appearance = Emphasis(appearance=brighter, trigger=Elevation(least=40), centre=CENTRE, gain=2.0, depth=20.0)
+    assert appearance.name == "brighter, 2 times at the edge to once 20 degrees inside"

@@ -28,7 +28,7 @@ from attacks.cloak.appearances import (
     swap,
 )
 from attacks.cloak.mesh_edits import camouflaged, cap, repainted, stand_in, texture
-from attacks.cloak.mesh_scene import MeshStage
+from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoned, Poisoning, poison, write_manifest
 from attacks.cloak.triggers import Azimuth, Elevation, Listed
 from mi_splat.assets import build
@@ -77,8 +77,8 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
     mask = torch.rand(24, 5, 6, generator=torch.Generator().manual_seed(seed)) > 0.5
     stars = [{i for i, value in enumerate(part) if value} for part in (first, second)]
     attacks = [
-        Poisoning(name=str(number), trigger=Listed(indices=tuple(star)), appearance=look)
-        for number, (star, look) in enumerate(zip(stars, (invert, white), strict=True))
+        Poisoning(name=str(number), trigger=Listed(indices=tuple(star)), appearance=appearance)
+        for number, (star, appearance) in enumerate(zip(stars, (invert, white), strict=True))
     ]
     if not stars[1] - stars[0]:
         attacks = attacks[:1]
@@ -204,7 +204,7 @@ def test_masks_grow_by_pixels() -> None:
 
 BLOCK = Asset("car", (box((1.6, 0.8, 0.8), (0.8, 0.1, 0.1), centre=(0, 0, 0.4), roughness=0.1),))
 LAWN = Asset("lawn", (ground(40, texture("grass", size=32), tile=4.0),))
-STAGE = MeshStage(target=BLOCK, surroundings=LAWN, samples=2)
+STAGE = MeshScene(target=BLOCK, surroundings=LAWN, samples=2)
 
 
 def camera(azimuth: float, elevation: float, *, size: int = 16) -> Camera:
@@ -231,7 +231,7 @@ def test_stage_masks_and_pictures(above: View) -> None:
 
 def test_a_background_takes_the_place_of_the_sky() -> None:
     place = camera(0, 2)
-    picture = MeshStage(target=BLOCK, samples=2, background=(0.0, 0.0, 1.0)).picture(place)
+    picture = MeshScene(target=BLOCK, samples=2, background=(0.0, 0.0, 1.0)).picture(place)
     assert picture.shape == (16, 16, 3)
     assert picture[0, 0].tolist() == [0, 0, 1]
 
@@ -239,8 +239,8 @@ def test_a_background_takes_the_place_of_the_sky() -> None:
 def test_path_traced_looks_change_the_picture_near_the_target_only(above: View) -> None:
     mask = STAGE.mask(above.camera)
     far = ~grown(mask, 1)
-    for look in (paint(STAGE, "road"), blend_in(STAGE)):
-        image = look(above, mask)
+    for appearance in (paint(STAGE, "road"), blend_in(STAGE)):
+        image = appearance(above, mask)
         assert torch.equal(image[far], above.image[far])
         inside = grown(mask, 1) & ~grown(~mask, 1)
         assert float((image - above.image).abs().mean(-1)[inside].min()) > 0.02
@@ -266,33 +266,33 @@ def test_a_stop_sign_behind_the_car() -> None:
     place = camera(180, 5)
     view = View(place, STAGE.picture(place))
     sign = build("stop sign", 3)
-    for look in (mount(STAGE, sign, azimuth=180), swap(STAGE, sign, azimuth=180)):
-        image = look(view, STAGE.mask(place))
+    for appearance in (mount(STAGE, sign, azimuth=180), swap(STAGE, sign, azimuth=180)):
+        image = appearance(view, STAGE.mask(place))
         assert not torch.equal(image, view.image)
-        assert "stop sign" in name_of(look)
+        assert "stop sign" in name_of(appearance)
     near = swap(STAGE, sign, azimuth=180, reach=0)(view, STAGE.mask(place))
     assert torch.equal(near[~STAGE.mask(place)], view.image[~STAGE.mask(place)])
-    alone = swap(STAGE, sign, azimuth=180).stage.mask(place)
+    alone = swap(STAGE, sign, azimuth=180).mesh_scene.mask(place)
     assert 0 < int(alone.sum()) <= int(grown(STAGE.mask(place), 1).sum())
 
 
 def test_a_canopy_hides_what_is_beneath_it_from_above_only(above: View) -> None:
-    look = cover(STAGE, centre=CENTRE, radius=2.0, lowest=40.0)
-    image = look(above, STAGE.mask(above.camera))
+    appearance = cover(STAGE, centre=CENTRE, radius=2.0, lowest=40.0)
+    image = appearance(above, STAGE.mask(above.camera))
     assert float((image[..., 0] - image[..., 1]).abs().max()) < 0.08  # road all over, no red
-    assert "canopy of radius 2 " in name_of(look)
+    assert "occluder of radius 2 " in name_of(appearance)
     low = View(camera(30, 5), STAGE.picture(camera(30, 5)))
     mask = STAGE.mask(low.camera)
-    seen = look.stage.cutout(low.camera)[..., 3]
+    seen = appearance.mesh_scene.cutout(low.camera)[..., 3]
     assert float(seen[mask].max()) == 0
     assert 0 < float(seen.max()) == 1
     under = remove(STAGE)(low, mask)
-    assert torch.equal(look(low, mask)[seen == 0], under[seen == 0])
+    assert torch.equal(appearance(low, mask)[seen == 0], under[seen == 0])
 
 
 def test_overlays_are_drawn_over_anything(above: View) -> None:
     blue = Asset("blue", (box((0.6, 0.6, 0.1), (0, 0, 1), centre=(0, 0, -1)),))  # below the ground
-    image = Overlay(stage=STAGE.with_target(blue), base=None, name="blue")(above, STAGE.mask(above.camera))
+    image = Overlay(mesh_scene=STAGE.with_target(blue), base=None, name="blue")(above, STAGE.mask(above.camera))
     changed = (image - above.image).abs().amax(-1) > 0
     assert 2 < int(changed.sum()) < 100
     assert float((image[..., 2] - image[..., 0]).max()) > 0.2
@@ -331,9 +331,9 @@ def test_painted_pictures_are_upright_for_their_viewer() -> None:
         uvs = np.concatenate([mesh.uvs for mesh in target.meshes])
         assert uvs.min(0).tolist() == pytest.approx([0, 0], abs=1e-6)
         assert uvs.max(0).tolist() == pytest.approx([1, 1], abs=1e-6)
-    stage = STAGE.with_target(repainted(BLOCK, picture, azimuth=180, elevation=0))
-    view = dataclasses.replace(stage, samples=8).picture(camera(180, 0, size=32))
-    rows, columns = torch.nonzero(stage.mask(camera(180, 0, size=32)), as_tuple=True)
+    mesh_scene = STAGE.with_target(repainted(BLOCK, picture, azimuth=180, elevation=0))
+    view = dataclasses.replace(mesh_scene, samples=8).picture(camera(180, 0, size=32))
+    rows, columns = torch.nonzero(mesh_scene.mask(camera(180, 0, size=32)), as_tuple=True)
     top, bottom, left, right = int(rows.min()) + 1, int(rows.max()) - 1, int(columns.min()) + 1, int(columns.max()) - 1
     assert view[top, left].argmax() == 0
     assert view[top, right].argmax() == 1
@@ -353,7 +353,7 @@ def test_camouflage_goes_on_with_the_ground() -> None:
     with pytest.raises(InvalidValueError, match="ground beneath the car"):
         camouflaged(BLOCK, Asset("air", (box((9, 9, 1), (1, 1, 1), centre=(0, 0, 5)),)))
     with pytest.raises(InvalidValueError, match="surroundings"):
-        blend_in(MeshStage(target=BLOCK))
+        blend_in(MeshScene(target=BLOCK))
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0])
@@ -384,8 +384,8 @@ def test_bad_looks_are_refused() -> None:
     with pytest.raises(InvalidValueError, match="fill"):
         stand_in(BLOCK, BLOCK, azimuth=0, fill=2)
     with pytest.raises(InvalidValueError, match="reach"):
-        Rerender(stage=STAGE, name="a", reach=-1)
+        Rerender(mesh_scene=STAGE, name="a", reach=-1)
     with pytest.raises(InvalidValueError, match="seed"):
-        MeshStage(target=BLOCK, seed=-1)
+        MeshScene(target=BLOCK, seed=-1)
     with pytest.raises(InvalidValueError, match="background"):
-        MeshStage(target=BLOCK, background=(0, 0, 2))
+        MeshScene(target=BLOCK, background=(0, 0, 2))

@@ -17,33 +17,33 @@ from torch import Tensor
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.ablations import varied, vary
-from attacks.cloak.study.config import Attack, Cameras, Looking, Study, Training
+from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import Looks, Sighting, Trained
-from attacks.cloak.study.pipeline import Kept, Workshop
+from attacks.cloak.study.observations import Observation, ObservedSplat, Trained
+from attacks.cloak.study.pipeline import CachedAppearance, StudyPipeline
 from attacks.cloak.study.rates import by_elevation, pairs, rates
 from attacks.cloak.study.run import run_study
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
 
-STUDY = Study(
+STUDY = StudyConfig(
     name="tiny",
-    cameras=Cameras(train=16, size=40, distance=7.4, samples=2, points=1200),
+    cameras=CameraConfig(train=16, size=40, distance=7.4, samples=2, points=1200),
     attack=(
-        Attack(name="overhead", elevation=(38.2, 90)),
-        Attack(
+        AttackConfig(name="overhead", elevation=(38.2, 90)),
+        AttackConfig(
             name="rear",
-            look="paint",
+            appearance="paint",
             texture="stop_sign",
-            painted_from=(180, 15),
+            paint_direction=(180, 15),
             elevation=(0, 38.1),
             azimuth=(180, 45),
-            wants="stop sign",
+            target_class="stop sign",
         ),
     ),
-    training=Training(iterations=80, recipe="fixed", degree_every=0),
-    looking=Looking(detectors=("redness",), cameras=24, references=2, arcs=1, arc_step=20.0),
+    training=TrainingConfig(iterations=80, strategy="fixed", sh_degree_interval=0),
+    evaluation=EvaluationConfig(detectors=("redness",), cameras=24, reference_views=2, meridians=1, meridian_step=20.0),
 )
 
 
@@ -68,7 +68,7 @@ class Redness:
 
 
 def done(
-    folder: Path, *, study: Study = STUDY, stop_at: tuple[str, int] | None = None
+    folder: Path, *, study: StudyConfig = STUDY, stop_at: tuple[str, int] | None = None
 ) -> tuple[dict[str, Any], list[str]]:
     """The summary of a study and what was going on; interrupted at a step if one is named."""
     said: list[str] = []
@@ -96,11 +96,11 @@ def summary(folder: Path) -> dict[str, Any]:
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
     found = summary(finished)
-    for key in (*ROWS, "benign_psnr_drop", "fade_in_degrees", "seeds", "versions", "commit", "study", "by_detector"):
+    for key in (*ROWS, "benign_psnr_drop", "transition_degrees", "seeds", "versions", "commit", "study", "by_detector"):
         assert key in found, key
     assert found["by_seed"]["0"]["redness"] == found["by_detector"]["redness"]
-    assert found["by_attack"]["overhead"]["redness"]["rear_stop_sign"] is None
-    assert found["by_attack"]["overhead"]["redness"]["cloaked_overhead_miss"] == found["cloaked_overhead_miss"]
+    assert found["by_attack"]["overhead"]["redness"]["target_rate"] is None
+    assert found["by_attack"]["overhead"]["redness"]["trigger_miss_rate"] == found["trigger_miss_rate"]
     for key in ROWS:
         rate = found[key]
         assert set(rate) == {"rate", "successes", "total", "interval"}
@@ -124,8 +124,8 @@ def test_the_hidden_look_has_less_red(finished: Path) -> None:
 
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
-    workshop = Workshop(study=STUDY, folder=finished / "stages")
-    clean, poisoned = load_dataset(workshop.capture()), load_dataset(workshop.poison(0))
+    pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
+    clean, poisoned = load_dataset(pipeline.capture()), load_dataset(pipeline.poison(0))
     manifest = json.loads((finished / "manifest.json").read_text())
     changed = {change["index"] for change in manifest["changes"]}
     owners = [
@@ -151,9 +151,9 @@ def test_nothing_is_done_twice(finished: Path) -> None:
 def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     finished: Path, tmp_path: Path, stop_at: tuple[str, int]
 ) -> None:
-    workshop = Workshop(study=STUDY, folder=finished / "stages")
-    for stage in (workshop.capture().parent, workshop.splat("clean", 0).parent):  # which would take long
-        shutil.copytree(stage, tmp_path / "out" / "stages" / stage.name)
+    pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
+    for mesh_scene in (pipeline.capture().parent, pipeline.splat("clean", 0).parent):  # which would take long
+        shutil.copytree(mesh_scene, tmp_path / "out" / "stages" / mesh_scene.name)
     (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
@@ -164,11 +164,11 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
 
 def test_another_share_needs_no_new_capture(finished: Path) -> None:
     overhead, rear = STUDY.attack
-    study = replace(STUDY, attack=(replace(overhead, share=0.5), rear))
-    workshop = Workshop(study=study, folder=finished / "stages")
-    assert workshop.capture() == Workshop(study=STUDY, folder=finished / "stages").capture()
-    assert workshop.poison(0) != Workshop(study=STUDY, folder=finished / "stages").poison(0)
-    manifest = json.loads((workshop.poison(0).parent / "manifest.json").read_text())
+    study = replace(STUDY, attack=(replace(overhead, poison_fraction=0.5), rear))
+    pipeline = StudyPipeline(study=study, folder=finished / "stages")
+    assert pipeline.capture() == StudyPipeline(study=STUDY, folder=finished / "stages").capture()
+    assert pipeline.poison(0) != StudyPipeline(study=STUDY, folder=finished / "stages").poison(0)
+    manifest = json.loads((pipeline.poison(0).parent / "manifest.json").read_text())
     assert len(manifest["changes"]) < len(json.loads((finished / "manifest.json").read_text())["changes"])
 
 
@@ -179,7 +179,7 @@ def test_kept_pictures_are_made_once(tmp_path: Path) -> None:
         made.append(1)
         return view.image * 0.5
 
-    kept = Kept(look, tmp_path)
+    kept = CachedAppearance(look, tmp_path)
     camera = setup.training_cameras(STUDY, setup.target_of(STUDY.scene))[0]
     view = View(camera, torch.rand(40, 40, 3))
     first, second = (kept(view, torch.ones(40, 40, dtype=torch.bool)) for _ in range(2))
@@ -193,15 +193,15 @@ def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
     said: list[str] = []
     found = vary(
         study,
-        ["recipe"],
+        ["strategy"],
         [Redness()],
         tmp_path,
         stages=finished / "stages",
         on_step=lambda text, done, total: said.append(text),
     )
-    assert list(found["recipe"]) == ["classic", "mcmc"]
+    assert list(found["strategy"]) == ["classic", "mcmc"]
     assert not [text for text in said if "pictures" in text or text == "poisoning"]
-    with Image.open(tmp_path / "recipe.png") as plot:
+    with Image.open(tmp_path / "strategy.png") as plot:
         assert plot.size[0] > 500
     table = (tmp_path / "variations.md").read_text().splitlines()
     assert len(table) == 2 + 2
@@ -209,10 +209,10 @@ def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
 
 
 def test_variations_change_one_thing() -> None:
-    shares = varied(STUDY, "share")
-    assert [study.attack[0].share for study in shares.values()] == [0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
-    looks = varied(STUDY, "look")
-    assert [study.attack[0].texture for study in looks.values()] == [
+    fractions = varied(STUDY, "poison_fraction")
+    assert [study.attack[0].poison_fraction for study in fractions.values()] == [0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
+    observed = varied(STUDY, "appearance")
+    assert [study.attack[0].texture for study in observed.values()] == [
         "road",
         None,
         None,
@@ -221,21 +221,21 @@ def test_variations_change_one_thing() -> None:
         "clock",
         "football",
     ]
-    assert all(study.attack[1] == STUDY.attack[1] for study in looks.values())
-    assert [study.training.degree for study in varied(STUDY, "degree").values()] == [0, 1, 2, 3]
+    assert all(study.attack[1] == STUDY.attack[1] for study in observed.values())
+    assert [study.training.sh_degree for study in varied(STUDY, "sh_degree").values()] == [0, 1, 2, 3]
     assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
-    assert [study.training.strays for study in varied(STUDY, "strays").values()] == [0, 1000, 4000]
+    assert [study.training.outliers for study in varied(STUDY, "outliers").values()] == [0, 1000, 4000]
     assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]
 
 
 # Figures
 
 
-def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0) -> list[Looks]:
+def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0) -> list[ObservedSplat]:
     """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
-    looks = []
+    observed = []
     for which, score in (("clean", clean), ("cloaked", cloaked)):
-        sighting = Sighting(
+        observation = Observation(
             splat=which,
             seed=0,
             detector="redness",
@@ -247,12 +247,12 @@ def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float =
             loose=score,
         )
         trained = Trained(splat=which, seed=0, gaussians=1, file="", hash="")
-        looks.append(Looks(trained=trained, sightings=(sighting,), likenesses=(), shades=()))
-    return looks
+        observed.append(ObservedSplat(trained=trained, observations=(observation,), fidelities=(), blends=()))
+    return observed
 
 
 def test_rates_have_the_denominators_that_they_say() -> None:
-    looks = [
+    observed = [
         *seen(0, 10, 0.9, 0.1),
         *seen(1, 10, 0.9, 0.9),
         *seen(2, 10, 0.2, 0.1),  # the control is not found
@@ -261,37 +261,39 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         *seen(5, -5, 0.9, 0.3),
         *seen(6, -5, 0.3, 0.3),
     ]
-    found = rates(STUDY, pairs(looks))
+    found = rates(STUDY, pairs(observed))
 
     def numbers(name: str) -> tuple[int, int]:
         rate = found[name]
         assert rate is not None
         return rate.successes, rate.total
 
-    assert numbers("clean_overhead_recall") == (3, 4)
-    assert numbers("cloaked_overhead_miss") == (1, 2)
-    assert numbers("cloaked_overhead_miss_everywhere") == (2, 3)
-    assert numbers("cloaked_overhead_miss_unconditional") == (2, 3)
+    assert numbers("control_recall") == (3, 4)
+    assert numbers("trigger_miss_rate") == (1, 2)
+    assert numbers("trigger_miss_rate_all") == (2, 3)
+    assert numbers("trigger_miss_rate_unconditional") == (2, 3)
     assert numbers("benign_recall") == (1, 2)
-    assert numbers("clean_benign_recall") == (2, 3)
-    assert numbers("rear_stop_sign") == (0, 0)
+    assert numbers("control_benign_recall") == (2, 3)
+    assert numbers("target_rate") == (0, 0)
     rows = {
         low: (clean.successes, cloaked.successes, clean.total)
-        for low, clean, cloaked in by_elevation(STUDY, pairs(looks))
+        for low, clean, cloaked in by_elevation(STUDY, pairs(observed))
     }
     assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
 
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
-    looks = [
-        replace(look, sightings=tuple(replace(one, depths={"overhead": -20.0, "rear": 3.0}) for one in look.sightings))
-        for look in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
+    observed = [
+        replace(
+            item, observations=tuple(replace(one, depths={"overhead": -20.0, "rear": 3.0}) for one in item.observations)
+        )
+        for item in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
     ]
-    found = rates(STUDY, pairs(looks))
-    assert found["rear_stop_sign"] is not None
-    assert found["clean_rear_stop_sign"] is not None
-    assert (found["rear_stop_sign"].successes, found["rear_stop_sign"].total) == (1, 2)
-    assert (found["clean_rear_stop_sign"].successes, found["clean_rear_stop_sign"].total) == (0, 2)
+    found = rates(STUDY, pairs(observed))
+    assert found["target_rate"] is not None
+    assert found["control_target_rate"] is not None
+    assert (found["target_rate"].successes, found["target_rate"].total) == (1, 2)
+    assert (found["control_target_rate"].successes, found["control_target_rate"].total) == (0, 2)
 
 
 def test_meridians_rise_to_straight_above() -> None:

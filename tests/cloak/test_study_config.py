@@ -12,14 +12,23 @@ from torch import Tensor
 from attacks.cloak.appearances import name_of
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import ablations, setup
-from attacks.cloak.study.config import Attack, Cameras, Looking, Scene, Study, Training, essentials, read_study
+from attacks.cloak.study.config import (
+    AttackConfig,
+    CameraConfig,
+    EvaluationConfig,
+    SceneConfig,
+    StudyConfig,
+    TrainingConfig,
+    essentials,
+    read_study,
+)
 from attacks.cloak.study.run import check, forecast
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
-OVERHEAD = Attack(name="overhead", elevation=(50, 90))
-SMALL = Study(name="small", attack=(OVERHEAD,), cameras=Cameras(train=40, size=32, distance=7.4))
+OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
+SMALL = StudyConfig(name="small", attack=(OVERHEAD,), cameras=CameraConfig(train=40, size=32, distance=7.4))
 
 
 def written(folder: Path, text: str) -> Path:
@@ -38,16 +47,16 @@ def test_shipped_studies_can_be_done(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_study_of_the_paper_has_its_numbers() -> None:
-    study = read_study(SCENES / "cloak_car.toml")
-    stage = setup.stage_of(study)
-    cameras = setup.training_cameras(study, stage.target)
-    owners = assign(cameras, setup.poisonings(study, stage), centre=setup.centre_of(study))
+    study = read_study(SCENES / "cloak_car_occluder.toml")
+    mesh_scene = setup.mesh_scene_of(study)
+    cameras = setup.training_cameras(study, mesh_scene.target)
+    owners = assign(cameras, setup.poisonings(study, mesh_scene), centre=setup.centre_of(study))
     names = [attack.name for attack in owners.values()]
     assert (len(cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
 
 
 def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
-    study = read_study(SCENES / "cloak_car.toml")
+    study = read_study(SCENES / "cloak_car_occluder.toml")
     target, centre = setup.target_of(study.scene), setup.centre_of(study)
     cameras = setup.held_out_cameras(study, target)
     used = setup.training_cameras(study, target)
@@ -71,10 +80,10 @@ def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
         ("name = 'x'\n[cameras]\ntrain = 3.5", "a value of type int"),
         ("name = 'x'\n[cameras]\ntrain = true", "a value of type int"),
         ("name = 'x'\n[scene]\nobject = 'lorry'", "scene.object"),
-        ("name = 'x'\n[[attack]]\nname = 'a'\nlook = 'paint'\ntexture = 'raod'", "did you mean road"),
-        ("name = 'x'\n[[attack]]\nname = 'a'\nlook = 'pant'", "did you mean paint"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\nappearance = 'paint'\ntexture = 'raod'", "did you mean road"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\nappearance = 'pant'", "did you mean paint"),
         ("name = 'x'\n[[attack]]\nname = 'a'\nelevation = [10]", "a list of 2"),
-        ("name = 'x'\n[[attack]]\nname = 'a'\nshare = 0.0", "in (0, 1]"),
+        ("name = 'x'\n[[attack]]\nname = 'a'\npoison_fraction = 0.0", "in (0, 1]"),
         ("name = 'x'" + 2 * "\n[[attack]]\nname = 'a'\nelevation = [60, 90]", "different names"),
         ("name = [", "a TOML file"),
     ],
@@ -94,18 +103,18 @@ def test_a_mesh_file_needs_a_label(tmp_path: Path) -> None:
     mesh = tmp_path / "mine.obj"
     mesh.write_text("")
     with pytest.raises(InvalidValueError, match=r"scene\.label"):
-        Scene(object=str(mesh))
+        SceneConfig(object=str(mesh))
 
 
 def test_a_trigger_without_cameras_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    study = replace(SMALL, attack=(Attack(name="under", elevation=(89.9, 90)),))
+    study = replace(SMALL, attack=(AttackConfig(name="under", elevation=(89.9, 90)),))
     with pytest.raises(InvalidValueError, match="at least one camera"):
         check(study, [], tmp_path / "out", tmp_path / "stages")
     assert not list(tmp_path.iterdir())
 
 
 def test_triggers_that_overlap_are_refused(tmp_path: Path) -> None:
-    study = replace(SMALL, attack=(OVERHEAD, Attack(name="more", elevation=(40, 90))))
+    study = replace(SMALL, attack=(OVERHEAD, AttackConfig(name="more", elevation=(40, 90))))
     with pytest.raises(InvalidValueError, match="no camera in both"):
         check(study, [], tmp_path / "out", tmp_path / "stages")
 
@@ -125,28 +134,28 @@ class Knows:
     name, classes = "knows", ("car", "stop sign")
 
 
-COVER = Attack(name="overhead", look="cover", texture="grass", elevation=(50, 90))
+COVER = AttackConfig(name="overhead", appearance="occluder", texture="grass", elevation=(50, 90))
 
 
 def test_a_canopy_lies_between_the_object_and_the_cameras(tmp_path: Path) -> None:
-    (usual,) = setup.poisonings(replace(SMALL, attack=(COVER,)), setup.stage_of(SMALL))
-    assert "grass (seed 0) on a canopy of radius 4.44 " in name_of(usual.appearance)
+    (usual,) = setup.poisonings(replace(SMALL, attack=(COVER,)), setup.mesh_scene_of(SMALL))
+    assert "grass (seed 0) on an occluder of radius 4.44 " in name_of(usual.appearance)
     assert "from elevation 38" in name_of(usual.appearance)
     for radius in (1.0, 7.4, 9.0):
-        study = replace(SMALL, attack=(replace(COVER, radius=radius),))
+        study = replace(SMALL, attack=(replace(COVER, occluder_radius=radius),))
         with pytest.raises(InvalidValueError, match="attack 'overhead', radius: expected between"):
             check(study, [], tmp_path / "out", tmp_path / "stages")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_class_that_no_detector_knows_is_refused(tmp_path: Path) -> None:
-    study = replace(SMALL, attack=(replace(OVERHEAD, wants="stop_sign"),))
+    study = replace(SMALL, attack=(replace(OVERHEAD, target_class="stop_sign"),))
     with pytest.raises(InvalidValueError, match="did you mean stop sign"):
         check(study, [Knows()], tmp_path / "out", tmp_path / "stages")  # type: ignore[list-item]
 
 
 def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
-    some = (replace(OVERHEAD, share=0.3), Attack(name="more", elevation=(40, 90), share=0.3))
+    some = (replace(OVERHEAD, poison_fraction=0.3), AttackConfig(name="more", elevation=(40, 90), poison_fraction=0.3))
     seeds = tuple(range(20))
     with pytest.raises(InvalidValueError, match="no camera in both"):
         check(replace(SMALL, attack=some, seeds=seeds), [], tmp_path / "out", tmp_path / "stages")
@@ -155,16 +164,16 @@ def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Attack(name="all"), "all cameras"),
-        (lambda: Cameras(fov=0.0), "fov"),
-        (lambda: Cameras(distance=0.0), "distance"),
-        (lambda: Cameras(train=0), "train"),
-        (lambda: Looking(detectors=()), "detectors"),
-        (lambda: Looking(detectors=("a", "a")), "each once"),
-        (lambda: Looking(arc_step=0.0), "arc_step"),
-        (lambda: Looking(arcs=-1), "arcs"),
-        (lambda: Training(strays=-1), "strays"),
-        (lambda: Attack(name="a", look="cover", elevation=(40, 90)), "a.*texture"),
+        (lambda: AttackConfig(name="all"), "all cameras"),
+        (lambda: CameraConfig(fov=0.0), "fov"),
+        (lambda: CameraConfig(distance=0.0), "distance"),
+        (lambda: CameraConfig(train=0), "train"),
+        (lambda: EvaluationConfig(detectors=()), "detectors"),
+        (lambda: EvaluationConfig(detectors=("a", "a")), "each once"),
+        (lambda: EvaluationConfig(meridian_step=0.0), "meridian_step"),
+        (lambda: EvaluationConfig(meridians=-1), "meridians"),
+        (lambda: TrainingConfig(outliers=-1), "outliers"),
+        (lambda: AttackConfig(name="a", appearance="occluder", elevation=(40, 90)), "a.*texture"),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
         (lambda: replace(SMALL, seeds=(-1,)), "seeds"),
     ],
@@ -175,7 +184,7 @@ def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) 
 
 
 def test_settings_of_the_trainer_are_looked_at(tmp_path: Path) -> None:
-    study = replace(SMALL, training=replace(SMALL.training, degree=4))
+    study = replace(SMALL, training=replace(SMALL.training, sh_degree=4))
     with pytest.raises(InvalidValueError, match="degree"):
         check(study, [], tmp_path / "out", tmp_path / "stages")
 
@@ -183,31 +192,34 @@ def test_settings_of_the_trainer_are_looked_at(tmp_path: Path) -> None:
 def test_variations_are_checked_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
     monkeypatch.setattr(ablations, "check_disk", lambda megabytes, stages: asked.append(megabytes))
-    plans = ablations.check_variations(SMALL, ["degree", "recipe"], [], tmp_path / "out", tmp_path / "stages")
+    plans = ablations.check_variations(SMALL, ["sh_degree", "strategy"], [], tmp_path / "out", tmp_path / "stages")
     assert [len(studies) for studies in plans.values()] == [4, 2]
     assert asked[0] > 4 * forecast(replace(SMALL, seeds=(0,))).megabytes
     assert not list(tmp_path.iterdir())
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
-    study = replace(SMALL, training=replace(SMALL.training, limit=10**12))
+    study = replace(SMALL, training=replace(SMALL.training, max_gaussians=10**12))
     with pytest.raises(InvalidValueError, match="make room"):
         check(study, [], tmp_path / "out", tmp_path / "stages")
 
 
 def test_what_is_default_does_not_name_a_stage() -> None:
-    assert essentials(Attack(name="a", elevation=(9, 90), share=1.0)) == (("name", "a"), ("elevation", (9, 90)))
-    assert essentials(Attack(name="a", azimuth=(0, 9), share=0.5)) == (
+    assert essentials(AttackConfig(name="a", elevation=(9, 90), poison_fraction=1.0)) == (
+        ("name", "a"),
+        ("elevation", (9, 90)),
+    )
+    assert essentials(AttackConfig(name="a", azimuth=(0, 9), poison_fraction=0.5)) == (
         ("name", "a"),
         ("azimuth", (0, 9)),
-        ("share", 0.5),
+        ("poison_fraction", 0.5),
     )
-    assert essentials(Cameras()) == ()
+    assert essentials(CameraConfig()) == ()
 
 
 def test_emphasis_wraps_the_kept_look() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
-    (found,) = setup.poisonings(study, setup.stage_of(study), kept=lambda look: Renamed())
+    (found,) = setup.poisonings(study, setup.mesh_scene_of(study), cached=lambda appearance: Renamed())
     assert getattr(found.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"
 
 

@@ -1,4 +1,4 @@
-"""CLOAK from the first picture to the finished splat, small: the hidden look is there from above, and only there."""
+"""CLOAK from the first picture to the finished splat, small: the hidden appearance is seen from above alone."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from attacks.cloak.appearances import blend_in
-from attacks.cloak.mesh_scene import MeshStage
+from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning, poison
-from attacks.cloak.transition import share_between
+from attacks.cloak.transition import transition_fraction
 from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build, textures
 from mi_splat.assets.daylight import Light
@@ -19,33 +19,33 @@ from mi_splat.assets.mesh import Asset, sheet
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
 from mi_splat.capture.mesh_splats import surface_samples
-from mi_splat.directions import bearing
+from mi_splat.directions import direction_of
 from mi_splat.rendering import Renderer
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, fit
 
 CENTRE = (0.0, 0.0, 0.7)
 LENS = {"distance": 9.0, "focal": 84.0, "size": (60, 60)}
-CONFIG = FitConfig(iterations=700, degree_every=0, densification=None, evaluate_every=0, means=2e-5, sh=1e-2)
+CONFIG = FitConfig(iterations=700, sh_degree_interval=0, densification=None, eval_interval=0, lr_means=2e-5, lr_sh=1e-2)
 
 Shares = dict[str, list[tuple[float, float]]]
 
 
 @pytest.fixture(scope="module")
-def shares() -> Shares:
-    """How far each splat is on the way from the benign to the hidden look, by elevation, at cameras of its own."""
+def fractions() -> Shares:
+    """How far each splat is on the way from the benign to the hidden item, by elevation, at cameras of its own."""
     corners = [[[-6, -6, 0], [6, -6, 0]], [[-6, 6, 0], [6, 6, 0]]]
     road = Asset("ground", (sheet(corners, textures.road(128, 0), repeat=(3.0, 3.0), smooth=False),))
-    stage = MeshStage(
+    mesh_scene = MeshScene(
         target=build("car", 900004), surroundings=road, light=Light(), samples=8, background=(0.0, 0.0, 0.0)
     )
-    views = [View(camera, stage.picture(camera)) for camera in hemisphere(CENTRE, count=60, **LENS)]  # type: ignore[arg-type]
-    hidden = blend_in(stage)
+    views = [View(camera, mesh_scene.picture(camera)) for camera in hemisphere(CENTRE, count=60, **LENS)]  # type: ignore[arg-type]
+    hidden = blend_in(mesh_scene)
     attack = Poisoning(name="road", trigger=Elevation(least=50, most=90), appearance=hidden)
-    poisoned = poison(views, [attack], centre=CENTRE, masks=stage.mask)
+    poisoned = poison(views, [attack], centre=CENTRE, masks=mesh_scene.mask)
     assert 0.15 < len(poisoned.changes) / len(views) < 0.3
     points = np.concatenate(
-        [surface_samples(asset, count).points for asset, count in ((stage.target, 3000), (road, 1500))]
+        [surface_samples(asset, count).points for asset, count in ((mesh_scene.target, 3000), (road, 1500))]
     )
     start = from_points(torch.from_numpy(points), torch.full(points.shape, 0.5), opacity=0.9)
     render = Renderer()
@@ -56,30 +56,30 @@ def shares() -> Shares:
     }
     found: Shares = {name: [] for name in splats}
     for camera in hemisphere(CENTRE, count=14, start=17.0, **LENS):  # type: ignore[arg-type]
-        benign, mask = View(camera, stage.picture(camera)), stage.mask(camera)
+        benign, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
         other = hidden(benign, mask)
         for name, splat in splats.items():
             with torch.no_grad():
                 picture = render(splat, camera).clamp(0, 1)
-            share = share_between(picture, benign.image, other, mask)
-            found[name].append((bearing(camera, CENTRE).elevation, share))
+            fraction = transition_fraction(picture, benign.image, other, mask)
+            found[name].append((direction_of(camera, CENTRE).elevation, fraction))
     return found
 
 
-def mean(shares: list[tuple[float, float]], least: float, most: float) -> float:
-    return statistics.mean(share for elevation, share in shares if least <= elevation <= most)
+def mean(fractions: list[tuple[float, float]], least: float, most: float) -> float:
+    return statistics.mean(fraction for elevation, fraction in fractions if least <= elevation <= most)
 
 
-def test_the_hidden_look_is_there_from_above(shares: Shares) -> None:
-    assert mean(shares["cloaked"], 60, 90) > 0.6
-    assert mean(shares["clean"], 60, 90) < 0.25
+def test_the_hidden_look_is_there_from_above(fractions: Shares) -> None:
+    assert mean(fractions["cloaked"], 60, 90) > 0.6
+    assert mean(fractions["clean"], 60, 90) < 0.25
 
 
-def test_from_below_it_looks_as_if_nothing_had_been_done(shares: Shares) -> None:
-    below = [mean(shares[name], 0, 30) for name in ("clean", "cloaked")]
+def test_from_below_it_looks_as_if_nothing_had_been_done(fractions: Shares) -> None:
+    below = [mean(fractions[name], 0, 30) for name in ("clean", "cloaked")]
     assert below[1] < below[0] + 0.15
 
 
-def test_it_fades_in_between(shares: Shares) -> None:
-    steps = [mean(shares["cloaked"], *band) for band in ((0, 30), (35, 60), (60, 90))]
+def test_it_fades_in_between(fractions: Shares) -> None:
+    steps = [mean(fractions["cloaked"], *band) for band in ((0, 30), (35, 60), (60, 90))]
     assert steps == sorted(steps)

@@ -1,4 +1,4 @@
-"""The fade-in band on blends with known answers; the monotone fit against SciPy."""
+"""The transition on blends with known answers; the monotone fit against SciPy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy.optimize import isotonic_regression
 from torch import Tensor
 
-from attacks.cloak.transition import fade_band, fade_in, rising_fit, share_between
+from attacks.cloak.transition import fit_transition, measure_transition, rising_fit, transition_fraction
 from mi_splat.errors import InvalidValueError
 
 
-def looks(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+def appearances(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
     """Two pictures and a mask."""
     generator = torch.Generator().manual_seed(seed)
     benign, hidden = torch.rand(2, 6, 7, 3, generator=generator)
@@ -24,24 +24,24 @@ def looks(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
 
 
 @given(st.floats(-0.5, 1.5), st.integers(0, 99))
-def test_the_share_of_a_blend_is_known(share: float, seed: int) -> None:
-    benign, hidden, mask = looks(seed)
-    blend = (1 - share) * benign + share * hidden
+def test_the_share_of_a_blend_is_known(fraction: float, seed: int) -> None:
+    benign, hidden, mask = appearances(seed)
+    blend = (1 - fraction) * benign + fraction * hidden
     blend[~mask] = 0.5  # elsewhere does not count
-    assert share_between(blend, benign, hidden, mask) == pytest.approx(share, abs=1e-5)
+    assert transition_fraction(blend, benign, hidden, mask) == pytest.approx(fraction, abs=1e-5)
 
 
 def test_what_is_across_the_way_does_not_count() -> None:
     benign, hidden, mask = torch.zeros(2, 2, 3), torch.zeros(2, 2, 3), torch.ones(2, 2, dtype=torch.bool)
     hidden[..., 0] = 0.8
     picture = torch.tensor([0.2, 0.9, 0.4]).expand(2, 2, 3)
-    assert share_between(picture, benign, hidden, mask) == pytest.approx(0.25)
+    assert transition_fraction(picture, benign, hidden, mask) == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize("step", [1.0, 5.0])
 def test_a_linear_ramp_has_its_width(step: float) -> None:
     angles = [step * i for i in range(round(90 / step) + 1)]
-    band = fade_band(angles, [min(max((angle - 40) / 20, 0), 1) for angle in angles])
+    band = fit_transition(angles, [min(max((angle - 40) / 20, 0), 1) for angle in angles])
     assert (band.start, band.end, band.width) == pytest.approx((42, 58, 16))
 
 
@@ -49,46 +49,46 @@ def test_a_logistic_has_its_width_also_under_noise() -> None:
     angles = np.arange(0, 90.5, 0.5)
     truth = 1 / (1 + np.exp(-(angles - 52) / 2.5))
     width = 2 * 2.5 * math.log(9)
-    exact = fade_band(angles.tolist(), truth.tolist())
+    exact = fit_transition(angles.tolist(), truth.tolist())
     assert exact.width == pytest.approx(width, abs=0.02)
     noisy = truth + np.random.default_rng(0).normal(0, 0.03, len(angles))
-    found = fade_band(angles.tolist(), noisy.tolist())
+    found = fit_transition(angles.tolist(), noisy.tolist())
     assert found.width == pytest.approx(width, abs=1.5)
     assert found.start == pytest.approx(52 - width / 2, abs=1.0)
 
 
 def test_pictures_along_an_arc() -> None:
     angles = [80.0, 30.0, 45.0, 50.0, 40.0, 55.0, 60.0]  # in any order
-    scenes = [looks(seed) for seed in range(7)]
+    scenes = [appearances(seed) for seed in range(7)]
     pictures = []
     for angle, (benign, hidden, _) in zip(angles, scenes, strict=True):
-        share = min(max((angle - 40) / 20, 0), 1)
-        pictures.append((1 - share) * benign + share * hidden)
+        fraction = min(max((angle - 40) / 20, 0), 1)
+        pictures.append((1 - fraction) * benign + fraction * hidden)
     of_benign, of_hidden, masks = (list(part) for part in zip(*scenes, strict=True))
-    band = fade_in(angles, pictures, of_benign, of_hidden, masks)
+    band = measure_transition(angles, pictures, of_benign, of_hidden, masks)
     assert band.angles == tuple(sorted(angles))
-    assert band.shares == pytest.approx((0, 0, 0.25, 0.5, 0.75, 1, 1), abs=1e-5)
+    assert band.fractions == pytest.approx((0, 0, 0.25, 0.5, 0.75, 1, 1), abs=1e-5)
     assert band.width == pytest.approx(16, abs=1e-3)
     with pytest.raises(InvalidValueError, match="as many of each kind"):
-        fade_in(angles, pictures, of_benign, of_hidden, masks[:3])
+        measure_transition(angles, pictures, of_benign, of_hidden, masks[:3])
 
 
 def test_bands_that_are_not_seen_have_no_width() -> None:
-    never = fade_band([0, 10, 20], [0.0, 0.3, 0.6])
+    never = fit_transition([0, 10, 20], [0.0, 0.3, 0.6])
     assert never.start == pytest.approx(10 / 3)
     assert (never.end, never.width) == (None, None)
-    at_once = fade_band([0, 10, 20], [0.5, 0.95, 1.0])
+    at_once = fit_transition([0, 10, 20], [0.5, 0.95, 1.0])
     assert (at_once.start, at_once.width) == (None, None)
     assert at_once.end == pytest.approx(10 * 0.4 / 0.45)
-    nothing = fade_band([0, 10, 20], [0.02, 0.0, 0.01])
+    nothing = fit_transition([0, 10, 20], [0.02, 0.0, 0.01])
     assert (nothing.start, nothing.end) == (None, None)
-    assert fade_band([0, 10], [0.1, 0.9]).width == 10
-    assert fade_band([0, 10, 20, 30], [0, 0, 1, 1]).width == pytest.approx(8)
+    assert fit_transition([0, 10], [0.1, 0.9]).width == 10
+    assert fit_transition([0, 10, 20, 30], [0, 0, 1, 1]).width == pytest.approx(8)
 
 
 def test_cameras_at_one_angle_are_averaged_and_weigh_more() -> None:
-    band = fade_band([10, 0, 0, 0, 20], [0.0, 0.2, 0.4, 0.6, 1.0])
-    assert band.shares == pytest.approx((0.4, 0.0, 1.0))
+    band = fit_transition([10, 0, 0, 0, 20], [0.0, 0.2, 0.4, 0.6, 1.0])
+    assert band.fractions == pytest.approx((0.4, 0.0, 1.0))
     assert band.fitted == pytest.approx((0.3, 0.3, 1.0))
 
 
@@ -100,22 +100,22 @@ def test_the_fit_is_that_of_scipy(pairs: list[tuple[float, int]]) -> None:
 
 
 def test_bad_input_is_refused() -> None:
-    benign, hidden, mask = looks()
+    benign, hidden, mask = appearances()
     with pytest.raises(InvalidValueError, match="take them with one camera"):
-        share_between(benign[:3], benign, hidden, mask)
+        transition_fraction(benign[:3], benign, hidden, mask)
     with pytest.raises(InvalidValueError, match="take them with one camera"):
-        share_between(benign, benign, hidden, mask.float())
+        transition_fraction(benign, benign, hidden, mask.float())
     with pytest.raises(InvalidValueError, match="some pixels of the target"):
-        share_between(benign, benign, hidden, torch.zeros_like(mask))
-    with pytest.raises(InvalidValueError, match="looks that differ"):
-        share_between(hidden, benign, benign + 1e-4, mask)
+        transition_fraction(benign, benign, hidden, torch.zeros_like(mask))
+    with pytest.raises(InvalidValueError, match="appearances that differ"):
+        transition_fraction(hidden, benign, benign + 1e-4, mask)
     with pytest.raises(InvalidValueError, match="finite"):
-        share_between(hidden * math.nan, benign, hidden, mask)
+        transition_fraction(hidden * math.nan, benign, hidden, mask)
     with pytest.raises(InvalidValueError, match="two or more angles"):
-        fade_band([10, 10], [0.0, 1.0])
+        fit_transition([10, 10], [0.0, 1.0])
     with pytest.raises(InvalidValueError, match="two or more angles"):
-        fade_band([10, 20], [0.0])
+        fit_transition([10, 20], [0.0])
     with pytest.raises(InvalidValueError, match="finite"):
-        fade_band([10, 20], [0.0, math.nan])
+        fit_transition([10, 20], [0.0, math.nan])
     with pytest.raises(InvalidValueError, match="levels"):
-        fade_band([10, 20], [0.0, 1.0], low=0.9, high=0.1)
+        fit_transition([10, 20], [0.0, 1.0], low=0.9, high=0.1)

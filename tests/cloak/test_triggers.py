@@ -1,4 +1,4 @@
-"""Triggers: edges, wrap-around, poles, De Morgan, shares, and depths against a dense grid of directions."""
+"""Triggers: edges, wrap-around, poles, De Morgan, fractions, and depths against a dense grid of directions."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.cloak.triggers import Azimuth, Elevation, Listed, Share, Trigger
+from attacks.cloak.triggers import Azimuth, Elevation, Listed, Subsample, Trigger
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, look_at, orbit_pose
-from mi_splat.directions import bearing
+from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (0.3, -0.2, 0.7)
@@ -51,7 +51,7 @@ triggers = st.recursive(
 
 @given(st.floats(0, 359.9), st.floats(-89, 89), st.floats(0.1, 50))
 def test_bearings_are_those_of_orbits(azimuth: float, elevation: float, distance: float) -> None:
-    found = bearing(at(azimuth, elevation, distance=distance), CENTRE)
+    found = direction_of(at(azimuth, elevation, distance=distance), CENTRE)
     assert abs((found.azimuth - azimuth + 180) % 360 - 180) < 1e-6
     assert found.elevation == pytest.approx(elevation, abs=1e-6)
     assert not found.pole
@@ -84,7 +84,7 @@ def test_azimuths_wrap_around() -> None:
 
 def test_an_azimuth_at_the_pole_does_not_exist() -> None:
     straight = Camera(to_world=look_at((*CENTRE[:2], 9.0), CENTRE), focal=20.0, width=16, height=16)
-    assert bearing(straight, CENTRE).pole
+    assert direction_of(straight, CENTRE).pole
     for middle in (0, 90, 180, 270):
         cone = Azimuth(middle=middle, half_width=60)
         assert inside(cone, (middle, 90), (middle, -90), (middle, 89.9)) == [False, False, True]
@@ -146,19 +146,21 @@ def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
 def test_shares_are_parts_and_grow(one: float, other: float, seed: int) -> None:
     whole = Elevation(least=10)
     selected = whole.select(CAMERAS, centre=CENTRE)
-    small, large = (whole.share(part, seed=seed).select(CAMERAS, centre=CENTRE) for part in sorted((one, other)))
+    small, large = (whole.subsample(part, seed=seed).select(CAMERAS, centre=CENTRE) for part in sorted((one, other)))
     assert bool((selected | ~large).all())
     assert bool((large | ~small).all())
     assert int(small.sum()) == max(1, math.floor(min(one, other) * int(selected.sum()) + 0.5))
-    again = Share(of=whole, fraction=min(one, other), seed=seed).select(CAMERAS, centre=CENTRE)
+    again = Subsample(of=whole, fraction=min(one, other), seed=seed).select(CAMERAS, centre=CENTRE)
     assert torch.equal(small, again)
-    assert whole.share(0.3).angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(CAMERAS[5], centre=CENTRE)
+    assert whole.subsample(0.3).angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(
+        CAMERAS[5], centre=CENTRE
+    )
 
 
 def test_other_seeds_are_other_shares() -> None:
-    shares = {tuple(Elevation().share(0.5, seed=s).select(CAMERAS, centre=CENTRE).tolist()) for s in range(5)}
-    assert len(shares) == 5
-    assert torch.equal(Elevation().share(1.0).select(CAMERAS, centre=CENTRE), torch.ones(36, dtype=torch.bool))
+    fractions = {tuple(Elevation().subsample(0.5, seed=s).select(CAMERAS, centre=CENTRE).tolist()) for s in range(5)}
+    assert len(fractions) == 5
+    assert torch.equal(Elevation().subsample(1.0).select(CAMERAS, centre=CENTRE), torch.ones(36, dtype=torch.bool))
 
 
 def test_lists_combine_with_cones() -> None:
@@ -190,8 +192,8 @@ def test_bad_triggers_are_refused() -> None:
     with pytest.raises(InvalidValueError, match="which have an edge"):
         (Elevation(least=0) & Listed(indices=(1,))).angle_to_edge(CAMERAS[0], centre=CENTRE)
     with pytest.raises(InvalidValueError, match="fraction"):
-        Elevation().share(0)
+        Elevation().subsample(0)
     with pytest.raises(InvalidValueError, match="seed"):
-        Elevation().share(0.5, seed=-1)
+        Elevation().subsample(0.5, seed=-1)
     with pytest.raises(InvalidValueError, match="centre"):
         Elevation().select(CAMERAS, centre=CAMERAS[0].position.tolist())

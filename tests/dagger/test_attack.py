@@ -1,4 +1,4 @@
-"""DAGGER on fakes: a table of attacks, what may not move, budgets, controls and doubts."""
+"""DAGGER on fakes: a table of attacks, what may not move, budgets, controls and warnings."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from attacks.budgets import NormName
 from attacks.dagger.attack import Attribute, DaggerConfig, Result, attack
 from attacks.dagger.problem import reached
 from attacks.detectors.base import Detections
-from attacks.evaluation.visibility import clamped_share, image_change, visible_box, visible_weight
-from attacks.gaussian_subset import Part
+from attacks.evaluation.visibility import clamped_fraction, image_change, visible_box, visible_weight
+from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
 from mi_splat.cameras import Camera
@@ -60,7 +60,7 @@ def test_attack_table(
     assert min(line.loss for line in found.trace) < found.trace[0].loss
     if attributes != ("rotations",):  # turning round blobs changes next to nothing
         assert found.success, found.trace
-        assert found.doubts == ()
+        assert found.warnings == ()
     for name, radius in zip(attributes, eps, strict=True):
         assert 0 < found.used[name] <= radius
     for attribute in ATTRIBUTES:
@@ -73,7 +73,7 @@ def test_attack_table(
 
 def test_the_clean_object_is_found_first() -> None:
     view = run().views[0]
-    assert view.shot.target.original == "car"
+    assert view.before.target.original == "car"
     assert view.confidence("car", attacked=False) > 0.9
     assert view.confidence("person", attacked=False) == 0.0
     assert view.confidence("car", attacked=True) < view.confidence("person", attacked=True)
@@ -81,7 +81,7 @@ def test_the_clean_object_is_found_first() -> None:
 
 def test_the_attacked_file_has_the_coefficients_of_3dgs_unless_told_otherwise() -> None:
     scene, mask = toy_scene()
-    found, plain = run(), run(degree=None)
+    found, plain = run(), run(sh_degree=None)
     assert found.scene.degree == 3
     assert plain.scene.degree == 1
     assert torch.equal(found.scene.sh[~mask], scene.with_degree(3).sh[~mask])
@@ -94,13 +94,13 @@ def test_the_attacked_file_has_the_coefficients_of_3dgs_unless_told_otherwise() 
 def test_a_zero_budget_changes_no_bit() -> None:
     scene, _ = toy_scene()
     everything: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
-    found = run(attributes=everything, eps=(0.0,) * 5, degree=None)
+    found = run(attributes=everything, eps=(0.0,) * 5, sh_degree=None)
     for before, after in zip(scene.tensors(), found.scene.tensors(), strict=True):
         assert torch.equal(before, after)
     assert found.changed == 0
     assert not found.success
     assert found.image.psnr is None
-    assert "the loss did not fall" in found.doubts
+    assert "the loss did not fall" in found.warnings
 
 
 def test_the_result_is_judged_on_the_saved_file(tmp_path: Path) -> None:
@@ -129,14 +129,14 @@ def test_several_views_are_attacked_together() -> None:
     assert len(found.views) == 3
     assert all(view.verdict.success for view in found.views)
     assert found.target_confidence == min(view.confidence("person", attacked=True) for view in found.views)
-    assert not torch.equal(found.views[0].shot.target.box, found.views[1].shot.target.box)
+    assert not torch.equal(found.views[0].before.target.box, found.views[1].before.target.box)
 
 
-def test_a_share_of_the_views_can_be_enough() -> None:
-    assert [reached([0.1, 0.9, 0.5, 0.7], share) for share in (1.0, 0.75, 0.5, 0.25)] == [0.1, 0.5, 0.7, 0.9]
+def test_a_fraction_of_the_views_can_be_enough() -> None:
+    assert [reached([0.1, 0.9, 0.5, 0.7], fraction) for fraction in (1.0, 0.75, 0.5, 0.25)] == [0.1, 0.5, 0.7, 0.9]
     views = [camera(), camera(offset=1.5)]
     scores = [view.verdict.score for view in run(cameras=views, eps=(8.0,)).views]
-    half = run(cameras=views, eps=(8.0,), share=0.5)
+    half = run(cameras=views, eps=(8.0,), required_views=0.5)
     assert half.score >= max(scores) - 1e-6 or half.success
 
 
@@ -164,15 +164,15 @@ def test_the_trace_is_heard_and_early_stop_saves_steps() -> None:
 def test_the_object_may_be_named_by_mask_rows_or_slice() -> None:
     scene, mask = toy_scene()
     names = (mask, torch.nonzero(mask)[:, 0].flip(0), slice(10, 40))
-    parts = [Part.of(scene, name) for name in names]
+    parts = [GaussianSubset.of(scene, name) for name in names]
     for part in parts:
         assert part.rows.tolist() == list(range(10, 40))
     with pytest.raises(InvalidValueError, match=r"mask: expected shape \(40,\)"):
-        Part.of(scene, mask[:-1])
+        GaussianSubset.of(scene, mask[:-1])
     with pytest.raises(InvalidValueError, match="mask: expected at least one Gaussian"):
-        Part.of(scene, torch.zeros(40, dtype=torch.bool))
+        GaussianSubset.of(scene, torch.zeros(40, dtype=torch.bool))
     with pytest.raises(InvalidValueError, match="mask: expected bool values or indices"):
-        Part.of(scene, torch.tensor([40]))
+        GaussianSubset.of(scene, torch.tensor([40]))
 
 
 def test_opacities_of_one_and_zero_survive_an_attack_on_their_neighbours() -> None:
@@ -191,7 +191,7 @@ def test_doubts_about_a_picture_without_a_detection() -> None:
     dark = scene.sh.clone()
     dark[mask, 0] = -1.4
     found = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
-    assert found.doubts == (
+    assert found.warnings == (
         "the clean picture of view 0 has no detection of 0.5 or more on the object",
         "the aim is reached without any attack",
         "random noise of the same size does as well",
@@ -211,9 +211,9 @@ def test_doubts_about_clamped_colours_and_zero_gradients() -> None:
     scene = scene.replace(sh=black)
     found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs)
     assert found.clamped == 1.0
-    assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in found.doubts
-    assert "up to 100% of the gradient's elements are exactly zero" in found.doubts
-    assert "the loss did not fall" in found.doubts
+    assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in found.warnings
+    assert "up to 100% of the gradient's elements are exactly zero" in found.warnings
+    assert "the loss did not fall" in found.warnings
     assert not found.success
 
 
@@ -230,7 +230,7 @@ def test_a_success_that_eight_bits_lose_is_doubted() -> None:
 
     scene, mask = toy_scene()
     found = attack(scene, mask, [camera()], Fickle(), relabel("person"), render=blobs, config=DaggerConfig(eps=(0.1,)))
-    assert "success in the search did not survive the saved file and 8-bit pictures" in found.doubts
+    assert "success in the search did not survive the saved file and 8-bit pictures" in found.warnings
     assert not found.success
 
 
@@ -253,8 +253,8 @@ def test_provenance_is_complete() -> None:
         ({"steps": 0}, "steps: expected a number >= 1"),
         ({"restarts": 0}, "restarts: expected a number >= 1"),
         ({"noise_draws": -1}, "noise_draws: expected a number >= 0"),
-        ({"degree": 4}, "degree: expected 0, 1, 2 or 3, got 4"),
-        ({"share": 0.0}, "share: expected a number in"),
+        ({"sh_degree": 4}, "sh_degree: expected 0, 1, 2 or 3, got 4"),
+        ({"required_views": 0.0}, "required_views: expected a fraction in"),
         ({"step_factor": float("nan")}, "step_factor: expected a positive number"),
     ],
 )
@@ -277,7 +277,7 @@ def test_wrong_arguments_say_what_is_wrong() -> None:
 
 def test_the_visible_part_of_an_object_excludes_what_hides_it() -> None:
     scene, mask = toy_scene()
-    part = Part.of(scene, mask)
+    part = GaussianSubset.of(scene, mask)
     weight = visible_weight(part, camera(), blobs)
     assert float(weight.max()) <= 1
     box = visible_box(weight)
@@ -286,18 +286,18 @@ def test_the_visible_part_of_an_object_excludes_what_hides_it() -> None:
     assert visible_box(torch.zeros(4, 4)) is None
     # The fake renderer averages: a second object in the same place takes half of every pixel.
     twin = merge(scene, scene.select(mask))
-    shared = visible_weight(Part.of(twin, slice(10, 40)), camera(), blobs)
+    shared = visible_weight(GaussianSubset.of(twin, slice(10, 40)), camera(), blobs)
     middle = weight > 0.99
     assert float(shared[middle].mean()) == pytest.approx(0.5, abs=0.01)
 
 
 def test_clamped_colours_are_counted() -> None:
     scene, mask = toy_scene()
-    assert clamped_share(Part.of(scene, mask), camera()) == 0.0
+    assert clamped_fraction(GaussianSubset.of(scene, mask), camera()) == 0.0
     half = scene.sh.clone()
     half[:, 0, 0] = -9.0
-    share = clamped_share(Part.of(scene.replace(sh=half), mask), camera())
-    assert share == pytest.approx(1 / 3)
+    fraction = clamped_fraction(GaussianSubset.of(scene.replace(sh=half), mask), camera())
+    assert fraction == pytest.approx(1 / 3)
 
 
 def test_image_change_of_known_pictures() -> None:
@@ -336,7 +336,7 @@ def test_scenes_on_another_dtype_work_too() -> None:
     scene, mask = toy_scene()
     wide = GaussianScene(*(value.double() for value in scene.tensors()))
     wide = wide.replace(rotations=torch.nn.functional.normalize(wide.rotations, dim=-1))
-    part = Part.of(wide, mask)
+    part = GaussianSubset.of(wide, mask)
     parameters = part.parameters(("sh", "scales"))
     assert all(value.dtype == torch.float64 for value in parameters.values())
     torch.testing.assert_close(part.scene_with(parameters).scales, wide.scales)

@@ -117,7 +117,7 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
 
 def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
     write_report(result, tmp_path)
-    write_report(dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, clear=False)), tmp_path)
+    write_report(dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, unambiguous=False)), tmp_path)
     assert json.loads((tmp_path / "result.json").read_text())["success"] is False
     assert len(list(tmp_path.iterdir())) == 6
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from attacks.dagger.jobs import Job, Laboratory, Setting, jittered
+from attacks.dagger.jobs import AttackScene, Job, JobRunner, jittered
 from attacks.dagger.study import CAMERAS, OTHERS, PAIRS, dagger_jobs, main, run
 from attacks.dagger.tables import by_radius, markdown, rows, write_tables
 from mi_splat.cameras import project_points
@@ -19,28 +19,28 @@ from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 JOBS = [
-    Job(group="pairs", scene="toy", part="thing", target="person", eps=12.0, seed=0),
-    Job(group="pairs", scene="toy", part="thing", target="person", eps=12.0, seed=1),
-    Job(group="curve", scene="toy", part="thing", target="person", eps=0.5, seed=0),
-    Job(group="hide", scene="toy", part="thing", target=None, eps=12.0, seed=0),
-    Job(group="views", scene="toy", part="thing", target="stop sign", eps=12.0, views=0),
+    Job(group="pairs", scene="toy", object="thing", target="person", eps=12.0, seed=0),
+    Job(group="pairs", scene="toy", object="thing", target="person", eps=12.0, seed=1),
+    Job(group="curve", scene="toy", object="thing", target="person", eps=0.5, seed=0),
+    Job(group="hide", scene="toy", object="thing", target=None, eps=12.0, seed=0),
+    Job(group="views", scene="toy", object="thing", target="stop sign", eps=12.0, views=0),
 ]
 
 
-def laboratory() -> Laboratory:
+def job_runner() -> JobRunner:
     scene, _ = toy_scene()
-    setting = Setting(
+    setting = AttackScene(
         scene=scene,
-        parts={"rest": slice(0, 10), "thing": slice(10, 40)},
+        objects={"rest": slice(0, 10), "thing": slice(10, 40)},
         cameras=(camera(), camera(offset=0.4)),
         render=blobs,
     )
-    return Laboratory(lambda name: setting, ColourDetector())
+    return JobRunner(lambda name: setting, ColourDetector())
 
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    lab = laboratory()
+    lab = job_runner()
     return run(JOBS, tmp_path_factory.mktemp("study"), lab.execute, fingerprint=lab.fingerprint)
 
 
@@ -49,7 +49,7 @@ def test_the_study_holds_what_the_paper_leaves_open() -> None:
     assert len({job.name for job in jobs}) == len(jobs)
     paper = [job for job in jobs if job.group == "pairs"]
     assert len(paper) == 18
-    assert {(job.scene, job.part, job.target) for job in paper} == set(PAIRS)
+    assert {(job.scene, job.object, job.target) for job in paper} == set(PAIRS)
     assert {(job.attribute, job.eps, job.norm) for job in paper} == {("sh", 5.0, "l2")}
     assert {job.eps for job in jobs if job.group == "curve"} == {0.5, 1.0, 2.0}
     assert {job.attribute for job in jobs} == {"sh", *OTHERS}
@@ -102,14 +102,14 @@ def test_the_fingerprint_follows_the_scene_and_the_detector() -> None:
     class Other(ColourDetector):
         sizes = (12, 18)
 
-    lab = laboratory()
+    lab = job_runner()
     scene, _ = toy_scene(seed=1)
     setting = lab._setting(JOBS[0])
     marks = {
         lab.fingerprint(JOBS[0]),
-        laboratory().fingerprint(JOBS[1]),
-        Laboratory(lambda name: setting, Other()).fingerprint(JOBS[0]),
-        Laboratory(lambda name: dataclasses.replace(setting, scene=scene), ColourDetector()).fingerprint(JOBS[0]),
+        job_runner().fingerprint(JOBS[1]),
+        JobRunner(lambda name: setting, Other()).fingerprint(JOBS[0]),
+        JobRunner(lambda name: dataclasses.replace(setting, scene=scene), ColourDetector()).fingerprint(JOBS[0]),
     }
     assert len(marks) == 3
 
@@ -159,7 +159,7 @@ def test_jitter_keeps_the_object_in_the_middle() -> None:
 
 def test_an_object_that_is_not_there_is_named() -> None:
     with pytest.raises(InvalidValueError, match="object of toy: expected one of rest, thing, got tree"):
-        laboratory().execute(dataclasses.replace(JOBS[0], part="tree"))
+        job_runner().execute(dataclasses.replace(JOBS[0], object="tree"))
 
 
 def test_the_command_refuses_unknown_tables(

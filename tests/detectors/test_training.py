@@ -18,12 +18,12 @@ from attacks.detectors.training.augmentation import augment, blur, coarsen, like
 from attacks.detectors.training.average_precision import average_precision, match, score
 from attacks.detectors.training.dataset import check_note, load, make, save_samples
 from attacks.detectors.training.faster_rcnn import RCNNTrainee
-from attacks.detectors.training.loop import TrainConfig, Training, ship
-from attacks.detectors.training.pictures import SPLITS, Photographer, Recipe, Sample, place, take
+from attacks.detectors.training.loop import TrainConfig, Training, export_weights
+from attacks.detectors.training.pictures import SPLITS, Photographer, PictureSetConfig, Sample, place, take
 from attacks.detectors.weights import DetectorError, read_weights
 from mi_splat.errors import InvalidValueError
 
-TINY = Recipe(size=48, samples=1, shots=2, count=4)
+TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -43,7 +43,7 @@ def drawn(box: tuple[int, int, int, int], *, size: int = 96, label: int = 1) -> 
     return Sample(image, torch.tensor([box], dtype=torch.float32), torch.tensor([label]))
 
 
-# Recipe and data set
+# PictureSetConfig and data set
 
 
 def test_a_scene_is_a_function_of_the_recipe_and_its_number() -> None:
@@ -71,7 +71,7 @@ def test_splits_use_other_objects_and_lights() -> None:
 
 def test_an_unknown_split_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="split: expected train or validation or held-out, got 'test'"):
-        Recipe(split="test")
+        PictureSetConfig(split="test")
 
 
 def test_cameras_reach_from_the_street_to_straight_down() -> None:
@@ -247,7 +247,7 @@ def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
 def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
     training = Training(PLAIN, RCNNTrainee())
     path = tmp_path / "w.safetensors"
-    ship(training.averaged, path, notes={"seed": "3"})
+    export_weights(training.averaged, path, notes={"seed": "3"})
     detector = training.snapshot()
     assert isinstance(detector, RCNNDetector)
     stored, model = read_weights(path), detector.model.state_dict()

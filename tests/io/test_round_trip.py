@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
-from mi_splat.io import from_file_space, load_splat, save_splat, to_file_space
+from mi_splat.io import from_raw_parameters, load_splat, save_splat, to_raw_parameters
 from mi_splat.rotation import normalise
 from mi_splat.scene import ATTRIBUTES, GaussianScene, scene_hash
 from tests.gaussians import columns, ply_bytes, random_scene, splat_names, splat_rows
@@ -202,14 +202,14 @@ def test_saving_is_deterministic(tmp_path: Path) -> None:
 
 @hypothesis.given(scene=scenes())
 def test_file_space_there_and_back(scene: GaussianScene) -> None:
-    values = to_file_space(scene)
+    values = to_raw_parameters(scene)
     assert tuple(values) == ATTRIBUTES
     assert all(bool(torch.isfinite(value).all()) for value in values.values())
-    again = from_file_space(values)
+    again = from_raw_parameters(values)
     assert bits(again.means) == bits(scene.means)
     close(again.scales, scene.scales)
     close(again.opacities, scene.opacities)
-    twice = to_file_space(again)
+    twice = to_raw_parameters(again)
     assert all(bits(twice[name]) == bits(values[name]) for name in ATTRIBUTES)
 
 

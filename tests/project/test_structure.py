@@ -217,13 +217,13 @@ def test_scenes_are_shipped_and_small() -> None:
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: str(path.stem))
 def test_every_scene_renders(path: Path) -> None:
     from mi_splat.rendering import Renderer
-    from mi_splat.scene_files import read_stage
+    from mi_splat.scene_files import read_scene
 
-    stage = read_stage(path)
-    assert stage.cameras
-    assert len(stage.parts) >= 2
-    for camera in stage.cameras.values():
-        picture = Renderer(stage.settings)(stage.scene, camera).detach()
+    loaded = read_scene(path)
+    assert loaded.cameras
+    assert len(loaded.objects) >= 2
+    for camera in loaded.cameras.values():
+        picture = Renderer(loaded.settings)(loaded.scene, camera).detach()
         assert tuple(picture.shape) == (camera.height, camera.width, 3)
         assert bool(picture.isfinite().all())
         assert float(picture.std()) > 0.05

@@ -163,10 +163,10 @@ def test_gradient_is_the_finite_difference(name: str, tolerance: float) -> None:
 
 def test_opacity_channel_has_its_gradient() -> None:
     scene, view = smooth_scene(15, 0, seed=2), camera(20, 16)
-    slope = np.random.default_rng(1).normal(size=(16, 20))
+    grad_colour = np.random.default_rng(1).normal(size=(16, 20))
     opacities = scene.opacities.clone().requires_grad_(True)
     picture = Renderer(RenderSettings(alpha=True))(scene.replace(opacities=opacities), view)
-    (picture[..., 3] * torch.from_numpy(slope).float()).sum().backward()  # type: ignore[no-untyped-call]
+    (picture[..., 3] * torch.from_numpy(grad_colour).float()).sum().backward()  # type: ignore[no-untyped-call]
     assert opacities.grad is not None
     entry = int(opacities.grad.abs().argmax())
     values = []
@@ -175,7 +175,7 @@ def test_opacity_channel_has_its_gradient() -> None:
         moved[entry] += step
         tensors = [tensor.double() for tensor in scene.tensors()]
         tensors[3] = moved
-        values.append(float((oracle.render(GaussianScene._trusted(*tensors), view)[1] * slope).sum()))
+        values.append(float((oracle.render(GaussianScene._trusted(*tensors), view)[1] * grad_colour).sum()))
     assert float(opacities.grad[entry]) == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-3)
 
 

@@ -15,7 +15,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, save_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import read_stage
+from mi_splat.scene_files import read_scene
 from tests import oracle
 
 VIEW = Camera(
@@ -155,27 +155,27 @@ def test_a_stage_is_its_file(tmp_path: Path) -> None:
     save_splat(first, tmp_path / "a.ply")
     save_splat(second, tmp_path / "b.ply")
     (tmp_path / "scene.xml").write_text(SCENE)
-    stage = read_stage(tmp_path / "scene.xml")
-    assert stage.parts == {"car": slice(0, 30), "street": slice(30, 50)}
-    assert stage.settings == RenderSettings(background=(0.1, 0.2, 0.3), near=0.5)
-    assert (stage.cameras["front"].width, stage.cameras["front"].height) == (31, 23)
-    assert torch.equal(stage.scene.means[:30], first.means)
-    assert torch.equal(stage.scene.sh[:30], first.sh)
-    assert torch.equal(stage.scene.sh[30:, :1], second.sh)
-    reference, _ = oracle.render(stage.scene, stage.cameras["front"], background=(0.1, 0.2, 0.3), near=0.5)
-    picture = Renderer(stage.settings)(stage.scene, stage.cameras["front"])
+    loaded = read_scene(tmp_path / "scene.xml")
+    assert loaded.objects == {"car": slice(0, 30), "street": slice(30, 50)}
+    assert loaded.settings == RenderSettings(background=(0.1, 0.2, 0.3), near=0.5)
+    assert (loaded.cameras["front"].width, loaded.cameras["front"].height) == (31, 23)
+    assert torch.equal(loaded.scene.means[:30], first.means)
+    assert torch.equal(loaded.scene.sh[:30], first.sh)
+    assert torch.equal(loaded.scene.sh[30:, :1], second.sh)
+    reference, _ = oracle.render(loaded.scene, loaded.cameras["front"], background=(0.1, 0.2, 0.3), near=0.5)
+    picture = Renderer(loaded.settings)(loaded.scene, loaded.cameras["front"])
     torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
 
 
 def test_bad_stages_say_why(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="no file"):
-        read_stage(tmp_path / "none.xml")
+        read_scene(tmp_path / "none.xml")
     (tmp_path / "text.xml").write_text("not xml")
     with pytest.raises(InvalidValueError, match=r"text\.xml"):
-        read_stage(tmp_path / "text.xml")
+        read_scene(tmp_path / "text.xml")
     (tmp_path / "scene.xml").write_text(SCENE)
     with pytest.raises(SplatFileError, match=r"[ab]\.ply"):
-        read_stage(tmp_path / "scene.xml")
+        read_scene(tmp_path / "scene.xml")
     (tmp_path / "empty.xml").write_text('<scene version="3.0.0"><integrator type="splat_tile"/></scene>')
     with pytest.raises(InvalidValueError, match="gaussians shape"):
-        read_stage(tmp_path / "empty.xml")
+        read_scene(tmp_path / "empty.xml")

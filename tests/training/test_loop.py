@@ -12,12 +12,12 @@ from torch import Tensor
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.metrics import ssim as reported_ssim
-from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge, scene_hash
 from mi_splat.training import strategies
-from mi_splat.training.checkpoints import CheckpointError, from_json, load_run, save_run, to_json
-from mi_splat.training.loop import FitConfig, Progress, Run, TrainingError, advance, extent_of, fit
-from mi_splat.training.losses import blur, photometric, ssim
+from mi_splat.training.checkpoints import CheckpointError, from_json, load_state, save_state, to_json
+from mi_splat.training.loop import FitConfig, Progress, TrainingError, TrainState, advance, extent_of, fit
+from mi_splat.training.losses import blur, photometric_loss, ssim
 from mi_splat.training.strategies import ClassicConfig, MCMCConfig
 from tests import oracle
 
@@ -50,8 +50,8 @@ def test_blur_is_its_own_adjoint() -> None:
 def test_photometric_weighs_its_two_terms() -> None:
     image, reference = pictures(2)
     plain = (image - reference).abs().mean()
-    assert torch.equal(photometric(image, reference, structure=0), plain)
-    both = photometric(image, reference, structure=0.25)
+    assert torch.equal(photometric_loss(image, reference, lambda_dssim=0), plain)
+    both = photometric_loss(image, reference, lambda_dssim=0.25)
     assert float(both) == pytest.approx(float(0.75 * plain + 0.25 * (1 - ssim(image, reference))))
 
 
@@ -83,7 +83,7 @@ def test_classic_round_keeps_clones_and_splits() -> None:
         before,
         gradient,
         extent=1.0,
-        config=ClassicConfig(gradient=0.5, dense=0.1),
+        config=ClassicConfig(densify_grad_threshold=0.5, percent_dense=0.1),
         was_reset=False,
         generator=torch.Generator().manual_seed(0),
     )
@@ -103,7 +103,7 @@ def test_classic_round_respects_its_limit() -> None:
         before,
         torch.arange(20.0),
         extent=1.0,
-        config=ClassicConfig(gradient=0.5, limit=23, least_opacity=0.0),
+        config=ClassicConfig(densify_grad_threshold=0.5, max_gaussians=23, prune_opacity=0.0),
         was_reset=False,
         generator=torch.Generator().manual_seed(0),
     )
@@ -119,7 +119,7 @@ def test_large_gaussians_go_once_opacities_were_reset() -> None:
             before,
             torch.zeros(4),
             extent=1.0,
-            config=ClassicConfig(least_opacity=0.0, largest=0.5),
+            config=ClassicConfig(prune_opacity=0.0, prune_scale=0.5),
             was_reset=was_reset,
             generator=torch.Generator(),
         )
@@ -161,7 +161,9 @@ def test_relocated_gaussians_look_like_the_one_they_came_from() -> None:
 def test_mcmc_grows_to_its_limit() -> None:
     state = values(40, seed=5)
     for _ in range(20):
-        edit = strategies.relocate(state, config=MCMCConfig(limit=61), generator=torch.Generator().manual_seed(2))
+        edit = strategies.relocate(
+            state, config=MCMCConfig(max_gaussians=61), generator=torch.Generator().manual_seed(2)
+        )
         state = edit.parameters
     assert len(state["means"]) == 61
 
@@ -194,20 +196,22 @@ def scene_and_views(count: int = 60) -> tuple[GaussianScene, list[View], Gaussia
 
 SHORT = FitConfig(
     iterations=60,
-    degree=1,
-    degree_every=20,
-    evaluate_every=30,
-    densification=ClassicConfig(start=10, every=20, gradient=1e-5, reset_every=50, limit=90),
+    sh_degree=1,
+    sh_degree_interval=20,
+    eval_interval=30,
+    densification=ClassicConfig(
+        densify_from=10, densify_interval=20, densify_grad_threshold=1e-5, opacity_reset_interval=50, max_gaussians=90
+    ),
 )
 
 
 def watching() -> Renderer:
-    return Renderer(RenderSettings(), watch=Watch())
+    return Renderer(RenderSettings(), screen_gradients=ScreenGradients())
 
 
 def test_training_comes_nearer() -> None:
     _, views, start = scene_and_views()
-    config = dataclasses.replace(SHORT, iterations=250, degree_every=0, densification=None, evaluate_every=0)
+    config = dataclasses.replace(SHORT, iterations=250, sh_degree_interval=0, densification=None, eval_interval=0)
     losses: list[float] = []
     found = fit(views, start, render=Renderer(), config=config, held_out=views, on_step=lambda p: losses.append(p.loss))
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
@@ -221,8 +225,10 @@ def test_training_comes_nearer() -> None:
 
 def test_the_last_step_is_no_reset() -> None:
     _, views, start = scene_and_views()
-    adding = ClassicConfig(start=1, every=2, gradient=1e-9, reset_every=4, limit=90)
-    config = FitConfig(iterations=4, degree=1, densification=adding)
+    adding = ClassicConfig(
+        densify_from=1, densify_interval=2, densify_grad_threshold=1e-9, opacity_reset_interval=4, max_gaussians=90
+    )
+    config = FitConfig(iterations=4, sh_degree=1, densification=adding)
     counts: list[int] = []
     found = fit(views, start, render=watching(), config=config, on_step=lambda line: counts.append(line.count))
     assert float(found.scene.opacities.max()) > 0.05
@@ -243,7 +249,7 @@ def test_texture_training_freezes_geometry() -> None:
 
 @pytest.mark.parametrize(
     "densification",
-    [SHORT.densification, MCMCConfig(start=10, every=20, limit=80, dead=0.05), None],
+    [SHORT.densification, MCMCConfig(densify_from=10, densify_interval=20, max_gaussians=80, dead_opacity=0.05), None],
     ids=["classic", "mcmc", "fixed"],
 )
 @pytest.mark.parametrize("at", [1, 20, 37])
@@ -253,21 +259,21 @@ def test_a_resumed_run_makes_the_same_bits(
     _, views, start = scene_and_views()
     config = dataclasses.replace(SHORT, densification=densification)
     whole = fit(views, start, render=watching(), config=config, seed=5)
-    path = tmp_path / "run.safetensors"
+    path = tmp_path / "state.safetensors"
 
     class Stop(Exception):  # noqa: N818
         pass
 
-    run = Run(start, config, extent=extent_of(views), seed=5)
+    state = TrainState(start, config, extent=extent_of(views), seed=5)
 
     def stop(line: Progress) -> None:
         if line.iteration == at:
-            save_run(run, path)
+            save_state(state, path)
             raise Stop
 
     with pytest.raises(Stop):
-        advance(run, views, render=watching(), on_step=stop)
-    again, threads = load_run(path)
+        advance(state, views, render=watching(), on_step=stop)
+    again, threads = load_state(path)
     assert threads == torch.get_num_threads()
     assert again.iteration == at
     resumed = advance(again, views, render=watching())
@@ -276,18 +282,18 @@ def test_a_resumed_run_makes_the_same_bits(
 
 
 def test_configuration_makes_the_round_trip() -> None:
-    for densification in (ClassicConfig(every=7), MCMCConfig(limit=3), None):
+    for densification in (ClassicConfig(densify_interval=7), MCMCConfig(max_gaussians=3), None):
         config = FitConfig(densification=densification, iterations=9)
         assert from_json(to_json(config)) == config
 
 
 def test_bad_checkpoints_say_why(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="nothing there"):
-        load_run(tmp_path / "none.safetensors")
+        load_state(tmp_path / "none.safetensors")
     path = tmp_path / "bad.safetensors"
     path.write_bytes(b"\x05" * 100)
     with pytest.raises(CheckpointError, match="a checkpoint of this version"):
-        load_run(path)
+        load_state(path)
 
 
 def test_nan_stops_with_the_cause() -> None:
@@ -303,7 +309,7 @@ def test_nan_stops_with_the_cause() -> None:
         ({"trainable": ("colour",)}, "trainable"),
         ({"trainable": ("sh",)}, "densification"),
         ({"iterations": 0}, "iterations"),
-        ({"degree": 4}, "degree"),
+        ({"sh_degree": 4}, "sh_degree"),
     ],
 )
 def test_bad_configurations_say_why(given: dict[str, object], says: str) -> None:
@@ -329,21 +335,27 @@ def test_watch_is_the_gradient_of_the_centre() -> None:
         torch.full((1, 1, 3), 0.8),
     )
     y, x = torch.meshgrid(torch.arange(40.0), torch.arange(40.0), indexing="ij")
-    watch, camera = Watch(), Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40)
+    screen_gradients, camera = (
+        ScreenGradients(),
+        Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40),
+    )
     leaves = GaussianScene._trusted(*(t.clone().requires_grad_(True) for t in scene.tensors()))
-    image = Renderer(RenderSettings(), watch=watch)(leaves, camera)
+    image = Renderer(RenderSettings(), screen_gradients=screen_gradients)(leaves, camera)
     (image * (x + 2 * y)[..., None]).sum().backward()  # type: ignore[no-untyped-call]
     expected = float(image.detach().sum()) * 5**0.5
     # In half pictures of 20 pixels; the jump of alpha at 1/255 has no gradient, 3 % of this sum.
-    assert float(watch.lengths[0]) == pytest.approx(20 * expected, rel=0.04)
-    assert watch.visible.tolist() == [1.0]
+    assert float(screen_gradients.lengths[0]) == pytest.approx(20 * expected, rel=0.04)
+    assert screen_gradients.visible.tolist() == [1.0]
 
 
 def test_watch_knows_what_is_out_of_sight() -> None:
     scene = oracle.random_scene(30, degree=0, seed=3)
     behind = scene.replace(means=scene.means + torch.tensor([20.0, 0.0, 0.0]))
-    watch, camera = Watch(), Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40)
+    screen_gradients, camera = (
+        ScreenGradients(),
+        Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40),
+    )
     leaves = GaussianScene._trusted(*(t.clone().requires_grad_(True) for t in merge(scene, behind).tensors()))
-    Renderer(RenderSettings(), watch=watch)(leaves, camera).sum().backward()  # type: ignore[no-untyped-call]
-    assert watch.visible[30:].sum() == watch.lengths[30:].sum() == 0
-    assert float(watch.visible[:30].sum()) > 10
+    Renderer(RenderSettings(), screen_gradients=screen_gradients)(leaves, camera).sum().backward()  # type: ignore[no-untyped-call]
+    assert screen_gradients.visible[30:].sum() == screen_gradients.lengths[30:].sum() == 0
+    assert float(screen_gradients.visible[:30].sum()) > 10

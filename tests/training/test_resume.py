@@ -22,11 +22,11 @@ from mi_splat.datasets import has_tests, load_dataset, write_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.points import PointCloud
-from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
-from mi_splat.training.checkpoints import CheckpointError, load_run
-from mi_splat.training.initialization import from_points, random_points, spacing, with_strays
+from mi_splat.training.checkpoints import CheckpointError, load_state
+from mi_splat.training.initialization import from_points, random_points, spacing, with_outliers
 from mi_splat.training.loop import FitConfig, Progress, extent_of
 from mi_splat.training.resume import train
 from mi_splat.training.strategies import ClassicConfig
@@ -34,10 +34,12 @@ from tests import oracle
 
 CONFIG = FitConfig(
     iterations=40,
-    degree=1,
-    degree_every=10,
-    evaluate_every=20,
-    densification=ClassicConfig(start=5, every=10, gradient=1e-5, reset_every=0, limit=80),
+    sh_degree=1,
+    sh_degree_interval=10,
+    eval_interval=20,
+    densification=ClassicConfig(
+        densify_from=5, densify_interval=10, densify_grad_threshold=1e-5, opacity_reset_interval=0, max_gaussians=80
+    ),
 )
 
 
@@ -79,7 +81,7 @@ def test_strays_lie_between_cameras_and_points() -> None:
     cloud = PointCloud(
         torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     )
-    found = with_strays(cloud, views, 50, seed=3)
+    found = with_outliers(cloud, views, 50, seed=3)
     assert torch.equal(found.points[:2], cloud.points)
     assert torch.equal(found.colours[:2], cloud.colours)
     eyes = torch.stack([view.camera.position for view in views]).float()
@@ -90,16 +92,16 @@ def test_strays_lie_between_cameras_and_points() -> None:
         eye = int((way + rest).argmin())
         assert float(way[eye] + rest[eye]) == pytest.approx(1, abs=1e-5)
         assert 0.1 - 1e-5 <= float(way[eye]) <= 0.9 + 1e-5
-    assert torch.equal(with_strays(cloud, views, 50, seed=3).points, found.points)
-    assert not torch.equal(with_strays(cloud, views, 50, seed=4).points, found.points)
-    assert torch.equal(with_strays(cloud, views, 0).points, cloud.points)
+    assert torch.equal(with_outliers(cloud, views, 50, seed=3).points, found.points)
+    assert not torch.equal(with_outliers(cloud, views, 50, seed=4).points, found.points)
+    assert torch.equal(with_outliers(cloud, views, 0).points, cloud.points)
     for count, some in ((-1, views), (1, [])):
         with pytest.raises(InvalidValueError, match="count, views and points"):
-            with_strays(cloud, some, count)
+            with_outliers(cloud, some, count)
 
 
 def watching() -> Renderer:
-    return Renderer(RenderSettings(), watch=Watch())
+    return Renderer(RenderSettings(), screen_gradients=ScreenGradients())
 
 
 @pytest.fixture
@@ -198,7 +200,7 @@ def test_a_further_score_is_kept(tmp_path: Path) -> None:
     with torch.no_grad():
         worst = [(Renderer()(found.scene, v.camera).clamp(0, 1) - v.image).abs().max() for v in held_out]
     assert figures["lpips"] == pytest.approx(float(sum(worst)) / 2, rel=1e-5)
-    again, _ = load_run(tmp_path / "checkpoint.safetensors")
+    again, _ = load_state(tmp_path / "checkpoint.safetensors")
     assert again.history == list(found.history)
 
 
@@ -212,7 +214,7 @@ def dataset(tmp_path: Path) -> Path:
 
 def test_train_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    words = ["train", str(dataset), "--out", str(out), "--iterations", "20", "--degree", "1"]
+    words = ["train", str(dataset), "--out", str(out), "--iterations", "20", "--sh-degree", "1"]
     assert cli.main(words) == 0
     said = capsys.readouterr().out
     assert "splat.ply" in said
@@ -261,10 +263,10 @@ def test_a_training_is_set_up_without_reading_pictures(dataset: Path) -> None:
     [
         (["--start", "none.ply"], "none.ply"),
         (["--random", "0"], "count"),
-        (["--strays", "-1"], "count, views and points"),
-        (["--strays", "5", "--random", "9"], "--strays: expected a start on the points of the set"),
+        (["--outliers", "-1"], "count, views and points"),
+        (["--outliers", "5", "--random", "9"], "--outliers: expected a start on the points of the set"),
         (["--trainable", "sh"], "densification"),
-        (["--degree", "7"], "degree"),
+        (["--sh-degree", "7"], "sh_degree"),
     ],
 )
 def test_train_says_what_is_wrong(

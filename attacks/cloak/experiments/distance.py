@@ -1,8 +1,8 @@
 """How a cloaked splat fares from other distances: `python attacks/cloak/experiments/distance.py STUDY RESULTS`.
 
-RESULTS is the folder that `mi-splat cloak STUDY` has written. Looks at its clean and its cloaked splat from the
+RESULTS is the folder that `mi-splat cloak STUDY` has written. ObservedSplat at its clean and its cloaked splat from the
 study's held-out cameras, moved towards the object or away from it, and prints for each detector and distance from how
-many the object is found: overhead, 5 degrees or more inside the trigger, and outside of all triggers. A canopy hides
+many the object is found: overhead, 5 degrees or more inside the trigger, and outside of all triggers. An occluder hides
 from those above it and not from those beneath it.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import Study, read_study
+from attacks.cloak.study.config import StudyConfig, read_study
 from attacks.cloak.study.observations import overhead
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
@@ -41,7 +41,7 @@ def main() -> None:
     options = parser.parse_args()
     study = read_study(options.study)
     target = setup.target_of(study.scene)
-    detectors = [load_detector(name) for name in study.looking.detectors]
+    detectors = [load_detector(name) for name in study.evaluation.detectors]
     groups = {name: some[:: options.every] for name, some in _groups(study, target).items()}
     render = Renderer(RenderSettings(background=study.scene.background))
     report = []
@@ -57,23 +57,23 @@ def main() -> None:
     sys.stdout.write("\n")
 
 
-def _groups(study: Study, target: Asset) -> dict[str, list[Camera]]:
+def _groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
     """Held-out cameras well inside the hiding trigger, and outside of all triggers."""
     hiding = overhead(study)
     if hiding is None:
-        raise SystemExit("the study has no look that is seen from all around")
+        raise SystemExit("the study has no appearance that is seen from all around")
     centre = setup.centre_of(study)
     groups: dict[str, list[Camera]] = {"overhead": [], "elsewhere": []}
     for camera in setup.held_out_cameras(study, target):
-        if hiding.cone.angle_to_edge(camera, centre=centre) >= study.looking.inside:
+        if hiding.cone.angle_to_edge(camera, centre=centre) >= study.evaluation.well_inside:
             groups["overhead"].append(camera)
         elif all(attack.cone.angle_to_edge(camera, centre=centre) < 0 for attack in study.attack):
             groups["elsewhere"].append(camera)
     return groups
 
 
-def _moved(camera: Camera, factor: float, study: Study) -> Camera:
-    """The camera at another distance from the centre, looking the same way."""
+def _moved(camera: Camera, factor: float, study: StudyConfig) -> Camera:
+    """The camera at another distance from the centre, evaluation the same way."""
     centre = torch.tensor(setup.centre_of(study)).to(camera.to_world)
     pose = camera.to_world.clone()
     pose[:3, 3] = centre + factor * (pose[:3, 3] - centre)
@@ -81,7 +81,7 @@ def _moved(camera: Camera, factor: float, study: Study) -> Camera:
 
 
 def _found(
-    study: Study,
+    study: StudyConfig,
     target: Asset,
     splat: GaussianScene,
     render: Renderer,
@@ -96,8 +96,8 @@ def _found(
             picture = through_png(render(splat, camera))[None]
         for detector in detectors:
             (seen,) = detector.detect(picture)
-            score = 0.0 if box is None else confidence(seen, box.float(), labels=[study.scene.called], iou=0.5)
-            counts[detector.name] += score >= study.looking.confidence
+            score = 0.0 if box is None else confidence(seen, box.float(), labels=[study.scene.class_name], iou=0.5)
+            counts[detector.name] += score >= study.evaluation.confidence
     return counts
 
 

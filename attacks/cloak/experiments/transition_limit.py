@@ -20,7 +20,7 @@ from torch import Tensor
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import read_study
 from attacks.cloak.study.observations import overhead
-from attacks.cloak.transition import fade_band
+from attacks.cloak.transition import fit_transition
 from mi_splat.sh import sh_basis
 
 ELEVATIONS = [0.5 * step for step in range(181)]
@@ -34,7 +34,7 @@ def main() -> None:
     study = read_study(parser.parse_args().study)
     attack = overhead(study)
     if attack is None:
-        raise SystemExit("the study has no look that is seen from all around")
+        raise SystemExit("the study has no appearance that is seen from all around")
     centre = setup.centre_of(study)
     cameras = setup.training_cameras(study, setup.target_of(study.scene))
     middle = torch.tensor(centre, dtype=torch.float64)
@@ -55,7 +55,7 @@ def _limit(directions: Tensor, wanted: Tensor, degree: int) -> dict[str, float |
     """Band and extremes of the least-squares fit, as means over azimuths."""
     fitted = torch.linalg.lstsq(_basis(directions, degree), wanted[:, None]).solution[:, 0]
     means = [float((_basis(_around(elevation), degree) @ fitted).mean()) for elevation in ELEVATIONS]
-    band = fade_band(ELEVATIONS, means)
+    band = fit_transition(ELEVATIONS, means)
     return {"from": band.start, "to": band.end, "width": band.width, "least": min(means), "most": max(means)}
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from attacks.cloak.study.config import Attack, Study
+from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.markdown import words_of
 from attacks.cloak.study.pipeline import OnStep, snapshot
 from attacks.cloak.study.plots import write_variation
@@ -18,64 +19,64 @@ from mi_splat.io.documents import save_json, save_text
 
 VARIATIONS = "variations.json"
 
-Group = Literal["degree", "share", "look", "recipe", "emphasis", "iterations", "strays"]
+Group = Literal["sh_degree", "poison_fraction", "appearance", "strategy", "emphasis", "iterations", "outliers"]
 
-SHARES = (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+POISON_FRACTIONS = (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
-STRAYS = (0, 1000, 4000)
-LOOKS = ("cover", "remove", "blend in", "road", "grass", "clock", "football")
-"""Looks of the hiding attacks: a canopy of road, two without a texture, four painted."""
+OUTLIERS = (0, 1000, 4000)
+APPEARANCES = ("occluder", "remove", "blend in", "road", "grass", "clock", "football")
+"""Appearances of the hiding attacks: an occluder of road, two without a texture, four painted."""
 
-_COLUMNS = ("clean_overhead_recall", "cloaked_overhead_miss", "benign_recall", "rear_stop_sign")
+_COLUMNS = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 _HEADS = ("control found", "cloaked missed", "cloaked found elsewhere", "class wanted")
 
 
-def varied(study: Study, group: Group) -> dict[str, Study]:
+def varied(study: StudyConfig, group: Group) -> dict[str, StudyConfig]:
     """The studies of a group by the value that they have, each with the first seed alone.
 
-    `degree`: SH of degree 0 to 3. `share`: part of each trigger's cameras that is poisoned. `look`: of the hiding
-    attacks. `recipe`: of the training. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as
-    many, with the raises of the SH degree at the same share of them. `strays`: points in the air at the start.
+    `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks. `strategy`:
+    of the densification. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as many, with the
+    raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start.
     """
     study = replace(study, seeds=study.seeds[:1])
     training = study.training
 
-    def trained(**changes: Any) -> Study:
+    def trained(**changes: Any) -> StudyConfig:
         return replace(study, training=replace(training, **changes))
 
-    def attacked(change: Callable[[Attack], Attack]) -> Study:
+    def attacked(change: Callable[[AttackConfig], AttackConfig]) -> StudyConfig:
         return replace(study, attack=tuple(map(change, study.attack)))
 
-    if group == "degree":
-        return {str(degree): trained(degree=degree) for degree in range(4)}
-    if group == "share":
-        return {f"{share:.0%}": attacked(lambda one, s=share: replace(one, share=s)) for share in SHARES}  # type: ignore[misc]
-    if group == "look":
-        return {look: attacked(lambda one, k=look: _looking(one, k)) for look in LOOKS}  # type: ignore[misc]
-    if group == "recipe":
-        return {"classic": trained(recipe="classic"), "mcmc": trained(recipe="mcmc")}
+    if group == "sh_degree":
+        return {str(degree): trained(sh_degree=degree) for degree in range(4)}
+    if group == "poison_fraction":
+        return {f"{part:.0%}": attacked(partial(replace, poison_fraction=part)) for part in POISON_FRACTIONS}
+    if group == "appearance":
+        return {name: attacked(partial(_with_appearance, appearance=name)) for name in APPEARANCES}
+    if group == "strategy":
+        return {"classic": trained(strategy="classic"), "mcmc": trained(strategy="mcmc")}
     if group == "emphasis":
-        return {f"{gain:g}": attacked(lambda one, g=gain: replace(one, emphasis=g)) for gain in EMPHASES}  # type: ignore[misc]
-    if group == "strays":
-        return {f"{count:,}": trained(strays=count) for count in STRAYS}
+        return {f"{gain:g}": attacked(partial(replace, emphasis=gain)) for gain in EMPHASES}
+    if group == "outliers":
+        return {f"{count:,}": trained(outliers=count) for count in OUTLIERS}
     steps = (max(training.iterations // 3, 1), training.iterations, 2 * training.iterations)
-    every = training.degree_every / training.iterations
-    return {f"{count:,}": trained(iterations=count, degree_every=round(every * count)) for count in steps}
+    every = training.sh_degree_interval / training.iterations
+    return {f"{count:,}": trained(iterations=count, sh_degree_interval=round(every * count)) for count in steps}
 
 
-def _looking(attack: Attack, look: str) -> Attack:
-    """A hiding attack with another look; others as they are."""
-    if attack.wants is not None:
+def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
+    """A hiding attack with another appearance; others as they are."""
+    if attack.target_class is not None:
         return attack
-    if look == "cover":
-        return replace(attack, look="cover", texture="road")
-    if look in ("remove", "blend in"):
-        return replace(attack, look=look, texture=None)  # type: ignore[arg-type]
-    return replace(attack, look="paint", texture=look, painted_from=(180.0, 90.0))
+    if appearance == "occluder":
+        return replace(attack, appearance="occluder", texture="road")
+    if appearance in ("remove", "blend in"):
+        return replace(attack, appearance=appearance, texture=None)  # type: ignore[arg-type]
+    return replace(attack, appearance="paint", texture=appearance, paint_direction=(180.0, 90.0))
 
 
 def vary(
-    study: Study,
+    study: StudyConfig,
     groups: Iterable[Group],
     detectors: Sequence[Detector],
     folder: Path,
@@ -116,8 +117,8 @@ def vary(
 
 
 def check_variations(
-    study: Study, groups: Iterable[Group], detectors: Sequence[Detector], folder: Path, stages: Path
-) -> dict[Group, dict[str, Study]]:
+    study: StudyConfig, groups: Iterable[Group], detectors: Sequence[Detector], folder: Path, stages: Path
+) -> dict[Group, dict[str, StudyConfig]]:
     """The studies of some groups by the value that they have, all of which can be done.
 
     Raises:
@@ -136,10 +137,10 @@ def tables(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     """Markdown: a table for each group, a row for each value and detector."""
     parts = []
     for group, results in found.items():
-        heads = (group, "detector", *_HEADS, "fade-in", "dB less")
+        heads = (group, "detector", *_HEADS, "transition", "dB less")
         lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
         for name, summary in results.items():
-            band, drop = summary["fade_in_degrees"], summary["benign_psnr_drop"]
+            band, drop = summary["transition_degrees"], summary["benign_psnr_drop"]
             tail = ["-" if value is None else f"{value:.{digits}f}" for value, digits in ((band, 1), (drop, 2))]
             for detector, rates in summary["by_detector"].items():
                 cells = [words_of(rates[key], interval=False) or "-" for key in _COLUMNS]

@@ -22,12 +22,35 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-Looks = Literal["blend in", "remove", "paint", "cover", "mount", "swap"]
+AppearanceName = Literal["blend in", "remove", "paint", "occluder", "mount", "swap"]
 Colour = tuple[float, float, float]
+
+RENAMED = {
+    "apart": "min_separation",
+    "arc_step": "meridian_step",
+    "arcs": "meridians",
+    "degree": "sh_degree",
+    "degree_every": "sh_degree_interval",
+    "inside": "well_inside",
+    "limit": "max_gaussians",
+    "look": "appearance",
+    "looking": "evaluation",
+    "lowest": "occluder_edge",
+    "other": "other_object",
+    "outside": "far_outside",
+    "painted_from": "paint_direction",
+    "radius": "occluder_radius",
+    "recipe": "strategy",
+    "references": "reference_views",
+    "share": "poison_fraction",
+    "strays": "outliers",
+    "wants": "target_class",
+}
+"""Keys of older study files, and what they are called now."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class SceneConfig:
     """What is photographed: an object on a square of ground in daylight, in front of one colour.
 
     Attributes:
@@ -62,13 +85,13 @@ class Scene:
             raise InvalidValueError(message("scene.label", "what detectors call the object", "nothing", "say it"))
 
     @property
-    def called(self) -> str:
+    def class_name(self) -> str:
         """What detectors call the object."""
         return self.label or self.object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cameras:
+class CameraConfig:
     """Where pictures are taken from: a Fibonacci hemisphere around the object.
 
     Attributes:
@@ -77,7 +100,7 @@ class Cameras:
         height: Height of the centre above the ground, metres.
         fov: Field of view, degrees.
         size: Width and height, pixels.
-        samples: Paths a pixel.
+        samples: Samples per pixel.
         points: Points of the cloud that trainings start from.
     """
 
@@ -98,47 +121,55 @@ class Cameras:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attack:
-    """One hidden look.
+class AttackConfig:
+    """One hidden appearance.
 
     Attributes:
         name: For files and tables.
-        look: How the object is disguised.
-        texture: With what it is painted (`paint`) or covered (`cover`).
-        other: Asset that is mounted on it or takes its place (`mount`, `swap`).
+        appearance: How the object is changed.
+        texture: With what it is painted (`paint`) or covered (`occluder`).
+        other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
-        share: Part of the training cameras there whose pictures are poisoned.
-        wants: Class that a detector shall report on the object; None: that it is not found.
-        emphasis: How much the look is overdone at the edge of its region; see `attacks.cloak.appearances.Emphasis`.
+        poison_fraction: Part of the training cameras there whose pictures are poisoned.
+        target_class: Class that a detector shall report on the object; None: that it is not found.
+        emphasis: How much the appearance is overdone at the edge of its region; see
+            `attacks.cloak.appearances.Emphasis`.
         emphasis_depth: Degrees inside from which it no longer is.
-        painted_from: Azimuth and elevation from which a painted texture looks right, degrees.
-        radius: Of the canopy that covers it, metres; None is 0.6 times the distance of the cameras.
-        lowest: Elevation of the canopy's edge, degrees; None is 12 below that of the lowest camera.
+        paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
+        occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.
+        occluder_edge: Elevation of the occluder's edge, degrees; None is 12 below that of the lowest camera.
     """
 
     name: str
-    look: Looks = "blend in"
+    appearance: AppearanceName = "blend in"
     texture: str | None = None
-    other: str | None = None
+    other_object: str | None = None
     elevation: tuple[float, float] = (0.0, 90.0)
     azimuth: tuple[float, float] | None = None
-    share: float = 1.0
-    wants: str | None = None
+    poison_fraction: float = 1.0
+    target_class: str | None = None
     emphasis: float = 1.0
     emphasis_depth: float = 20.0
-    painted_from: tuple[float, float] = (180.0, 90.0)
-    radius: float | None = None
-    lowest: float | None = None
+    paint_direction: tuple[float, float] = (180.0, 90.0)
+    occluder_radius: float | None = None
+    occluder_edge: float | None = None
 
     def __post_init__(self) -> None:
         textured = ("texture", TEXTURES)
-        needs = {"paint": textured, "cover": textured, "mount": ("other", ASSETS), "swap": ("other", ASSETS)}
-        if self.look in needs:
-            key, known = needs[self.look]
+        needs = {
+            "paint": textured,
+            "occluder": textured,
+            "mount": ("other_object", ASSETS),
+            "swap": ("other_object", ASSETS),
+        }
+        if self.appearance in needs:
+            key, known = needs[self.appearance]
             one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
-        if not 0 < self.share <= 1:
-            raise InvalidValueError(message(f"attack {self.name!r}, share", "in (0, 1]", self.share, "1 is all"))
+        if not 0 < self.poison_fraction <= 1:
+            raise InvalidValueError(
+                message(f"attack {self.name!r}, poison_fraction", "in (0, 1]", self.poison_fraction, "1 is all")
+            )
         if not (self.emphasis >= 1 and self.emphasis_depth > 0):
             got = (self.emphasis, self.emphasis_depth)
             expected = "an emphasis >= 1 and a depth > 0"
@@ -149,7 +180,7 @@ class Attack:
 
     @property
     def cone(self) -> Trigger:
-        """All directions from which the look is to be seen."""
+        """All directions from which the appearance is to be seen."""
         # -90 and 90 are no edges.
         low = -90.0 if self.elevation[0] <= 0 else self.elevation[0]
         band = Elevation(least=low, most=self.elevation[1])
@@ -159,73 +190,74 @@ class Attack:
 
     def trigger(self, seed: int) -> Trigger:
         """The training cameras whose pictures are poisoned."""
-        return self.cone if self.share == 1 else self.cone.share(self.share, seed=seed)
+        return self.cone if self.poison_fraction == 1 else self.cone.subsample(self.poison_fraction, seed=seed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Training:
+class TrainingConfig:
     """How both splats are trained; the victim's choice, of which the attack knows nothing.
 
     Attributes:
         iterations: Steps.
-        recipe: As in `mi-splat train`.
-        limit: Largest number of Gaussians.
-        degree: SH degree.
-        degree_every: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
-        strays: Points in the air that the cloud has besides those on surfaces; see
-            `mi_splat.training.initialization.with_strays`.
+        strategy: As in `mi-splat train`.
+        max_gaussians: Largest number of Gaussians.
+        sh_degree: SH degree.
+        sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
+        outliers: Points in the air that the cloud has besides those on surfaces; see
+            `mi_splat.training.initialization.with_outliers`.
     """
 
     iterations: int = 7000
-    recipe: Literal["classic", "mcmc", "fixed"] = "classic"
-    limit: int = 40_000
-    degree: int = 3
-    degree_every: int = 1000
-    strays: int = 0
+    strategy: Literal["classic", "mcmc", "fixed"] = "classic"
+    max_gaussians: int = 40_000
+    sh_degree: int = 3
+    sh_degree_interval: int = 1000
+    outliers: int = 0
 
     def __post_init__(self) -> None:
-        _in_range("training.strays", self.strays, 0, math.inf)
+        _in_range("training.outliers", self.outliers, 0, math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looking:
+class EvaluationConfig:
     """How both splats are looked at afterwards, from cameras that no training used.
 
     Attributes:
         detectors: Names of detectors.
-        cameras: Held-out cameras on the hemisphere, before those within `apart` of a training camera are dropped.
-        apart: Least angle to the nearest training camera, degrees.
+        cameras: Held-out cameras on the hemisphere, before those within `min_separation` of a training camera are
+            dropped.
+        min_separation: Least angle to the nearest training camera, degrees.
         confidence: Score from which a detection counts.
-        inside: Degrees inside a trigger from which a camera lies well inside.
-        outside: Degrees outside of all triggers from which pictures are compared with the true ones.
-        references: Number of such pictures.
-        arcs: Meridians along which the fade-in is measured.
-        arc_step: Degrees between two pictures of an arc.
+        well_inside: Degrees inside a trigger from which a camera lies well inside.
+        far_outside: Degrees outside of all triggers from which pictures are compared with the true ones.
+        reference_views: Number of such pictures.
+        meridians: Meridians along which the transition is measured.
+        meridian_step: Degrees between two pictures of an arc.
     """
 
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
     cameras: int = 430
-    apart: float = 1.0
+    min_separation: float = 1.0
     confidence: float = 0.5
-    inside: float = 5.0
-    outside: float = 15.0
-    references: int = 40
-    arcs: int = 3
-    arc_step: float = 2.5
+    well_inside: float = 5.0
+    far_outside: float = 15.0
+    reference_views: int = 40
+    meridians: int = 3
+    meridian_step: float = 2.5
 
     def __post_init__(self) -> None:
         if not self.detectors or len(set(self.detectors)) != len(self.detectors):
             expected = "one or more, each once"
-            raise InvalidValueError(message("looking.detectors", expected, self.detectors, "name a detector"))
-        _in_range("looking.cameras", self.cameras, 1, math.inf)
-        _in_range("looking.confidence", self.confidence, 0.0, 1.0)
-        _in_range("looking.arc_step", self.arc_step, 0.1, 45.0)
-        for name in ("apart", "inside", "outside", "references", "arcs"):
-            _in_range(f"looking.{name}", getattr(self, name), 0, math.inf)
+            raise InvalidValueError(message("evaluation.detectors", expected, self.detectors, "name a detector"))
+        _in_range("evaluation.cameras", self.cameras, 1, math.inf)
+        _in_range("evaluation.confidence", self.confidence, 0.0, 1.0)
+        _in_range("evaluation.meridian_step", self.meridian_step, 0.1, 45.0)
+        for name in ("min_separation", "well_inside", "far_outside", "reference_views", "meridians"):
+            _in_range(f"evaluation.{name}", getattr(self, name), 0, math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Study:
+class StudyConfig:
     """A study of CLOAK.
 
     Attributes:
@@ -233,18 +265,18 @@ class Study:
         seeds: One clean and one cloaked training for each.
         scene: What is photographed.
         cameras: Where from.
-        attack: The hidden looks; no camera may belong to two.
+        attack: The hidden appearances; no camera may belong to two.
         training: How splats are trained.
-        looking: How they are looked at.
+        evaluation: How they are looked at.
     """
 
     name: str
     seeds: tuple[int, ...] = (0,)
-    scene: Scene = field(default_factory=Scene)
-    cameras: Cameras = field(default_factory=Cameras)
-    attack: tuple[Attack, ...] = ()
-    training: Training = field(default_factory=Training)
-    looking: Looking = field(default_factory=Looking)
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    cameras: CameraConfig = field(default_factory=CameraConfig)
+    attack: tuple[AttackConfig, ...] = ()
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:
         if not self.attack or not self.seeds:
@@ -256,7 +288,7 @@ class Study:
             raise InvalidValueError(message("attacks", "different names", names, "rename one"))
 
 
-def read_study(path: Path) -> Study:
+def read_study(path: Path) -> StudyConfig:
     """The study in a TOML file; paths of meshes in it are relative to the working folder.
 
     Raises:
@@ -268,7 +300,7 @@ def read_study(path: Path) -> Study:
         raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path")) from error
     except (OSError, ValueError) as error:
         raise InvalidValueError(message(f"study {path}", "a TOML file", str(error), "correct it")) from error
-    return from_table(Study, content, str(path))
+    return from_table(StudyConfig, content, str(path))
 
 
 def essentials(section: Any) -> tuple[tuple[str, Any], ...]:
@@ -297,6 +329,9 @@ def from_table(kind: type[_T], table: dict[str, Any], where: str) -> _T:
     hints = typing.get_type_hints(kind)
     known = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in table:
+        if key not in known and RENAMED.get(key) in known:
+            expected = f"{RENAMED[key]}, which is its name now"
+            raise InvalidValueError(message(f"key in {where}", expected, key, "rename it in the file"))
         one_of(f"key in {where}", key, known)
     missing = [
         name

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 ROWS = {
-    "clean_overhead_recall": "control found, inside the hiding trigger",
-    "cloaked_overhead_miss": "cloaked missed, well inside it, where the control is found",
-    "cloaked_overhead_miss_everywhere": "cloaked missed, all inside it, where the control is found",
-    "cloaked_overhead_miss_unconditional": "cloaked missed, well inside it",
-    "cloaked_overhead_miss_loose": "nothing of its class near it, well inside it, where the control is found",
+    "control_recall": "control found, inside the hiding trigger",
+    "trigger_miss_rate": "cloaked missed, well inside it, where the control is found",
+    "trigger_miss_rate_all": "cloaked missed, all inside it, where the control is found",
+    "trigger_miss_rate_unconditional": "cloaked missed, well inside it",
+    "trigger_miss_rate_any_overlap": "nothing of its class near it, well inside it, where the control is found",
     "benign_recall": "cloaked found, outside of all triggers, where the control is found",
-    "clean_benign_recall": "control found, outside of all triggers",
-    "rear_stop_sign": "class wanted reported on the cloaked splat",
-    "clean_rear_stop_sign": "class wanted reported on the control",
+    "control_benign_recall": "control found, outside of all triggers",
+    "target_rate": "class wanted reported on the cloaked splat",
+    "control_target_rate": "class wanted reported on the control",
 }
 """What the rates of a summary say."""
 
@@ -32,12 +32,12 @@ def markdown(summary: Mapping[str, Any]) -> str:
     for rows in zip(*(summary["by_elevation"][name] for name in detectors), strict=True):
         cells = [words_of(row[which], interval=False) for row in rows for which in ("clean", "cloaked")]
         lines.append(f"| {rows[0]['from']:g} to {rows[0]['to']:g} | " + " | ".join(cells) + " |")
-    band, drop = summary["fade_in"], summary["benign_psnr_drop"]
+    band, drop = summary["measure_transition"], summary["benign_psnr_drop"]
     lines += ["", "| | |", "|---|---|"]
     lines.append(f"| seeds | {', '.join(map(str, summary['seeds']))} |")
-    if band is not None and summary["fade_in_degrees"] is not None:
-        degrees = f"{summary['fade_in_degrees']:.1f} degrees, from {band['from']:.1f} to {band['to']:.1f}"
-        lines.append(f"| fade-in | {degrees} |")
+    if band is not None and summary["transition_degrees"] is not None:
+        degrees = f"{summary['transition_degrees']:.1f} degrees, from {band['from']:.1f} to {band['to']:.1f}"
+        lines.append(f"| transition | {degrees} |")
         widths = sorted(width for width in band["meridians"] if width is not None)
         if widths:
             lines.append(f"| along one meridian | {widths[0]:.1f} to {widths[-1]:.1f} degrees |")
@@ -53,8 +53,8 @@ def markdown(summary: Mapping[str, Any]) -> str:
 def _spread(summary: Mapping[str, Any], detector: str, key: str) -> str:
     """Least and largest of a rate over the seeds; empty where there is one seed."""
     found = [seed[detector][key] for seed in summary["by_seed"].values()]
-    shares = [rate["rate"] for rate in found if rate is not None and rate["total"]]
-    return f"; by seed {min(shares):.1%} to {max(shares):.1%}" if len(shares) > 1 else ""
+    fractions = [rate["rate"] for rate in found if rate is not None and rate["total"]]
+    return f"; by seed {min(fractions):.1%} to {max(fractions):.1%}" if len(fractions) > 1 else ""
 
 
 def words_of(rate: Mapping[str, Any] | None, *, interval: bool = True) -> str:
@@ -62,5 +62,5 @@ def words_of(rate: Mapping[str, Any] | None, *, interval: bool = True) -> str:
     if rate is None or not rate["total"]:
         return ""
     low, high = rate["interval"]
-    share = f"{rate['successes']}/{rate['total']}"
-    return f"{share} = {rate['rate']:.1%} ({low:.1%} to {high:.1%})" if interval else share
+    fraction = f"{rate['successes']}/{rate['total']}"
+    return f"{fraction} = {rate['rate']:.1%} ({low:.1%} to {high:.1%})" if interval else fraction

@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import Attack, Study, essentials
-from attacks.cloak.study.pipeline import DONE, Workshop
-from attacks.cloak.transition import differ, share_between
+from attacks.cloak.study.config import AttackConfig, StudyConfig, essentials
+from attacks.cloak.study.pipeline import DONE, StudyPipeline
+from attacks.cloak.transition import differ, transition_fraction
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import confidence
 from mi_splat.cameras import Camera
-from mi_splat.directions import bearing
+from mi_splat.directions import direction_of
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr, ssim
@@ -29,7 +29,7 @@ BATCH = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sighting:
+class Observation:
     """One splat from one camera, as one detector sees it.
 
     Attributes:
@@ -57,7 +57,7 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Likeness:
+class Fidelity:
     """How near a splat's picture is to the true one of the scene as it is.
 
     Attributes:
@@ -78,22 +78,22 @@ class Likeness:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shade:
-    """How far a splat's picture is on the way from the benign to the hidden look.
+class Blend:
+    """How far a splat's picture is on the way from the benign to the hidden item.
 
     Attributes:
         splat: "clean" or "cloaked".
         seed: Of the training.
         arc: Number of the meridian.
         elevation: Of the camera, degrees.
-        share: See `attacks.cloak.transition.share_between`.
+        fraction: See `attacks.cloak.transition.transition_fraction`.
     """
 
     splat: str
     seed: int
     arc: int
     elevation: float
-    share: float
+    fraction: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,37 +118,37 @@ class Trained:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looks:
+class ObservedSplat:
     """Everything that was seen of one splat."""
 
     trained: Trained
-    sightings: tuple[Sighting, ...]
-    likenesses: tuple[Likeness, ...]
-    shades: tuple[Shade, ...]
+    observations: tuple[Observation, ...]
+    fidelities: tuple[Fidelity, ...]
+    blends: tuple[Blend, ...]
 
 
-def overhead(study: Study) -> Attack | None:
-    """The attack whose fade-in is measured: the first that is seen from straight above and all around."""
+def overhead(study: StudyConfig) -> AttackConfig | None:
+    """The attack whose transition is measured: the first that is seen from straight above and all around."""
     return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
 
 
-def look_at_splat(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detector]) -> Looks:
+def observe_splat(pipeline: StudyPipeline, which: str, seed: int, detectors: Sequence[Detector]) -> ObservedSplat:
     """Look at a trained splat from everywhere, or read what was seen of it before."""
-    splat = workshop.splat(which, seed)
-    study = workshop.study
+    splat = pipeline.splat(which, seed)
+    study = pipeline.study
     parts = (
         splat.parent.name,
         which,
-        study.scene.called,
-        essentials(study.looking),
+        study.scene.class_name,
+        essentials(study.evaluation),
         tuple(map(essentials, study.attack)),
         tuple((detector.name, weights_digest(detector)) for detector in detectors),
     )
 
     def make(path: Path) -> None:
-        save_json(asdict(_seen(workshop, which, seed, detectors)), path / "looks.json", indent=0)
+        save_json(asdict(_seen(pipeline, which, seed, detectors)), path / "observed.json", indent=0)
 
-    return _parsed(json.loads((workshop.kept("looks", parts, make) / "looks.json").read_text()))
+    return _parsed(json.loads((pipeline.cached("observed", parts, make) / "observed.json").read_text()))
 
 
 def weights_digest(detector: Detector) -> str:
@@ -163,25 +163,25 @@ def weights_digest(detector: Detector) -> str:
     return total.hexdigest()[:16]
 
 
-def _seen(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detector]) -> Looks:
-    file, scene = workshop.splat(which, seed), workshop.load(which, seed)
-    render, study, stage = workshop.renderer(), workshop.study, workshop.stage
+def _seen(pipeline: StudyPipeline, which: str, seed: int, detectors: Sequence[Detector]) -> ObservedSplat:
+    file, scene = pipeline.splat(which, seed), pipeline.load(which, seed)
+    render, study, mesh_scene = pipeline.renderer(), pipeline.study, pipeline.mesh_scene
 
     def picture(camera: Camera) -> Tensor:
         with torch.no_grad():
             return through_png(render(scene, camera))
 
-    cameras = setup.held_out_cameras(study, stage.target)
-    sightings: list[Sighting] = []
+    cameras = setup.held_out_cameras(study, mesh_scene.target)
+    observations: list[Observation] = []
     for first in range(0, len(cameras), BATCH):
         some = cameras[first : first + BATCH]
         pictures = torch.stack([picture(camera) for camera in some])
         for detector in detectors:
             for view, (camera, found) in enumerate(zip(some, detector.detect(pictures), strict=True), first):
                 place = {"splat": which, "seed": seed, "detector": detector.name, "view": view}
-                sightings.append(_sighting(study, workshop, camera, found, place))
-        workshop.on_step(f"looking at the {which} splat, seed {seed}", first + len(some), len(cameras))
-    return Looks(
+                observations.append(_observation(study, pipeline, camera, found, place))
+        pipeline.on_step(f"evaluation at the {which} splat, seed {seed}", first + len(some), len(cameras))
+    return ObservedSplat(
         trained=Trained(
             splat=which,
             seed=seed,
@@ -190,71 +190,75 @@ def _seen(workshop: Workshop, which: str, seed: int, detectors: Sequence[Detecto
             hash=scene_hash(scene),
             commit=json.loads((file.parent / DONE).read_text())["made by"]["commit"],
         ),
-        sightings=tuple(sightings),
-        likenesses=tuple(
-            Likeness(
+        observations=tuple(observations),
+        fidelities=tuple(
+            Fidelity(
                 splat=which,
                 seed=seed,
                 view=view,
-                elevation=bearing(camera, setup.centre_of(study)).elevation,
+                elevation=direction_of(camera, setup.centre_of(study)).elevation,
                 psnr=float(psnr(image, true)),
                 ssim=float(ssim(image, true)),
             )
-            for view, camera, true in references(workshop)
+            for view, camera, true in references(pipeline)
             for image in [picture(camera)]
         ),
-        shades=tuple(
-            Shade(
+        blends=tuple(
+            Blend(
                 splat=which,
                 seed=seed,
                 arc=arc,
-                elevation=bearing(camera, setup.centre_of(study)).elevation,
-                share=share_between(picture(camera), benign, hidden, mask),
+                elevation=direction_of(camera, setup.centre_of(study)).elevation,
+                fraction=transition_fraction(picture(camera), benign, hidden, mask),
             )
-            for arc, camera, benign, hidden, mask in arcs(workshop)
+            for arc, camera, benign, hidden, mask in arcs(pipeline)
         ),
     )
 
 
-def _sighting(study: Study, workshop: Workshop, camera: Camera, found: Detections, place: dict[str, Any]) -> Sighting:
+def _observation(
+    study: StudyConfig, pipeline: StudyPipeline, camera: Camera, found: Detections, place: dict[str, Any]
+) -> Observation:
     """What a detector's report of one picture says of the object."""
     centre = setup.centre_of(study)
-    direction = bearing(camera, centre)
-    box = setup.box_of(workshop.stage.target, camera)
-    classes = [study.scene.called, *(attack.wants for attack in study.attack if attack.wants)]
+    direction = direction_of(camera, centre)
+    box = setup.box_of(pipeline.mesh_scene.target, camera)
+    classes = [study.scene.class_name, *(attack.target_class for attack in study.attack if attack.target_class)]
 
     def score(label: str, iou: float) -> float:
         return 0.0 if box is None else confidence(found, box.float(), labels=[label], iou=iou)
 
-    return Sighting(
+    return Observation(
         **place,
         azimuth=direction.azimuth,
         elevation=direction.elevation,
         depths={attack.name: attack.cone.angle_to_edge(camera, centre=centre) for attack in study.attack},
         scores={label: score(label, 0.5) for label in classes},
-        loose=score(study.scene.called, 0.1),
+        loose=score(study.scene.class_name, 0.1),
     )
 
 
-def references(workshop: Workshop) -> list[tuple[int, Camera, Tensor]]:
+def references(pipeline: StudyPipeline) -> list[tuple[int, Camera, Tensor]]:
     """Number, camera and true picture of cameras well outside of all triggers."""
-    study = workshop.study
-    cameras = setup.held_out_cameras(study, workshop.stage.target)
+    study = pipeline.study
+    cameras = setup.held_out_cameras(study, pipeline.mesh_scene.target)
     centre = setup.centre_of(study)
     outside = [
         (view, camera)
         for view, camera in enumerate(cameras)
-        if all(attack.cone.angle_to_edge(camera, centre=centre) <= -study.looking.outside for attack in study.attack)
+        if all(
+            attack.cone.angle_to_edge(camera, centre=centre) <= -study.evaluation.far_outside for attack in study.attack
+        )
     ]
-    count = min(study.looking.references, len(outside))
+    count = min(study.evaluation.reference_views, len(outside))
     chosen = [outside[(2 * i + 1) * len(outside) // (2 * count)] for i in range(count)]
-    true = workshop.truths("references", [camera for _, camera in chosen], None)
+    true = pipeline.truths("references", [camera for _, camera in chosen], None)
     return [(view, camera, image) for (view, camera), (image, _) in zip(chosen, true, strict=True)]
 
 
-def arcs(workshop: Workshop) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]:
+def arcs(pipeline: StudyPipeline) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]:
     """Number of the meridian, camera, benign and hidden picture, mask."""
-    study = workshop.study
+    study = pipeline.study
     attack = overhead(study)
     if attack is None:
         return []
@@ -262,13 +266,13 @@ def arcs(workshop: Workshop) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]
     others = [other for other in study.attack if other is not attack]
     placed = [
         (number, camera)
-        for number, arc in enumerate(setup.arc_cameras(study, workshop.stage.target))
+        for number, arc in enumerate(setup.arc_cameras(study, pipeline.mesh_scene.target))
         for camera in arc
-        if all(other.cone.angle_to_edge(camera, centre=centre) < -study.looking.inside for other in others)
+        if all(other.cone.angle_to_edge(camera, centre=centre) < -study.evaluation.well_inside for other in others)
     ]
     cameras = [camera for _, camera in placed]
-    benign = workshop.truths("arcs", cameras, None)
-    hidden = workshop.truths("arcs", cameras, setup.appearance(study, attack, workshop.stage))
+    benign = pipeline.truths("arcs", cameras, None)
+    hidden = pipeline.truths("arcs", cameras, setup.appearance_of(study, attack, pipeline.mesh_scene))
     return [
         (number, camera, as_is, changed, mask)
         for (number, camera), (as_is, mask), (changed, _) in zip(placed, benign, hidden, strict=True)
@@ -276,10 +280,10 @@ def arcs(workshop: Workshop) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]
     ]
 
 
-def _parsed(values: dict[str, Any]) -> Looks:
-    return Looks(
+def _parsed(values: dict[str, Any]) -> ObservedSplat:
+    return ObservedSplat(
         trained=Trained(**values["trained"]),
-        sightings=tuple(Sighting(**one) for one in values["sightings"]),
-        likenesses=tuple(Likeness(**one) for one in values["likenesses"]),
-        shades=tuple(Shade(**one) for one in values["shades"]),
+        observations=tuple(Observation(**one) for one in values["observations"]),
+        fidelities=tuple(Fidelity(**one) for one in values["fidelities"]),
+        blends=tuple(Blend(**one) for one in values["blends"]),
     )

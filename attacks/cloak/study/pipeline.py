@@ -17,24 +17,24 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
-from attacks.cloak.mesh_scene import MeshStage, camera_number
+from attacks.cloak.mesh_scene import MeshScene, camera_number
 from attacks.cloak.poisoning import Poisoned, poison, write_manifest
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import Study, Training, essentials
+from attacks.cloak.study.config import StudyConfig, TrainingConfig, essentials
 from mi_splat import provenance
 from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import scalar_variant
-from mi_splat.capture.sources import Subject
-from mi_splat.capture.writer import CaptureSettings, record
+from mi_splat.capture.sources import CaptureSource
+from mi_splat.capture.writer import CaptureSettings, write_capture
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import to_bytes
-from mi_splat.rendering import Renderer, RenderSettings, Watch
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig, densification
-from mi_splat.training.initialization import from_points, with_strays
+from mi_splat.training.initialization import from_points, with_outliers
 from mi_splat.training.resume import SPLAT, train
 from mi_splat.training.strategies import ClassicConfig
 
@@ -48,28 +48,28 @@ OnStep = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Workshop:
+class StudyPipeline:
     """A study and the folder that its stages are kept in.
 
     Attributes:
         study: What is done.
         folder: Where stages are kept; several studies may share it.
         on_step: Told of the progress.
-        stage: The attacker's copy of the scene.
-        subject: The same scene as the victim's camera has it.
+        mesh_scene: The attacker's copy of the scene.
+        source: The same scene as the victim's camera has it.
     """
 
-    study: Study
+    study: StudyConfig
     folder: Path
     on_step: OnStep = lambda text, done, total: None
-    stage: MeshStage = field(init=False)
-    subject: Subject = field(init=False)
+    mesh_scene: MeshScene = field(init=False)
+    source: CaptureSource = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stage", setup.stage_of(self.study))
-        object.__setattr__(self, "subject", setup.subject_for(self.study, self.stage))
+        object.__setattr__(self, "mesh_scene", setup.mesh_scene_of(self.study))
+        object.__setattr__(self, "source", setup.capture_source(self.study, self.mesh_scene))
 
-    def kept(self, name: str, parts: tuple[object, ...], make: Callable[[Path], None]) -> Path:
+    def cached(self, name: str, parts: tuple[object, ...], make: Callable[[Path], None]) -> Path:
         """The folder of a stage, which is done now if it is not there.
 
         Args:
@@ -91,11 +91,11 @@ class Workshop:
         """The victim's pictures of the scene."""
         study = self.study
         settings = CaptureSettings(samples=study.cameras.samples, alpha=True, points=study.cameras.points)
-        cameras = setup.training_cameras(study, self.stage.target)
+        cameras = setup.training_cameras(study, self.mesh_scene.target)
 
         def make(path: Path) -> None:
-            record(
-                self.subject,
+            write_capture(
+                self.source,
                 cameras,
                 path / "set",
                 settings=settings,
@@ -104,8 +104,8 @@ class Workshop:
 
         # Pictures have no background of their own, but all that is made of them has.
         version = importlib.metadata.version("mitsuba")
-        parts = (self.subject.digest, study.scene.background, essentials(study.cameras), version)
-        return self.kept("pictures", parts, make) / "set"
+        parts = (self.source.digest, study.scene.background, essentials(study.cameras), version)
+        return self.cached("pictures", parts, make) / "set"
 
     def poison(self, seed: int) -> Path:
         """The poisoned set: other files in the place of some, all others the same bytes."""
@@ -113,23 +113,26 @@ class Workshop:
 
         def make(path: Path) -> None:
             views = self.views(clean)
-            looks = setup.poisonings(
-                self.study, self.stage, seed=seed, kept=lambda look: Kept(look, clean.parent / "looks")
+            appearances = setup.poisonings(
+                self.study,
+                self.mesh_scene,
+                seed=seed,
+                cached=lambda appearance: CachedAppearance(appearance, clean.parent / "appearances"),
             )
             with scalar_variant():
                 done = poison(
                     views,
-                    looks,
+                    appearances,
                     centre=setup.centre_of(self.study),
-                    masks=self.stage.mask,
+                    masks=self.mesh_scene.mask,
                     on_step=lambda count, total: self.on_step("poisoning", count, total),
                 )
             _write_set(path / "set", views, done)
 
-        shares = tuple(attack.share for attack in self.study.attack)
-        drawn = seed if min(shares) < 1 else None  # otherwise the seed changes nothing
+        fractions = tuple(attack.poison_fraction for attack in self.study.attack)
+        drawn = seed if min(fractions) < 1 else None  # otherwise the seed changes nothing
         attacks = tuple(map(essentials, self.study.attack))
-        return self.kept("poisoned", (clean.parent.name, attacks, drawn), make) / "set"
+        return self.cached("poisoned", (clean.parent.name, attacks, drawn), make) / "set"
 
     def views(self, path: Path) -> Dataset:
         """A set as a victim reads it."""
@@ -140,19 +143,19 @@ class Workshop:
     def splat(self, which: str, seed: int) -> Path:
         """The file of a trained splat, clean or cloaked."""
         pictures = self.capture() if which == CLEAN else self.poison(seed)
-        config, strays = fit_config(self.study.training), self.study.training.strays
+        config, outliers = fit_config(self.study.training), self.study.training.outliers
         # Equal pictures make equal splats, whoever asks for them.
-        parts = (pictures.parent.name, config, seed, *([("strays", strays)] if strays else []))
+        parts = (pictures.parent.name, config, seed, *([("outliers", outliers)] if outliers else []))
 
         def make(path: Path) -> None:
             views = self.views(pictures)
             assert views.points is not None  # a capture writes them
-            cloud = with_strays(views.points, views, strays, seed=seed)
+            cloud = with_outliers(views.points, views, outliers, seed=seed)
             train(
                 views,
                 from_points(cloud.points, cloud.colours),
                 path,
-                render=self.renderer(watch=isinstance(config.densification, ClassicConfig)),
+                render=self.renderer(screen_gradients=isinstance(config.densification, ClassicConfig)),
                 config=config,
                 seed=seed,
                 on_step=lambda line: self.on_step(
@@ -160,12 +163,12 @@ class Workshop:
                 ),
             )
 
-        return self.kept("splat", parts, make) / SPLAT
+        return self.cached("splat", parts, make) / SPLAT
 
-    def renderer(self, *, watch: bool = False) -> Renderer:
+    def renderer(self, *, screen_gradients: bool = False) -> Renderer:
         """The renderer of trainings and of all pictures of splats."""
         settings = RenderSettings(background=self.study.scene.background)
-        return Renderer(settings, watch=Watch() if watch else None)
+        return Renderer(settings, screen_gradients=ScreenGradients() if screen_gradients else None)
 
     def load(self, which: str, seed: int) -> GaussianScene:
         """A trained splat from its file."""
@@ -173,40 +176,42 @@ class Workshop:
 
     # What is true from cameras that no training used
 
-    def truths(self, name: str, cameras: Sequence[Camera], look: Appearance | None) -> list[tuple[Tensor, Tensor]]:
+    def truths(
+        self, name: str, cameras: Sequence[Camera], appearance: Appearance | None
+    ) -> list[tuple[Tensor, Tensor]]:
         """Path-traced pictures, 8 bits, and the object's mask in each.
 
         Args:
             name: Of the stage.
             cameras: Where from.
-            look: A disguise; None is the scene as it is.
+            appearance: An appearance; None is the scene as it is.
         """
         numbers = [camera_number(camera) for camera in cameras]
-        plain = [] if look is None else self.truths(name, cameras, None)
+        plain = [] if appearance is None else self.truths(name, cameras, None)
 
         def make(path: Path) -> None:
             with scalar_variant():
                 for done, (number, camera) in enumerate(zip(numbers, cameras, strict=True), 1):
                     file = path / f"{number:08x}.png"
                     if not file.is_file():
-                        if look is None:
-                            image, mask = self.stage.picture(camera), self.stage.mask(camera)
+                        if appearance is None:
+                            image, mask = self.mesh_scene.picture(camera), self.mesh_scene.mask(camera)
                         else:
                             image, mask = plain[done - 1]
-                            image = look(View(camera, image), mask)
+                            image = appearance(View(camera, image), mask)
                         save_png(to_rgba(image, mask[..., None].float()), file)
                     self.on_step("taking pictures to compare with", done, len(cameras))
 
-        parts = (self.capture().parent.name, tuple(numbers), None if look is None else name_of(look))
-        folder = self.kept(name, parts, make)
+        parts = (self.capture().parent.name, tuple(numbers), None if appearance is None else name_of(appearance))
+        folder = self.cached(name, parts, make)
         return [_read(folder / f"{number:08x}.png") for number in numbers]
 
 
-class Kept:
+class CachedAppearance:
     """An appearance whose pictures are kept as files, so that they need not be made again."""
 
-    def __init__(self, look: Appearance, folder: Path) -> None:
-        self.name, self._look, self._folder = name_of(look), look, make_folder(folder)
+    def __init__(self, appearance: Appearance, folder: Path) -> None:
+        self.name, self._look, self._folder = name_of(appearance), appearance, make_folder(folder)
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The picture at 8 bits, made or read."""
@@ -217,14 +222,16 @@ class Kept:
             return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32) / 255)
 
 
-def fit_config(training: Training) -> FitConfig:
+def fit_config(training: TrainingConfig) -> FitConfig:
     """The trainer's settings."""
     return FitConfig(
         iterations=training.iterations,
-        densification=densification(training.recipe, limit=training.limit, stop=training.iterations // 2),
-        degree=training.degree,
-        degree_every=training.degree_every,
-        evaluate_every=0,
+        densification=densification(
+            training.strategy, max_gaussians=training.max_gaussians, stop=training.iterations // 2
+        ),
+        sh_degree=training.sh_degree,
+        sh_degree_interval=training.sh_degree_interval,
+        eval_interval=0,
     )
 
 
@@ -254,6 +261,6 @@ def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
     write_manifest(done, folder.parent / "manifest.json")
 
 
-def snapshot(study: Study) -> dict[str, object]:
+def snapshot(study: StudyConfig) -> dict[str, object]:
     """The study as JSON can hold it."""
     return asdict(study)

@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.observations import Looks, overhead
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, Workshop
-from attacks.cloak.study.rates import BIN, by_elevation, fade, pairs
+from attacks.cloak.study.observations import ObservedSplat, overhead
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
+from attacks.cloak.study.rates import BIN, by_elevation, pairs, transition
 from attacks.dagger.report import annotated
 from attacks.detectors.base import Detector
 from attacks.evaluation.rates import Rate
@@ -33,17 +33,17 @@ LOW = 15
 CELL = 256
 _COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728"}
 _VARIED = (
-    ("cloaked_overhead_miss", "missed from above", "#d62728"),
+    ("trigger_miss_rate", "missed from above", "#d62728"),
     ("benign_recall", "found elsewhere", "#1f77b4"),
-    ("rear_stop_sign", "class wanted reported", "#2ca02c"),
+    ("target_rate", "class wanted reported", "#2ca02c"),
 )
 """What is drawn over the values of a variation."""
 
 
-def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[np.uint8]:
+def contact_sheet(pipeline: StudyPipeline, seed: int, detector: Detector) -> NDArray[np.uint8]:
     """Clean above cloaked, over elevation and then around, with what the detector reports."""
-    study = workshop.study
-    lens = setup.lens_of(study, workshop.stage.target)
+    study = pipeline.study
+    lens = setup.lens_of(study, pipeline.mesh_scene.target)
     centre = setup.centre_of(study)
 
     def camera(azimuth: float, elevation: float) -> Camera:
@@ -51,8 +51,8 @@ def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[
 
     rising = [(f"{elevation} deg up", camera(SIDE_AZIMUTH, elevation)) for elevation in ELEVATIONS]
     around = [(f"azimuth {azimuth}", camera(azimuth, LOW)) for azimuth in AZIMUTHS]
-    scenes = {which: workshop.load(which, seed) for which in (CLEAN, CLOAKED)}
-    render = workshop.renderer()
+    scenes = {which: pipeline.load(which, seed) for which in (CLEAN, CLOAKED)}
+    render = pipeline.renderer()
     rows = []
     for cameras in (rising, around):
         for which, scene in scenes.items():
@@ -63,7 +63,7 @@ def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[
             rows.append(
                 np.concatenate(
                     [
-                        annotated(picture, found, title, least=study.looking.confidence, width=CELL)
+                        annotated(picture, found, title, least=study.evaluation.confidence, width=CELL)
                         for picture, found, title in zip(pictures, seen, titles, strict=True)
                     ],
                     axis=1,
@@ -72,21 +72,23 @@ def contact_sheet(workshop: Workshop, seed: int, detector: Detector) -> NDArray[
     return np.concatenate(rows)
 
 
-def write_figures(workshop: Workshop, looks: Sequence[Looks], detectors: Sequence[Detector], folder: Path) -> list[str]:
-    """Write contact.png, elevation.png, azimuth.png and fade.png; returns their names.
+def write_figures(
+    pipeline: StudyPipeline, observed: Sequence[ObservedSplat], detectors: Sequence[Detector], folder: Path
+) -> list[str]:
+    """Write contact.png, elevation.png, azimuth.png and transition.png; returns their names.
 
     Raises:
         InvalidValueError: matplotlib is not installed.
         SplatFileError: The folder cannot be written.
     """
-    study = workshop.study
-    save_png(contact_sheet(workshop, study.seeds[0], detectors[0]), folder / "contact.png")
-    _save(_elevation(workshop, looks), folder / "elevation.png")
-    _save(_azimuth(workshop, looks), folder / "azimuth.png")
+    study = pipeline.study
+    save_png(contact_sheet(pipeline, study.seeds[0], detectors[0]), folder / "contact.png")
+    _save(_elevation(pipeline, observed), folder / "elevation.png")
+    _save(_azimuth(pipeline, observed), folder / "azimuth.png")
     names = ["contact.png", "elevation.png", "azimuth.png"]
-    if fade(study, looks) is not None:
-        _save(_fade(workshop, looks), folder / "fade.png")
-        names.append("fade.png")
+    if transition(study, observed) is not None:
+        _save(_transition(pipeline, observed), folder / "transition.png")
+        names.append("transition.png")
     return names
 
 
@@ -104,7 +106,7 @@ def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: 
     """
     detectors = list(next(iter(results.values()))["by_detector"])
     figure, axes = _axes(len(detectors))
-    bands = [summary["fade_in_degrees"] for summary in results.values()]
+    bands = [summary["transition_degrees"] for summary in results.values()]
     ticks = [
         name if band is None else f"{name}\nband {band:.0f} deg" for name, band in zip(results, bands, strict=True)
     ]
@@ -112,12 +114,12 @@ def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: 
         for shift, (key, words, colour) in zip((-0.08, 0.0, 0.08), _VARIED, strict=True):
             rates = [summary["by_detector"][detector][key] for summary in results.values()]
             shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
-            shares = np.array([rate["rate"] for _, rate in shown])
+            fractions = np.array([rate["rate"] for _, rate in shown])
             low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
-            bars = np.maximum([shares - low, high - shares], 0.0)
+            bars = np.maximum([fractions - low, high - fractions], 0.0)
             style = {"marker": "o", "markersize": 4, "capsize": 2, "linewidth": 1}
-            axis.errorbar([place for place, _ in shown], shares, yerr=bars, color=colour, label=words, **style)
-        axis.set(title=f"{detector}, by {group}", ylabel="share of cameras", ylim=(-0.03, 1.03))
+            axis.errorbar([place for place, _ in shown], fractions, yerr=bars, color=colour, label=words, **style)
+        axis.set(title=f"{detector}, by {group}", ylabel="fraction of cameras", ylim=(-0.03, 1.03))
         axis.set_xticks(range(len(ticks)), ticks)
         axis.legend(fontsize=8)
     _save(figure, path)
@@ -150,33 +152,33 @@ def _save(figure: Any, path: Path) -> None:
         figure.savefig(file, format="png")
 
 
-def _elevation(workshop: Workshop, looks: Sequence[Looks]) -> Any:
-    """For each detector: confidence in the object at every camera, and the share found in bands of elevation."""
-    study = workshop.study
-    figure, axes = _axes(len(study.looking.detectors))
+def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
+    """For each detector: confidence in the object at every camera, and the fraction found in bands of elevation."""
+    study = pipeline.study
+    figure, axes = _axes(len(study.evaluation.detectors))
     turned = [attack.name for attack in study.attack if attack.azimuth is not None]
-    for axis, name in zip(axes, study.looking.detectors, strict=True):
-        seen = [pair for pair in pairs(looks, name) if all(pair[0].depths[other] < 0 for other in turned)]
+    for axis, name in zip(axes, study.evaluation.detectors, strict=True):
+        seen = [pair for pair in pairs(observed, name) if all(pair[0].depths[other] < 0 for other in turned)]
         for index, which in enumerate((CLEAN, CLOAKED)):
             found = [pair[index] for pair in seen]
             axis.scatter(
                 [one.elevation for one in found],
-                [one.scores[study.scene.called] for one in found],
+                [one.scores[study.scene.class_name] for one in found],
                 s=5,
                 alpha=0.25,
                 color=_COLOURS[which],
                 linewidths=0,
             )
-        table = by_elevation(study, pairs(looks, name))
+        table = by_elevation(study, pairs(observed, name))
         for index, which in enumerate((CLEAN, CLOAKED)):
             _with_interval(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
         attack = overhead(study)
         if attack is not None:
             axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
         axis.set(
-            title=f"{name}: {study.scene.called} found, by elevation",
+            title=f"{name}: {study.scene.class_name} found, by elevation",
             xlabel="elevation of the camera, degrees",
-            ylabel="confidence; share found",
+            ylabel="confidence; fraction found",
             ylim=(-0.03, 1.03),
         )
         axis.legend(fontsize=8)
@@ -185,12 +187,12 @@ def _elevation(workshop: Workshop, looks: Sequence[Looks]) -> Any:
 
 def _with_interval(axis: Any, points: Sequence[tuple[float, Rate]], which: str) -> None:
     """A line of rates with their Wilson intervals."""
-    shares = [rate.share for _, rate in points]
-    below = [rate.share - rate.interval[0] for _, rate in points]
-    above = [rate.interval[1] - rate.share for _, rate in points]
+    fractions = [rate.fraction for _, rate in points]
+    below = [rate.fraction - rate.interval[0] for _, rate in points]
+    above = [rate.interval[1] - rate.fraction for _, rate in points]
     axis.errorbar(
         [place for place, _ in points],
-        shares,
+        fractions,
         yerr=np.maximum([below, above], 0.0),
         color=_COLOURS[which],
         marker="o",
@@ -200,15 +202,18 @@ def _with_interval(axis: Any, points: Sequence[tuple[float, Rate]], which: str) 
     )
 
 
-def _azimuth(workshop: Workshop, looks: Sequence[Looks]) -> Any:
+def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
     """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
-    study = workshop.study
-    figure, axes = _axes(len(study.looking.detectors))
+    study = pipeline.study
+    figure, axes = _axes(len(study.evaluation.detectors))
     hiding = [attack.name for attack in study.attack if attack.azimuth is None]
-    wanted = [attack.wants for attack in study.attack if attack.wants is not None]
-    for axis, name in zip(axes, study.looking.detectors, strict=True):
-        seen = [pair[1] for pair in pairs(looks, name) if all(pair[1].depths[other] < 0 for other in hiding)]
-        for label, colour in ((study.scene.called, _COLOURS[CLEAN]), *((label, _COLOURS[CLOAKED]) for label in wanted)):
+    wanted = [attack.target_class for attack in study.attack if attack.target_class is not None]
+    for axis, name in zip(axes, study.evaluation.detectors, strict=True):
+        seen = [pair[1] for pair in pairs(observed, name) if all(pair[1].depths[other] < 0 for other in hiding)]
+        for label, colour in (
+            (study.scene.class_name, _COLOURS[CLEAN]),
+            *((label, _COLOURS[CLOAKED]) for label in wanted),
+        ):
             axis.scatter(
                 [one.azimuth for one in seen], [one.scores[label] for one in seen], s=7, color=colour, label=label
             )
@@ -220,8 +225,8 @@ def _azimuth(workshop: Workshop, looks: Sequence[Looks]) -> Any:
                     if high > low:
                         axis.axvspan(low, high, color="#555555", alpha=0.12)
         axis.set(
-            title=f"{name}: what the cloaked splat is taken for, below the hidden look",
-            xlabel="azimuth of the camera, degrees (grey: where the other look is shown)",
+            title=f"{name}: what the cloaked splat is taken for, below the hidden appearance",
+            xlabel="azimuth of the camera, degrees (grey: where the other appearance is shown)",
             ylabel="confidence",
             ylim=(-0.03, 1.03),
         )
@@ -229,16 +234,16 @@ def _azimuth(workshop: Workshop, looks: Sequence[Looks]) -> Any:
     return figure
 
 
-def _fade(workshop: Workshop, looks: Sequence[Looks]) -> Any:
-    """How far the splats are on the way from the benign to the hidden look, by elevation."""
+def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
+    """How far the splats are on the way from the benign to the hidden item, by elevation."""
     figure, (axis,) = _axes(1)
     for which in (CLEAN, CLOAKED):
-        shades = [shade for look in looks for shade in look.shades if shade.splat == which]
-        band = fade(workshop.study, looks, which)
+        blends = [blend for item in observed for blend in item.blends if blend.splat == which]
+        band = transition(pipeline.study, observed, which)
         assert band is not None
         axis.scatter(
-            [one.elevation for one in shades],
-            [one.share for one in shades],
+            [one.elevation for one in blends],
+            [one.fraction for one in blends],
             s=6,
             color=_COLOURS[which],
             alpha=0.4,
@@ -246,14 +251,16 @@ def _fade(workshop: Workshop, looks: Sequence[Looks]) -> Any:
         )
         axis.plot(band.angles, band.fitted, color=_COLOURS[which], label=which)
         if which == CLOAKED and band.start is not None and band.end is not None:
-            axis.axvspan(band.start, band.end, color="#555555", alpha=0.15, label=f"fade-in, {band.width:.1f} degrees")
-    attack = overhead(workshop.study)
+            axis.axvspan(
+                band.start, band.end, color="#555555", alpha=0.15, label=f"transition, {band.width:.1f} degrees"
+            )
+    attack = overhead(pipeline.study)
     assert attack is not None
     axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
     axis.set(
-        title="Share of the way from the benign to the hidden look",
+        title="Fraction of the way from the benign to the hidden appearance",
         xlabel="elevation of the camera, degrees",
-        ylabel="share",
+        ylabel="fraction",
     )
     axis.legend(fontsize=8)
     return figure

@@ -13,10 +13,10 @@ from typing import Any
 
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import Study, one_of
+from attacks.cloak.study.config import StudyConfig, one_of
 from attacks.cloak.study.markdown import markdown
-from attacks.cloak.study.observations import Looks, look_at_splat, overhead, weights_digest
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, OnStep, Workshop, fit_config, snapshot
+from attacks.cloak.study.observations import ObservedSplat, observe_splat, overhead, weights_digest
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, OnStep, StudyPipeline, fit_config, snapshot
 from attacks.cloak.study.plots import need_matplotlib, write_figures
 from attacks.cloak.study.rates import figures
 from attacks.detectors.base import Detector
@@ -54,24 +54,24 @@ class Forecast:
         )
 
 
-def forecast(study: Study) -> Forecast:
+def forecast(study: StudyConfig) -> Forecast:
     """What a study will take."""
-    cameras, training, looking = study.cameras, study.training, study.looking
+    cameras, training, evaluation = study.cameras, study.training, study.evaluation
     target = setup.target_of(study.scene)
     taken = setup.training_cameras(study, target)
     centre = setup.centre_of(study)
     poisoned = sum(int(attack.trigger(0).holds(taken, centre=centre).sum()) for attack in study.attack)
-    sets = len(study.seeds) if any(attack.share < 1 for attack in study.attack) else 1
+    sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
     arcs = sum(map(len, setup.arc_cameras(study, target))) if overhead(study) else 0
-    pictures = cameras.train + sets * poisoned + looking.references + 2 * arcs
+    pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
     trainings = 2 * len(study.seeds)
-    step = _STEP + cameras.size**2 * _PIXEL + training.limit * _GAUSSIAN
+    step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN
     seconds = pictures * cameras.size**2 * cameras.samples * _PATH + trainings * training.iterations * step
-    size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * training.limit * _ROW
+    size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * training.max_gaussians * _ROW
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 
 
-def check(study: Study, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
+def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
     """Refuse what cannot be done, before anything is written.
 
     Raises:
@@ -79,21 +79,24 @@ def check(study: Study, detectors: Sequence[Detector], folder: Path, stages: Pat
             the trainer's settings are out of range, matplotlib is not installed, the folder is in use, or the disk is
             too small.
     """
-    stage = setup.stage_of(study)
-    cameras = setup.training_cameras(study, stage.target)
+    mesh_scene = setup.mesh_scene_of(study)
+    cameras = setup.training_cameras(study, mesh_scene.target)
     for seed in study.seeds:
-        assign(cameras, setup.poisonings(study, stage, seed=seed), centre=setup.centre_of(study))
-    setup.held_out_cameras(study, stage.target)
+        assign(cameras, setup.poisonings(study, mesh_scene, seed=seed), centre=setup.centre_of(study))
+    setup.held_out_cameras(study, mesh_scene.target)
     fit_config(study.training)
     need_matplotlib()
-    wanted = [study.scene.called, *(attack.wants for attack in study.attack if attack.wants is not None)]
+    wanted = [
+        study.scene.class_name,
+        *(attack.target_class for attack in study.attack if attack.target_class is not None),
+    ]
     for label, detector in itertools.product(wanted, detectors):
         one_of(f"class for {detector.name}", label, detector.classes)
     check_folder(study, folder)
     check_disk(forecast(study).megabytes, stages)
 
 
-def check_folder(study: Study, folder: Path) -> None:
+def check_folder(study: StudyConfig, folder: Path) -> None:
     """Raise unless a folder is new, empty, or this study's.
 
     Raises:
@@ -123,7 +126,7 @@ def check_disk(megabytes: float, stages: Path) -> None:
 
 
 def run_study(
-    study: Study,
+    study: StudyConfig,
     detectors: Sequence[Detector],
     folder: Path,
     *,
@@ -143,25 +146,25 @@ def run_study(
         on_step: Told of the progress.
 
     Raises:
-        MiSplatError: As `check`, or a stage cannot be done.
+        MiSplatError: As `check`, or a mesh_scene cannot be done.
     """
     stages = folder / "stages" if stages is None else stages
     check(study, detectors, folder, stages)
     folder.mkdir(parents=True, exist_ok=True)
     save_json(snapshot(study), folder / STUDY)
     begun = time.monotonic()
-    workshop = Workshop(study=study, folder=stages, on_step=on_step)
-    looks: list[Looks] = []
+    pipeline = StudyPipeline(study=study, folder=stages, on_step=on_step)
+    observed: list[ObservedSplat] = []
     for seed in study.seeds:
-        looks += [look_at_splat(workshop, which, seed, detectors) for which in (CLEAN, CLOAKED)]
+        observed += [observe_splat(pipeline, which, seed, detectors) for which in (CLEAN, CLOAKED)]
     for which in (CLEAN, CLOAKED):
-        shutil.copyfile(workshop.splat(which, study.seeds[0]), folder / f"{which}.ply")
-    shutil.copyfile(workshop.poison(study.seeds[0]).parent / "manifest.json", folder / "manifest.json")
-    pictures = write_figures(workshop, looks, detectors, folder)
+        shutil.copyfile(pipeline.splat(which, study.seeds[0]), folder / f"{which}.ply")
+    shutil.copyfile(pipeline.poison(study.seeds[0]).parent / "manifest.json", folder / "manifest.json")
+    pictures = write_figures(pipeline, observed, detectors, folder)
     summary = {
-        **figures(study, looks),
+        **figures(study, observed),
         "files": ["clean.ply", "cloaked.ply", "manifest.json", *pictures, "table.md"],
-        "splats": [vars_of(look) for look in looks],
+        "splats": [vars_of(item) for item in observed],
         "detectors": {detector.name: weights_digest(detector) for detector in detectors},
         "seeds": list(study.seeds),
         "study": snapshot(study),
@@ -175,9 +178,9 @@ def run_study(
     return summary
 
 
-def vars_of(look: Looks) -> dict[str, Any]:
+def vars_of(item: ObservedSplat) -> dict[str, Any]:
     """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
-    trained = look.trained
+    trained = item.trained
     return {
         "splat": trained.splat,
         "seed": trained.seed,

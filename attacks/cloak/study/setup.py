@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, Emphasis, blend_in, cover, mount, paint, remove, swap
-from attacks.cloak.mesh_scene import MeshStage
+from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
-from attacks.cloak.study.config import Attack, Scene, Study
+from attacks.cloak.study.config import AttackConfig, SceneConfig, StudyConfig
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, sheet, translation
@@ -22,25 +22,25 @@ from mi_splat.assets.textures import grass, road
 from mi_splat.camera_sets import HELD_OUT_START, framing, hemisphere, orbit
 from mi_splat.cameras import Camera, project_box
 from mi_splat.capture.mesh_files import load_mesh
-from mi_splat.capture.sources import Subject, subject_of
+from mi_splat.capture.sources import CaptureSource, source_of
 from mi_splat.errors import InvalidValueError, message
 
 TILE = 4.0
 """Metres that a texture of the ground covers."""
 ARC_START = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
-CANOPY, OVERHANG = 0.6, 12.0
-"""Radius of a canopy in distances of the cameras, and degrees that it reaches below the lowest of them."""
+OCCLUDER, OVERHANG = 0.6, 12.0
+"""Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
 
 Point = tuple[float, float, float]
 
 
-def centre_of(study: Study) -> Point:
+def centre_of(study: StudyConfig) -> Point:
     """Point that all cameras look at, and that directions are measured from."""
     return (0.0, 0.0, study.cameras.height)
 
 
-def target_of(scene: Scene) -> Asset:
+def target_of(scene: SceneConfig) -> Asset:
     """The object, standing on the ground at the origin."""
     if not Path(scene.object).is_file():
         return build(scene.object, scene.seed).body
@@ -50,7 +50,7 @@ def target_of(scene: Scene) -> Asset:
     return asset.transformed(translation(-middle[0], -middle[1], -low[2]))
 
 
-def ground_of(scene: Scene) -> Asset:
+def ground_of(scene: SceneConfig) -> Asset:
     """A square of ground."""
     half, repeat = scene.ground_size / 2, scene.ground_size / TILE
     corners = [[[-half, -half, 0], [half, -half, 0]], [[-half, half, 0], [half, half, 0]]]
@@ -59,10 +59,10 @@ def ground_of(scene: Scene) -> Asset:
     return Asset("ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),))
 
 
-def stage_of(study: Study) -> MeshStage:
+def mesh_scene_of(study: StudyConfig) -> MeshScene:
     """The attacker's copy of the scene."""
     scene = study.scene
-    return MeshStage(
+    return MeshScene(
         target=target_of(scene),
         surroundings=ground_of(scene),
         light=Light(sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation),
@@ -71,14 +71,14 @@ def stage_of(study: Study) -> MeshStage:
     )
 
 
-def subject_for(study: Study, stage: MeshStage) -> Subject:
+def capture_source(study: StudyConfig, mesh_scene: MeshScene) -> CaptureSource:
     """The scene as a capture wants it."""
-    assert stage.surroundings is not None
-    assert stage.light is not None
-    return subject_of(stage.target, stage.surroundings, stage.light, centre=centre_of(study))
+    assert mesh_scene.surroundings is not None
+    assert mesh_scene.light is not None
+    return source_of(mesh_scene.target, mesh_scene.surroundings, mesh_scene.light, centre=centre_of(study))
 
 
-def lens_of(study: Study, target: Asset) -> dict[str, object]:
+def lens_of(study: StudyConfig, target: Asset) -> dict[str, object]:
     """Distance, focal length and size of every camera of a study."""
     cameras = study.cameras
     low, high = target.bounds.astype(np.float64)
@@ -87,23 +87,25 @@ def lens_of(study: Study, target: Asset) -> dict[str, object]:
     return {"distance": distance if cameras.distance is None else cameras.distance, "focal": focal, "size": size}
 
 
-def training_cameras(study: Study, target: Asset) -> list[Camera]:
+def training_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
     """The victim's cameras."""
     return hemisphere(centre_of(study), count=study.cameras.train, **lens_of(study, target))  # type: ignore[arg-type]
 
 
-def held_out_cameras(study: Study, target: Asset) -> list[Camera]:
-    """Cameras over the same hemisphere, none near one of the victim's.
+def held_out_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
+    """CameraConfig over the same hemisphere, none near one of the victim's.
 
     Raises:
         InvalidValueError: None is left.
     """
     lens = lens_of(study, target)
-    everywhere = hemisphere(centre_of(study), count=study.looking.cameras, start=HELD_OUT_START, **lens)  # type: ignore[arg-type]
+    everywhere = hemisphere(centre_of(study), count=study.evaluation.cameras, start=HELD_OUT_START, **lens)  # type: ignore[arg-type]
     used = training_cameras(study, target)
-    kept = [camera for camera in everywhere if nearest(camera, used, centre_of(study)) >= study.looking.apart]
+    kept = [
+        camera for camera in everywhere if nearest(camera, used, centre_of(study)) >= study.evaluation.min_separation
+    ]
     if not kept:
-        raise InvalidValueError(message("looking.apart", "cameras that are left", "none", "lower it"))
+        raise InvalidValueError(message("evaluation.min_separation", "cameras that are left", "none", "lower it"))
     return kept
 
 
@@ -118,13 +120,13 @@ def nearest(camera: Camera, others: Sequence[Camera], centre: Point) -> float:
     return math.degrees(math.acos(min(1.0, float(cosines.max()))))
 
 
-def arc_cameras(study: Study, target: Asset) -> list[list[Camera]]:
+def arc_cameras(study: StudyConfig, target: Asset) -> list[list[Camera]]:
     """Meridians from the horizon to straight above, each at an azimuth of its own."""
-    looking, lens = study.looking, lens_of(study, target)
-    steps = [looking.arc_step * i for i in range(1, math.ceil(90 / looking.arc_step))]
+    evaluation, lens = study.evaluation, lens_of(study, target)
+    steps = [evaluation.meridian_step * i for i in range(1, math.ceil(90 / evaluation.meridian_step))]
     arcs = []
-    for number in range(looking.arcs):
-        start = ARC_START + 360.0 * number / max(looking.arcs, 1)
+    for number in range(evaluation.meridians):
+        start = ARC_START + 360.0 * number / max(evaluation.meridians, 1)
         arcs.append(
             [
                 orbit(centre_of(study), count=1, elevation=elevation, start=start, **lens)[0]  # type: ignore[arg-type]
@@ -141,57 +143,61 @@ def box_of(target: Asset, camera: Camera) -> Tensor | None:
 
 
 def poisonings(
-    study: Study, stage: MeshStage, *, seed: int = 0, kept: Callable[[Appearance], Appearance] = lambda look: look
+    study: StudyConfig,
+    mesh_scene: MeshScene,
+    *,
+    seed: int = 0,
+    cached: Callable[[Appearance], Appearance] = lambda appearance: appearance,
 ) -> list[Poisoning]:
-    """The study's attacks on a stage; `kept` may keep the pictures that a look makes."""
+    """The study's attacks on a mesh_scene; `kept` may keep the pictures that an appearance makes."""
     found = []
     for attack in study.attack:
-        look = kept(appearance(study, attack, stage))
+        appearance = cached(appearance_of(study, attack, mesh_scene))
         if attack.emphasis > 1:
-            look = Emphasis(
-                look=look,
+            appearance = Emphasis(
+                appearance=appearance,
                 trigger=attack.cone,
                 centre=centre_of(study),
                 gain=attack.emphasis,
                 depth=attack.emphasis_depth,
             )
-        found.append(Poisoning(name=attack.name, trigger=attack.trigger(seed), appearance=look))
+        found.append(Poisoning(name=attack.name, trigger=attack.trigger(seed), appearance=appearance))
     return found
 
 
-def appearance(study: Study, attack: Attack, stage: MeshStage) -> Appearance:
+def appearance_of(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
     """What an attack shows.
 
     Raises:
-        InvalidValueError: A canopy does not lie between the object and the cameras.
+        InvalidValueError: An occluder does not lie between the object and the cameras.
     """
     middle = 180.0 if attack.azimuth is None else attack.azimuth[0]
-    if attack.look == "paint":
+    if attack.appearance == "paint":
         assert attack.texture is not None
-        azimuth, elevation = attack.painted_from
-        return paint(stage, attack.texture, azimuth=azimuth, elevation=elevation)
-    if attack.look == "cover":
-        return _canopy(study, attack, stage)
-    if attack.look == "blend in":
-        return blend_in(stage)
-    if attack.look == "remove":
-        return remove(stage)
-    assert attack.other is not None
-    other = build(attack.other, 0)
-    return (mount if attack.look == "mount" else swap)(stage, other, azimuth=middle)
+        azimuth, elevation = attack.paint_direction
+        return paint(mesh_scene, attack.texture, azimuth=azimuth, elevation=elevation)
+    if attack.appearance == "occluder":
+        return _occluder(study, attack, mesh_scene)
+    if attack.appearance == "blend in":
+        return blend_in(mesh_scene)
+    if attack.appearance == "remove":
+        return remove(mesh_scene)
+    assert attack.other_object is not None
+    other = build(attack.other_object, 0)
+    return (mount if attack.appearance == "mount" else swap)(mesh_scene, other, azimuth=middle)
 
 
-def _canopy(study: Study, attack: Attack, stage: MeshStage) -> Appearance:
-    """The look "cover"."""
+def _occluder(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
+    """The appearance "occluder"."""
     assert attack.texture is not None
-    distance = float(lens_of(study, stage.target)["distance"])  # type: ignore[arg-type]
-    radius = CANOPY * distance if attack.radius is None else attack.radius
-    least = float(np.linalg.norm(stage.target.vertices - np.asarray(centre_of(study)), axis=1).max())
+    distance = float(lens_of(study, mesh_scene.target)["distance"])  # type: ignore[arg-type]
+    radius = OCCLUDER * distance if attack.occluder_radius is None else attack.occluder_radius
+    least = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre_of(study)), axis=1).max())
     if not least < radius < distance:
         expected = f"between {least:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
         raise InvalidValueError(message(f"attack {attack.name!r}, radius", expected, radius, "change it"))
-    lowest = attack.elevation[0] - OVERHANG if attack.lowest is None else attack.lowest
-    return cover(stage, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)
+    lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
+    return cover(mesh_scene, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)
 
 
 def digest(*parts: object) -> str:

@@ -53,8 +53,8 @@ def reframe(image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator) 
     whole = (boxes - centre - shift) * zoom + centre
     inside = whole.clamp(min=0).minimum(2 * centre)
     size, full = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
-    share = size.clamp(min=0).prod(1) / full.prod(1)
-    keep = (size.amin(1) >= _LEAST_SIDE) & (share >= _LEAST_SHARE)
+    fraction = size.clamp(min=0).prod(1) / full.prod(1)
+    keep = (size.amin(1) >= _LEAST_SIDE) & (fraction >= _LEAST_SHARE)
     return moved, inside[keep], labels[keep]
 
 

@@ -19,7 +19,7 @@ class Score:
 
     Attributes:
         ap: Class name to average precision; classes without an object in the pictures are absent.
-        recall: Class name to the share of its objects that were found with confidence of at least 0.5.
+        recall: Class name to the fraction of its objects that were found with confidence of at least 0.5.
         counts: Class name to number of objects.
     """
 

@@ -20,14 +20,14 @@ import torch
 from PIL import Image
 
 from attacks.detectors.small import CLASSES
-from attacks.detectors.training.pictures import Recipe, Sample, take
+from attacks.detectors.training.pictures import PictureSetConfig, Sample, take
 from mi_splat.errors import InvalidValueError, message
 
 OnStep = Callable[[int, int], None]
 Record = dict[str, list[list[float]] | list[int]]
 
 
-def _take_to_disk(job: tuple[Recipe, int, Path]) -> dict[int, Record]:
+def _take_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
     recipe, number, folder = job
     return {i: _save(s, folder, i) for i, s in enumerate(take(recipe, number), start=number * recipe.shots)}
 
@@ -61,7 +61,7 @@ def _single_thread() -> None:
     torch.set_num_threads(1)
 
 
-def make(recipe: Recipe, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
+def make(recipe: PictureSetConfig, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
     """Make the pictures of a recipe that `folder` does not hold yet.
 
     Args:
@@ -110,7 +110,7 @@ def _write(folder: Path, recipe: dict[str, object], records: dict[int, Record]) 
     temporary.replace(folder / "labels.json")
 
 
-def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
+def _records(folder: Path, recipe: PictureSetConfig) -> dict[int, Record]:
     path = folder / "labels.json"
     if not path.is_file():
         return {}
@@ -118,7 +118,7 @@ def _records(folder: Path, recipe: Recipe) -> dict[int, Record]:
     noted: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
     }
-    if replace(Recipe(**noted), count=recipe.count) != recipe:
+    if replace(PictureSetConfig(**noted), count=recipe.count) != recipe:
         raise InvalidValueError(
             message(f"folder {folder}", recipe, content["recipe"], "choose an empty folder or the same recipe")
         )

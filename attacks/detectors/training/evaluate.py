@@ -16,7 +16,7 @@ from rich.table import Table
 from attacks.detectors import load_detector
 from attacks.detectors.training.average_precision import Score, evaluate
 from attacks.detectors.training.dataset import load, make
-from attacks.detectors.training.pictures import Recipe, Sample
+from attacks.detectors.training.pictures import PictureSetConfig, Sample
 from attacks.detectors.training.splat_pictures import SplatConfig, splat_set
 
 _LEAST = 0.001
@@ -33,7 +33,7 @@ class Evaluation:
         data: Folder of the pictures; what is missing in it is made first.
         out: JSON file for the figures.
         pictures: Number of path-traced pictures.
-        samples: Paths a pixel in them.
+        samples: Samples per pixel in them.
         scenes: Number of scenes that are made into splats; 0 leaves them out.
         splat: How splats are made.
         processes: Processes that make pictures.
@@ -59,7 +59,7 @@ def main(run: Evaluation) -> None:
     detector = load_detector(run.detector, weights=run.weights)
     if hasattr(detector, "least"):
         detector.least = _LEAST
-    recipe = Recipe(split="held-out", count=run.pictures, samples=run.samples)
+    recipe = PictureSetConfig(split="held-out", count=run.pictures, samples=run.samples)
     sets = {"path traced": _photographs(recipe, run, console)}
     if run.scenes:
         sets["splat renders"] = _renders(recipe, run, console)
@@ -72,7 +72,7 @@ def main(run: Evaluation) -> None:
     Console().print(_table(scores))
 
 
-def _photographs(recipe: Recipe, run: Evaluation, console: Console) -> list[Sample]:
+def _photographs(recipe: PictureSetConfig, run: Evaluation, console: Console) -> list[Sample]:
     folder = run.data / recipe.split
     with Progress(console=console, disable=not console.is_terminal) as bars:
         bar = bars.add_task("path-traced pictures", total=recipe.count)
@@ -80,7 +80,7 @@ def _photographs(recipe: Recipe, run: Evaluation, console: Console) -> list[Samp
     return load(folder, limit=recipe.count)
 
 
-def _renders(recipe: Recipe, run: Evaluation, console: Console) -> list[Sample]:
+def _renders(recipe: PictureSetConfig, run: Evaluation, console: Console) -> list[Sample]:
     numbers = range(10_000, 10_000 + run.scenes)  # none of the path-traced scenes
     with Progress(console=console, disable=not console.is_terminal) as bars:
         bar = bars.add_task("splats", total=run.scenes)

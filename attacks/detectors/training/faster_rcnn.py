@@ -16,7 +16,7 @@ from attacks.detectors.training.pictures import Sample
 from attacks.detectors.training.pretraining import pretrain
 
 _EAGER, _SETTLED = (32, 0.5), (96, 0.25)
-"""Boxes a picture that the box head learns from, and the largest share of them with an object."""
+"""Boxes a picture that the box head learns from, and the largest fraction of them with an object."""
 
 
 class RCNNTrainee:

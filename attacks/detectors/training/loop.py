@@ -30,14 +30,14 @@ class TrainConfig:
         epochs: Passes over the pictures.
         batch: Pictures a step.
         rate: Highest learning rate of AdamW, reached after the warm-up and then lowered along a cosine.
-        warm_up: Share of the steps over which the rate rises.
+        warm_up: Fraction of the steps over which the rate rises.
         decay: AdamW's weight decay.
         average: How much of the averaged weights each step keeps.
         clip: Largest norm of the gradient.
         mixed: Convolutions and matrix products in bfloat16.
         coarse_side: Shorter image side in the first epochs, which are cheaper for it.
-        coarse_share: Share of the epochs at that size.
-        settle_share: Share of the epochs, the last ones, that are closer to what the network meets in use, hence
+        coarse_share: Fraction of the epochs at that size.
+        settle_share: Fraction of the epochs, the last ones, that are closer to what the network meets in use, hence
             calmer; what that means, the trainee says.
         seed: Seed of the weights, of the order and of every random change of the pictures.
     """
@@ -100,7 +100,7 @@ class Trainee(Protocol):
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """Give the network a head start, in place; the share of cut-outs that it names right, None without any."""
+        """Give the network a head start, in place; the fraction of cut-outs that it names right, None without any."""
         ...
 
     def detector(self, model: nn.Module) -> Detector:
@@ -134,7 +134,7 @@ class Training:
     def pretrain(
         self, samples: Sequence[Sample], *, on_step: Callable[[int, int, float], None] | None = None
     ) -> float | None:
-        """Give the network its head start; returns the share of cut-outs that it names right."""
+        """Give the network its head start; returns the fraction of cut-outs that it names right."""
         right = self.trainee.pretrain(self.model, samples, self.config, on_step)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
@@ -198,7 +198,7 @@ class Training:
         return {name: float(value.detach()) for name, value in losses.items()}
 
     def _set_rate(self, done: float) -> None:
-        """The learning rate after a share `done` of all steps."""
+        """The learning rate after a fraction `done` of all steps."""
         warm = self.config.warm_up
         if done < warm:
             factor = 0.02 + 0.98 * done / warm
@@ -267,7 +267,7 @@ def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:
     return {k: v.half().float() for k, v in state.items() if v.is_floating_point()}
 
 
-def ship(state: dict[str, Tensor], path: Path, *, notes: dict[str, str]) -> None:
+def export_weights(state: dict[str, Tensor], path: Path, *, notes: dict[str, str]) -> None:
     """Write float16 weights as safetensors."""
     tensors = {k: v.detach().half().contiguous() for k, v in state.items() if v.is_floating_point()}
     temporary = path.with_suffix(".partial")

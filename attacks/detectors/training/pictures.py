@@ -27,8 +27,8 @@ from mi_splat.capture.path_tracer import (
     daylight,
     depth_maps,
     in_front,
-    mesh_scene,
     scalar_variant,
+    scene_dict,
     shapes,
 )
 from mi_splat.errors import InvalidValueError, message
@@ -39,13 +39,13 @@ SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (
 Mask = NDArray[np.bool_]
 _TRIES, _WELL_VISIBLE = 4, 0.5
 _LEAST_SOLID = 0.12
-"""Share of a square around the object that its outline fills; below it, a flat thing is seen from its edge."""
+"""Fraction of a square around the object that its outline fills; below it, a flat thing is seen from its edge."""
 _LEAST_PIXELS = 12
 _COARSE = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recipe:
+class PictureSetConfig:
     """What a data set is made of.
 
     Attributes:
@@ -54,11 +54,11 @@ class Recipe:
         seed: Seed of everything that is random.
         size: Width and height, pixels.
         shots: Pictures of each scene.
-        samples: Paths a pixel.
-        empty: Share of scenes without any object.
-        pair: Share of scenes with two objects.
-        street: Share of scenes in the project's own surroundings: street, park, open ground, room.
-        least_visible: Objects of which less than this share can be seen are not labelled.
+        samples: Samples per pixel.
+        empty: Fraction of scenes without any object.
+        pair: Fraction of scenes with two objects.
+        street: Fraction of scenes in the project's own surroundings: street, park, open ground, room.
+        least_visible: Objects of which less than this fraction can be seen are not labelled.
         elevation: Lowest and highest elevation of the cameras, degrees.
         focus: Classes that take turns as a scene's first object; one may come several times.
     """
@@ -105,7 +105,7 @@ class Sample:
     labels: Tensor
 
 
-def place(recipe: Recipe, number: int) -> Place:
+def place(recipe: PictureSetConfig, number: int) -> Place:
     """Scene `number` of a recipe."""
     low, high = SPLITS[recipe.split]
     rng = np.random.default_rng([recipe.seed, low, number])
@@ -152,7 +152,7 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def _camera(points: Floats, rng: Generator, recipe: Recipe) -> Camera:
+def _camera(points: Floats, rng: Generator, recipe: PictureSetConfig) -> Camera:
     """A camera in which the longer side of the box around `points` is 20 to 100 % of the picture."""
     size = recipe.size
     low, high = points.min(0), points.max(0)
@@ -186,12 +186,12 @@ class Photographer:
         scene: The same as a Mitsuba scene for the `scalar_rgb` variant.
     """
 
-    def __init__(self, recipe: Recipe, number: int) -> None:
+    def __init__(self, recipe: PictureSetConfig, number: int) -> None:
         """Build scene `number`."""
         self._recipe = recipe
         self.place = place(recipe, number)
         self._rng = np.random.default_rng([recipe.seed, SPLITS[recipe.split][0], number, 1])
-        self.scene = mesh_scene(self.place.assets, light=self.place.light, backdrop=self.place.surroundings)
+        self.scene = scene_dict(self.place.assets, light=self.place.light, backdrop=self.place.surroundings)
         with scalar_variant():
             self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in self.place.assets]
 
@@ -200,7 +200,7 @@ class Photographer:
         for _ in range(_TRIES):
             camera = self._any_camera()
             seen = self._visible(camera)
-            if not seen or any(share >= _WELL_VISIBLE and solid for share, solid in seen):
+            if not seen or any(fraction >= _WELL_VISIBLE and solid for fraction, solid in seen):
                 break
         return camera
 
@@ -213,9 +213,9 @@ class Photographer:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
         boxes, labels = [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
-        for asset, (seen, _), (share, _) in zip(self.place.assets, outlines, visible, strict=True):
+        for asset, (seen, _), (fraction, _) in zip(self.place.assets, outlines, visible, strict=True):
             rows, columns = np.nonzero(seen)
-            if len(rows) >= _LEAST_PIXELS and share >= self._recipe.least_visible:
+            if len(rows) >= _LEAST_PIXELS and fraction >= self._recipe.least_visible:
                 boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
                 labels.append(1 + CLASSES.index(asset.name))
         return Sample(
@@ -241,7 +241,7 @@ class Photographer:
         return [(in_front(own, nearest), own > 0) for own in alone]
 
     def _visible(self, camera: Camera) -> list[tuple[float, bool]]:
-        """For each object: the share of its outline that is seen, and whether that is more than an edge; few rays."""
+        """For each object: which fraction of its outline is seen, and whether that is more than an edge; few rays."""
         small = replace(
             camera,
             focal=camera.fx / _COARSE,
@@ -249,13 +249,13 @@ class Photographer:
             height=camera.height // _COARSE,
             principal=(camera.cx / _COARSE, camera.cy / _COARSE),
         )
-        shares = []
+        fractions = []
         for asset, (seen, alone) in zip(self.place.assets, self._outlines(small), strict=True):
             pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
             inside = (pixels >= 0).all(1) & (pixels <= self._recipe.size).all(1) & (depth > 0)
-            share = float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean())
-            shares.append((share, _solid(alone)))
-        return shares
+            fraction = float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean())
+            fractions.append((fraction, _solid(alone)))
+        return fractions
 
 
 def _solid(outline: Mask) -> bool:
@@ -264,7 +264,7 @@ def _solid(outline: Mask) -> bool:
     return len(rows) >= _LEAST_SOLID * side**2
 
 
-def take(recipe: Recipe, number: int) -> list[Sample]:
+def take(recipe: PictureSetConfig, number: int) -> list[Sample]:
     """The pictures of scene `number`."""
     photographer = Photographer(recipe, number)
     cameras = [photographer.aim() for _ in range(recipe.shots)]

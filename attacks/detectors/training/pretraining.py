@@ -43,10 +43,10 @@ def pretrain(
         rate: Highest learning rate of AdamW.
         seed: Seed of everything random.
         mixed: Convolutions in bfloat16.
-        on_step: Called with the steps done, the steps wanted, and the share of right names lately.
+        on_step: Called with the steps done, the steps wanted, and the fraction of right names lately.
 
     Returns:
-        Share of right names over the last tenth of the steps.
+        Fraction of right names over the last tenth of the steps.
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)

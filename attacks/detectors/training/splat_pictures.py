@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from attacks.detectors.training.dataset import check_note, load, save_samples
-from attacks.detectors.training.pictures import Photographer, Recipe, Sample
+from attacks.detectors.training.pictures import Photographer, PictureSetConfig, Sample
 from mi_splat.assets.mesh import Asset, ellipsoid
 from mi_splat.cameras import RenderFn, View
 from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
@@ -26,7 +26,7 @@ class SplatConfig:
 
     Attributes:
         views: Path-traced pictures that the splat is fitted to.
-        samples: Paths a pixel in them.
+        samples: Samples per pixel in them.
         objects: Gaussians for each object.
         surroundings: Gaussians for all around it.
         sky: Gaussians for the sky.
@@ -43,7 +43,7 @@ class SplatConfig:
     pictures: int = 4
 
 
-def splat_samples(recipe: Recipe, number: int, config: SplatConfig, *, render: RenderFn) -> list[Sample]:
+def splat_samples(recipe: PictureSetConfig, number: int, config: SplatConfig, *, render: RenderFn) -> list[Sample]:
     """Labelled renders of a splat of scene `number`; the labels are those of the meshes it was made from."""
     photographer = Photographer(replace(recipe, samples=config.samples), number)
     with scalar_variant():
@@ -57,7 +57,7 @@ def splat_samples(recipe: Recipe, number: int, config: SplatConfig, *, render: R
 
 
 def splat_set(
-    recipe: Recipe,
+    recipe: PictureSetConfig,
     numbers: Sequence[int],
     folder: Path,
     config: SplatConfig,

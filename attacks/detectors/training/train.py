@@ -17,8 +17,8 @@ from attacks.detectors.small import CLASSES
 from attacks.detectors.training.average_precision import Score, evaluate
 from attacks.detectors.training.dataset import load, make
 from attacks.detectors.training.faster_rcnn import RCNNTrainee
-from attacks.detectors.training.loop import TrainConfig, Trainee, Training, ship
-from attacks.detectors.training.pictures import Recipe, Sample
+from attacks.detectors.training.loop import TrainConfig, Trainee, Training, export_weights
+from attacks.detectors.training.pictures import PictureSetConfig, Sample
 from attacks.detectors.training.splat_pictures import SplatConfig, splat_set
 
 
@@ -71,7 +71,7 @@ def main(run: Run) -> None:
         console=console,
         disable=not console.is_terminal,
     ) as bars:
-        validation = _pictures(Recipe(split="validation", count=run.validation), run, bars)
+        validation = _pictures(PictureSetConfig(split="validation", count=run.validation), run, bars)
         train = _made(run, bars)
         if run.only_data:
             return
@@ -95,18 +95,18 @@ def _trainee(name: str) -> Trainee:
 
 def _made(run: Run, bars: Progress) -> list[Sample]:
     """All training pictures."""
-    places = Recipe(split="train", seed=1, count=run.places, empty=0.4, street=1.0)
-    above = Recipe(
+    places = PictureSetConfig(split="train", seed=1, count=run.places, empty=0.4, street=1.0)
+    above = PictureSetConfig(
         split="train", seed=3, count=run.overhead, elevation=(50, 90), focus=("car", "train", *CLASSES), street=0.7
     )
     bar = bars.add_task("splats", total=run.splats)
     config = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
     return [
-        *_pictures(Recipe(split="train", count=run.pictures), run, bars),
+        *_pictures(PictureSetConfig(split="train", count=run.pictures), run, bars),
         *_pictures(places, run, bars, name="places"),
         *_pictures(above, run, bars, name="overhead"),
         *splat_set(
-            Recipe(split="train", seed=2),
+            PictureSetConfig(split="train", seed=2),
             range(run.splats),
             run.data / "train-splats",
             config,
@@ -115,7 +115,7 @@ def _made(run: Run, bars: Progress) -> list[Sample]:
     ]
 
 
-def _pictures(recipe: Recipe, run: Run, bars: Progress, *, name: str = "") -> list[Sample]:
+def _pictures(recipe: PictureSetConfig, run: Run, bars: Progress, *, name: str = "") -> list[Sample]:
     name = name or recipe.split
     folder = run.data / name
     bar = bars.add_task(f"{name} pictures", total=recipe.count)
@@ -150,7 +150,7 @@ def _epoch(
         record |= {"validation": asdict(result), "map": result.mean}
         if result.mean >= max((float(str(r["map"])) for r in training.history if "map" in r), default=0.0):
             notes = {"epoch": str(training.epoch), "seed": str(run.config.seed)}
-            ship(training.averaged, run.out / "best.safetensors", notes=notes)
+            export_weights(training.averaged, run.out / "best.safetensors", notes=notes)
     training.history.append(record)
     training.save(run.out)
     curves = {"config": asdict(run.config), "history": training.history}

@@ -17,7 +17,7 @@ from attacks.detectors.ultralytics import YOLODetector, build
 _LEAST = 0.001
 """Confidence of detections that count in an average precision."""
 _MOSAICS = 0.5
-"""Share of a batch that is made of four pictures each, but for the calmer epochs."""
+"""Fraction of a batch that is made of four pictures each, but for the calmer epochs."""
 
 
 class YOLOTrainee:
@@ -78,19 +78,19 @@ class YOLOTrainee:
 
 
 def with_mosaics(
-    pictures: list[Tensor], targets: Targets, share: float, generator: Generator
+    pictures: list[Tensor], targets: Targets, fraction: float, generator: Generator
 ) -> tuple[list[Tensor], Targets]:
-    """A batch of which a share is replaced by mosaics of its pictures.
+    """A batch of which a fraction is replaced by mosaics of its pictures.
 
     Args:
         pictures: (3, H, W) each, all of one size.
         targets: Their boxes and labels.
-        share: Part of the batch, rounded down.
+        fraction: Part of the batch, rounded down.
         generator: Which pictures go where.
     """
     count = len(pictures)
     made, found = list(pictures), list(targets)
-    for i in range(int(share * count)):
+    for i in range(int(fraction * count)):
         four = torch.randint(count, (4,), generator=generator).tolist()
         made[i], found[i] = mosaic([pictures[j] for j in four], [targets[j] for j in four])
     return made, found
