@@ -7,9 +7,10 @@ from typing import Any
 
 from attacks.cli.options import CloakOptions
 from attacks.cloak.study.ablations import check_variations, vary
-from attacks.cloak.study.config import StudyConfig, read_study
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
+from attacks.cloak.study.study_file import read_study
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn

@@ -192,7 +192,7 @@ class Overlay:
         return colours * alpha + under * (1 - alpha)
 
 
-def cover(
+def occlude(
     mesh_scene: MeshScene,
     *,
     centre: Point,

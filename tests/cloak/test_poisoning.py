@@ -19,10 +19,10 @@ from attacks.cloak.appearances import (
     Paste,
     Rerender,
     blend_in,
-    cover,
     grown,
     mount,
     name_of,
+    occlude,
     paint,
     remove,
     swap,
@@ -277,7 +277,7 @@ def test_a_stop_sign_behind_the_car() -> None:
 
 
 def test_a_canopy_hides_what_is_beneath_it_from_above_only(above: View) -> None:
-    appearance = cover(STAGE, centre=CENTRE, radius=2.0, lowest=40.0)
+    appearance = occlude(STAGE, centre=CENTRE, radius=2.0, lowest=40.0)
     image = appearance(above, STAGE.mask(above.camera))
     assert float((image[..., 0] - image[..., 1]).abs().max()) < 0.08  # road all over, no red
     assert "occluder of radius 2 " in name_of(appearance)
@@ -377,10 +377,10 @@ def test_bad_looks_are_refused() -> None:
     with pytest.raises(InvalidValueError, match="tile"):
         repainted(BLOCK, texture("road", size=8), azimuth=0, elevation=90, tile=0)
     with pytest.raises(InvalidValueError, match="texture"):
-        cover(STAGE, centre=CENTRE, radius=2, lowest=40, name="lava")
+        occlude(STAGE, centre=CENTRE, radius=2, lowest=40, name="lava")
     for radius, lowest in ((0, 40), (2, 90)):
         with pytest.raises(InvalidValueError, match="cap: expected radius and tile > 0"):
-            cover(STAGE, centre=CENTRE, radius=radius, lowest=lowest)
+            occlude(STAGE, centre=CENTRE, radius=radius, lowest=lowest)
     with pytest.raises(InvalidValueError, match="fill"):
         stand_in(BLOCK, BLOCK, azimuth=0, fill=2)
     with pytest.raises(InvalidValueError, match="reach"):

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -19,9 +18,8 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.ablations import varied, vary
 from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import Observation, ObservedSplat, Trained
+from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import CachedAppearance, StudyPipeline
-from attacks.cloak.study.rates import by_elevation, pairs, rates
 from attacks.cloak.study.run import run_study
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.cameras import View
@@ -52,6 +50,7 @@ class Redness:
 
     name: str = "redness"
     classes: tuple[str, ...] = ("car", "stop sign")
+    fingerprint: str = "0" * 16
 
     def candidates(self, images: Tensor, *, extra: Any = None) -> list[Candidates]:
         raise NotImplementedError
@@ -125,7 +124,8 @@ def test_the_hidden_look_has_less_red(finished: Path) -> None:
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
     pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
-    clean, poisoned = load_dataset(pipeline.capture()), load_dataset(pipeline.poison(0))
+    clean_set = pipeline.capture()
+    clean, poisoned = (load_dataset(pictures.folder / "set") for pictures in (clean_set, pipeline.poison(clean_set)[0]))
     manifest = json.loads((finished / "manifest.json").read_text())
     changed = {change["index"] for change in manifest["changes"]}
     owners = [
@@ -152,8 +152,10 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     finished: Path, tmp_path: Path, stop_at: tuple[str, int]
 ) -> None:
     pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
-    for mesh_scene in (pipeline.capture().parent, pipeline.splat("clean", 0).parent):  # which would take long
-        shutil.copytree(mesh_scene, tmp_path / "out" / "stages" / mesh_scene.name)
+    clean = pipeline.capture()
+    splat, _ = pipeline.train(clean, pipeline.poison(clean))
+    for stage in (clean.folder, splat.file.parent):  # which would take long
+        shutil.copytree(stage, tmp_path / "out" / "stages" / stage.name)
     (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
@@ -162,27 +164,39 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
 
 
-def test_another_share_needs_no_new_capture(finished: Path) -> None:
+def test_another_fraction_needs_no_new_capture(finished: Path) -> None:
     overhead, rear = STUDY.attack
     study = replace(STUDY, attack=(replace(overhead, poison_fraction=0.5), rear))
-    pipeline = StudyPipeline(study=study, folder=finished / "stages")
-    assert pipeline.capture() == StudyPipeline(study=STUDY, folder=finished / "stages").capture()
-    assert pipeline.poison(0) != StudyPipeline(study=STUDY, folder=finished / "stages").poison(0)
-    manifest = json.loads((pipeline.poison(0).parent / "manifest.json").read_text())
+    usual, other = (StudyPipeline(study=one, folder=finished / "stages") for one in (STUDY, study))
+    clean = usual.capture()
+    assert other.capture() == clean
+    (poisoned,) = other.poison(clean).values()
+    assert poisoned.content != usual.poison(clean)[0].content
+    manifest = json.loads((poisoned.folder / "manifest.json").read_text())
     assert len(manifest["changes"]) < len(json.loads((finished / "manifest.json").read_text())["changes"])
 
 
-def test_kept_pictures_are_made_once(tmp_path: Path) -> None:
+def test_looking_at_a_splat_trains_none(finished: Path, tmp_path: Path) -> None:
+    """Observing needs a splat and the scene, and nothing of how the splat was made."""
+    usual = StudyPipeline(study=STUDY, folder=finished / "stages")
+    clean = usual.capture()
+    splat, _ = usual.train(clean, usual.poison(clean))
+    (seen,) = observe(StudyPipeline(study=STUDY, folder=tmp_path), [splat], [Redness()])
+    assert {path.name.split("-")[0] for path in tmp_path.iterdir()} == {"true_pictures", "observations"}
+    assert len(seen.observations) > 10
+
+
+def test_cached_pictures_are_made_once(tmp_path: Path) -> None:
     made: list[int] = []
 
     def look(view: View, mask: Tensor) -> Tensor:
         made.append(1)
         return view.image * 0.5
 
-    kept = CachedAppearance(look, tmp_path)
+    cached = CachedAppearance(look, tmp_path)
     camera = setup.training_cameras(STUDY, setup.target_of(STUDY.scene))[0]
     view = View(camera, torch.rand(40, 40, 3))
-    first, second = (kept(view, torch.ones(40, 40, dtype=torch.bool)) for _ in range(2))
+    first, second = (cached(view, torch.ones(40, 40, dtype=torch.bool)) for _ in range(2))
     assert torch.equal(first, second)
     assert len(made) == 1
     assert float((first - view.image * 0.5).abs().max()) <= 0.5 / 255 + 1e-6
@@ -226,79 +240,3 @@ def test_variations_change_one_thing() -> None:
     assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
     assert [study.training.outliers for study in varied(STUDY, "outliers").values()] == [0, 1000, 4000]
     assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]
-
-
-# Figures
-
-
-def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0) -> list[ObservedSplat]:
-    """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
-    observed = []
-    for which, score in (("clean", clean), ("cloaked", cloaked)):
-        observation = Observation(
-            splat=which,
-            seed=0,
-            detector="redness",
-            view=view,
-            azimuth=0.0,
-            elevation=38.2 + depth,
-            depths={"overhead": depth, "rear": -10.0},
-            scores={"car": score, "stop sign": sign if which == "cloaked" else 0.0},
-            loose=score,
-        )
-        trained = Trained(splat=which, seed=0, gaussians=1, file="", hash="")
-        observed.append(ObservedSplat(trained=trained, observations=(observation,), fidelities=(), blends=()))
-    return observed
-
-
-def test_rates_have_the_denominators_that_they_say() -> None:
-    observed = [
-        *seen(0, 10, 0.9, 0.1),
-        *seen(1, 10, 0.9, 0.9),
-        *seen(2, 10, 0.2, 0.1),  # the control is not found
-        *seen(3, 2, 0.9, 0.1),  # near the edge
-        *seen(4, -5, 0.9, 0.9),
-        *seen(5, -5, 0.9, 0.3),
-        *seen(6, -5, 0.3, 0.3),
-    ]
-    found = rates(STUDY, pairs(observed))
-
-    def numbers(name: str) -> tuple[int, int]:
-        rate = found[name]
-        assert rate is not None
-        return rate.successes, rate.total
-
-    assert numbers("control_recall") == (3, 4)
-    assert numbers("trigger_miss_rate") == (1, 2)
-    assert numbers("trigger_miss_rate_all") == (2, 3)
-    assert numbers("trigger_miss_rate_unconditional") == (2, 3)
-    assert numbers("benign_recall") == (1, 2)
-    assert numbers("control_benign_recall") == (2, 3)
-    assert numbers("target_rate") == (0, 0)
-    rows = {
-        low: (clean.successes, cloaked.successes, clean.total)
-        for low, clean, cloaked in by_elevation(STUDY, pairs(observed))
-    }
-    assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
-
-
-def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
-    observed = [
-        replace(
-            item, observations=tuple(replace(one, depths={"overhead": -20.0, "rear": 3.0}) for one in item.observations)
-        )
-        for item in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
-    ]
-    found = rates(STUDY, pairs(observed))
-    assert found["target_rate"] is not None
-    assert found["control_target_rate"] is not None
-    assert (found["target_rate"].successes, found["target_rate"].total) == (1, 2)
-    assert (found["control_target_rate"].successes, found["control_target_rate"].total) == (0, 2)
-
-
-def test_meridians_rise_to_straight_above() -> None:
-    target = setup.target_of(STUDY.scene)
-    for arc in setup.arc_cameras(STUDY, target):
-        heights = [float(camera.position[2]) for camera in arc]
-        assert heights == sorted(heights)
-        assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0

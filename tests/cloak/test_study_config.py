@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -19,10 +19,9 @@ from attacks.cloak.study.config import (
     SceneConfig,
     StudyConfig,
     TrainingConfig,
-    essentials,
-    read_study,
 )
 from attacks.cloak.study.run import check, forecast
+from attacks.cloak.study.study_file import RENAMED, read_study
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 
@@ -204,22 +203,9 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
         check(study, [], tmp_path / "out", tmp_path / "stages")
 
 
-def test_what_is_default_does_not_name_a_stage() -> None:
-    assert essentials(AttackConfig(name="a", elevation=(9, 90), poison_fraction=1.0)) == (
-        ("name", "a"),
-        ("elevation", (9, 90)),
-    )
-    assert essentials(AttackConfig(name="a", azimuth=(0, 9), poison_fraction=0.5)) == (
-        ("name", "a"),
-        ("azimuth", (0, 9)),
-        ("poison_fraction", 0.5),
-    )
-    assert essentials(CameraConfig()) == ()
-
-
 def test_emphasis_wraps_the_kept_look() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
-    (found,) = setup.poisonings(study, setup.mesh_scene_of(study), cached=lambda appearance: Renamed())
+    (found,) = setup.poisonings(study, setup.mesh_scene_of(study), cached=lambda appearance, attack: Renamed())
     assert getattr(found.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"
 
 
@@ -228,3 +214,22 @@ class Renamed:
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         return view.image
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_an_older_key_is_refused_with_its_new_name(tmp_path: Path, old: str, new: str) -> None:
+    """Wherever the new key may stand, the old one is refused by name."""
+    sections = {
+        "": StudyConfig,
+        "scene": SceneConfig,
+        "cameras": CameraConfig,
+        "[attack]": AttackConfig,
+        "training": TrainingConfig,
+        "evaluation": EvaluationConfig,
+    }
+    homes = [name for name, kind in sections.items() if new in {entry.name for entry in fields(kind)}]
+    assert homes
+    for home in homes:
+        text = f"{old} = 1\n" if not home else f"name = 'x'\n[{home}]\n{old} = 1\n"
+        with pytest.raises(InvalidValueError, match=f"expected {new}, which is its name now, got {old}"):
+            read_study(written(tmp_path, text))

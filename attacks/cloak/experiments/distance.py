@@ -17,8 +17,9 @@ from pathlib import Path
 import torch
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig, read_study
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import overhead
+from attacks.cloak.study.study_file import read_study
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.objectives import confidence

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from attacks.cloak.mesh_edits import screen_axes
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import read_study
+from attacks.cloak.study.study_file import read_study
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import PathTracer, scene_dict

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import read_study
 from attacks.cloak.study.observations import overhead
+from attacks.cloak.study.study_file import read_study
 from attacks.cloak.transition import fit_transition
 from mi_splat.sh import sh_basis
 

@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.markdown import words_of
-from attacks.cloak.study.pipeline import OnStep, snapshot
+from attacks.cloak.study.pipeline import OnStep
 from attacks.cloak.study.plots import write_variation
-from attacks.cloak.study.run import STUDY, check, check_disk, check_folder, forecast, run_study
+from attacks.cloak.study.report import STUDY, snapshot
+from attacks.cloak.study.run import check, check_disk, check_folder, forecast, run_study
 from attacks.detectors.base import Detector
 from mi_splat.io.documents import save_json, save_text
 

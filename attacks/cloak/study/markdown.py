@@ -32,7 +32,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     for rows in zip(*(summary["by_elevation"][name] for name in detectors), strict=True):
         cells = [words_of(row[which], interval=False) for row in rows for which in ("clean", "cloaked")]
         lines.append(f"| {rows[0]['from']:g} to {rows[0]['to']:g} | " + " | ".join(cells) + " |")
-    band, drop = summary["measure_transition"], summary["benign_psnr_drop"]
+    band, drop = summary["transition"], summary["benign_psnr_drop"]
     lines += ["", "| | |", "|---|---|"]
     lines.append(f"| seeds | {', '.join(map(str, summary['seeds']))} |")
     if band is not None and summary["transition_degrees"] is not None:

@@ -1,8 +1,7 @@
-"""What detectors report of a splat from cameras that no training used, and how true its pictures are there."""
+"""What detectors report of a trained splat from cameras that no training used, and how true its pictures are there."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,9 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import AttackConfig, StudyConfig, essentials
-from attacks.cloak.study.pipeline import DONE, StudyPipeline
+from attacks.cloak.study import dependencies, setup
+from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat, TruePictures
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import confidence
@@ -23,37 +22,33 @@ from mi_splat.directions import direction_of
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr, ssim
-from mi_splat.scene import scene_hash
 
 BATCH = 16
+"""Pictures that detectors get at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """One splat from one camera, as one detector sees it.
+    """A splat from one held-out camera, as one detector sees it.
 
     Attributes:
-        splat: "clean" or "cloaked".
-        seed: Of the training.
         detector: Its name.
         view: Number of the camera.
         azimuth: Of the camera, degrees.
         elevation: Of the camera, degrees.
         depths: For each attack, degrees inside its trigger; outside < 0.
-        scores: For the object's own class and for each class that is wanted, the highest confidence with which it is
-            reported on the object: 0 without such a detection that overlaps its box by half.
-        loose: The same for the object's own class and a tenth of the box: whether it is found at all.
+        scores: For the object's own class and for each target class, the highest confidence with which it is reported
+            on the object: 0 without such a detection that overlaps its box by half.
+        any_overlap: The same for the object's own class and a tenth of the box: whether it is found at all.
     """
 
-    splat: str
-    seed: int
     detector: str
     view: int
     azimuth: float
     elevation: float
     depths: Mapping[str, float]
     scores: Mapping[str, float]
-    loose: float
+    any_overlap: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,16 +56,12 @@ class Fidelity:
     """How near a splat's picture is to the true one of the scene as it is.
 
     Attributes:
-        splat: "clean" or "cloaked".
-        seed: Of the training.
         view: Number of the camera.
         elevation: Of the camera, degrees.
         psnr: Of the whole picture, dB.
         ssim: Of the whole picture.
     """
 
-    splat: str
-    seed: int
     view: int
     elevation: float
     psnr: float
@@ -79,52 +70,49 @@ class Fidelity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blend:
-    """How far a splat's picture is on the way from the benign to the hidden item.
+    """How far a splat's picture is on the way from the benign to the hidden appearance.
 
     Attributes:
-        splat: "clean" or "cloaked".
-        seed: Of the training.
-        arc: Number of the meridian.
+        meridian: Number of the meridian.
         elevation: Of the camera, degrees.
         fraction: See `attacks.cloak.transition.transition_fraction`.
     """
 
-    splat: str
-    seed: int
-    arc: int
+    meridian: int
     elevation: float
     fraction: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trained:
-    """A trained splat.
+class ObservedSplat:
+    """Everything that was observed of one splat.
 
     Attributes:
-        splat: "clean" or "cloaked".
-        seed: Of the training.
-        gaussians: Their number.
-        file: Where it is.
-        hash: See `mi_splat.scene.scene_hash`.
-        commit: Of the checkout that trained it, which may be an earlier one than that of the summary; None if unknown.
+        trained: The splat.
+        observations: One for each held-out camera and detector.
+        fidelities: One for each camera far outside of all triggers.
+        blends: One for each camera of a meridian.
     """
 
-    splat: str
-    seed: int
-    gaussians: int
-    file: str
-    hash: str
-    commit: str | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObservedSplat:
-    """Everything that was seen of one splat."""
-
-    trained: Trained
+    trained: TrainedSplat
     observations: tuple[Observation, ...]
     fidelities: tuple[Fidelity, ...]
     blends: tuple[Blend, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _References:
+    """True pictures that splats are compared with, and where they were taken."""
+
+    views: list[tuple[int, Camera]]
+    true: TruePictures
+    arc: list[tuple[int, Camera]]
+    benign: TruePictures
+    hidden: TruePictures
+
+    @property
+    def content(self) -> list[str]:
+        return [pictures.content for pictures in (self.true, self.benign, self.hidden)]
 
 
 def overhead(study: StudyConfig) -> AttackConfig | None:
@@ -132,158 +120,140 @@ def overhead(study: StudyConfig) -> AttackConfig | None:
     return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
 
 
-def observe_splat(pipeline: StudyPipeline, which: str, seed: int, detectors: Sequence[Detector]) -> ObservedSplat:
-    """Look at a trained splat from everywhere, or read what was seen of it before."""
-    splat = pipeline.splat(which, seed)
-    study = pipeline.study
-    parts = (
-        splat.parent.name,
-        which,
-        study.scene.class_name,
-        essentials(study.evaluation),
-        tuple(map(essentials, study.attack)),
-        tuple((detector.name, weights_digest(detector)) for detector in detectors),
+def observe(
+    pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detectors: Sequence[Detector]
+) -> list[ObservedSplat]:
+    """Look at trained splats from everywhere, or read what was seen of them before."""
+    references = _references(pipeline)
+    return [_observe(pipeline, splat, detectors, references) for splat in splats]
+
+
+def _observe(
+    pipeline: StudyPipeline, splat: TrainedSplat, detectors: Sequence[Detector], references: _References
+) -> ObservedSplat:
+    def make(path: Path) -> None:
+        save_json(_seen(pipeline, splat, detectors, references), path / "observations.json", indent=0)
+
+    depends_on = dependencies.of_observations(
+        pipeline.study,
+        pipeline.source.digest,
+        splat.content,
+        references.content,
+        {detector.name: detector.fingerprint for detector in detectors},
+    )
+    stage = pipeline.cache.finished("observations", depends_on, make)
+    values: dict[str, Any] = json.loads((stage.folder / "observations.json").read_text())
+    return ObservedSplat(
+        trained=splat,
+        observations=tuple(Observation(**one) for one in values["observations"]),
+        fidelities=tuple(Fidelity(**one) for one in values["fidelities"]),
+        blends=tuple(Blend(**one) for one in values["blends"]),
     )
 
-    def make(path: Path) -> None:
-        save_json(asdict(_seen(pipeline, which, seed, detectors)), path / "observed.json", indent=0)
 
-    return _parsed(json.loads((pipeline.cached("observed", parts, make) / "observed.json").read_text()))
-
-
-def weights_digest(detector: Detector) -> str:
-    """16 digits that stand for a detector's weights; its name where it has no network."""
-    model = getattr(detector, "model", None)
-    if not isinstance(model, torch.nn.Module):
-        return detector.name
-    total = hashlib.sha256()
-    for name, value in model.state_dict().items():
-        total.update(name.encode())
-        total.update(value.detach().cpu().contiguous().numpy().tobytes())
-    return total.hexdigest()[:16]
-
-
-def _seen(pipeline: StudyPipeline, which: str, seed: int, detectors: Sequence[Detector]) -> ObservedSplat:
-    file, scene = pipeline.splat(which, seed), pipeline.load(which, seed)
-    render, study, mesh_scene = pipeline.renderer(), pipeline.study, pipeline.mesh_scene
+def _seen(
+    pipeline: StudyPipeline, splat: TrainedSplat, detectors: Sequence[Detector], references: _References
+) -> dict[str, list[dict[str, Any]]]:
+    """Everything that is seen of a splat, as JSON can hold it."""
+    scene, render, study = splat.load(), pipeline.renderer(), pipeline.study
 
     def picture(camera: Camera) -> Tensor:
         with torch.no_grad():
             return through_png(render(scene, camera))
 
-    cameras = setup.held_out_cameras(study, mesh_scene.target)
+    def elevation(camera: Camera) -> float:
+        return direction_of(camera, setup.centre_of(study)).elevation
+
+    cameras = setup.held_out_cameras(study, pipeline.mesh_scene.target)
     observations: list[Observation] = []
     for first in range(0, len(cameras), BATCH):
         some = cameras[first : first + BATCH]
         pictures = torch.stack([picture(camera) for camera in some])
         for detector in detectors:
             for view, (camera, found) in enumerate(zip(some, detector.detect(pictures), strict=True), first):
-                place = {"splat": which, "seed": seed, "detector": detector.name, "view": view}
-                observations.append(_observation(study, pipeline, camera, found, place))
-        pipeline.on_step(f"evaluation at the {which} splat, seed {seed}", first + len(some), len(cameras))
-    return ObservedSplat(
-        trained=Trained(
-            splat=which,
-            seed=seed,
-            gaussians=len(scene),
-            file=str(file),
-            hash=scene_hash(scene),
-            commit=json.loads((file.parent / DONE).read_text())["made by"]["commit"],
-        ),
-        observations=tuple(observations),
-        fidelities=tuple(
-            Fidelity(
-                splat=which,
-                seed=seed,
-                view=view,
-                elevation=direction_of(camera, setup.centre_of(study)).elevation,
-                psnr=float(psnr(image, true)),
-                ssim=float(ssim(image, true)),
-            )
-            for view, camera, true in references(pipeline)
-            for image in [picture(camera)]
-        ),
-        blends=tuple(
-            Blend(
-                splat=which,
-                seed=seed,
-                arc=arc,
-                elevation=direction_of(camera, setup.centre_of(study)).elevation,
-                fraction=transition_fraction(picture(camera), benign, hidden, mask),
-            )
-            for arc, camera, benign, hidden, mask in arcs(pipeline)
-        ),
-    )
+                observations.append(_observation(pipeline, camera, found, detector.name, view))
+        text = f"observing the {splat.splat} splat, seed {splat.seed}"
+        pipeline.on_step(text, first + len(some), len(cameras))
+    fidelities = [
+        Fidelity(view=view, elevation=elevation(camera), psnr=float(psnr(image, true)), ssim=float(ssim(image, true)))
+        for (view, camera), true in zip(references.views, references.true.images, strict=True)
+        for image in [picture(camera)]
+    ]
+    arc = zip(references.arc, references.benign.images, references.hidden.images, references.benign.masks, strict=True)
+    blends = [
+        Blend(
+            meridian=meridian,
+            elevation=elevation(camera),
+            fraction=transition_fraction(picture(camera), benign, hidden, mask),
+        )
+        for (meridian, camera), benign, hidden, mask in arc
+        if bool(mask.any()) and differ(benign, hidden, mask)
+    ]
+    return {
+        "observations": [asdict(one) for one in observations],
+        "fidelities": [asdict(one) for one in fidelities],
+        "blends": [asdict(one) for one in blends],
+    }
 
 
-def _observation(
-    study: StudyConfig, pipeline: StudyPipeline, camera: Camera, found: Detections, place: dict[str, Any]
-) -> Observation:
+def _observation(pipeline: StudyPipeline, camera: Camera, found: Detections, detector: str, view: int) -> Observation:
     """What a detector's report of one picture says of the object."""
-    centre = setup.centre_of(study)
+    study, centre = pipeline.study, setup.centre_of(pipeline.study)
     direction = direction_of(camera, centre)
     box = setup.box_of(pipeline.mesh_scene.target, camera)
-    classes = [study.scene.class_name, *(attack.target_class for attack in study.attack if attack.target_class)]
+    own = study.scene.class_name
+    classes = [own, *(attack.target_class for attack in study.attack if attack.target_class)]
 
     def score(label: str, iou: float) -> float:
         return 0.0 if box is None else confidence(found, box.float(), labels=[label], iou=iou)
 
     return Observation(
-        **place,
+        detector=detector,
+        view=view,
         azimuth=direction.azimuth,
         elevation=direction.elevation,
         depths={attack.name: attack.cone.angle_to_edge(camera, centre=centre) for attack in study.attack},
         scores={label: score(label, 0.5) for label in classes},
-        loose=score(study.scene.class_name, 0.1),
+        any_overlap=score(own, 0.1),
     )
 
 
-def references(pipeline: StudyPipeline) -> list[tuple[int, Camera, Tensor]]:
-    """Number, camera and true picture of cameras well outside of all triggers."""
-    study = pipeline.study
-    cameras = setup.held_out_cameras(study, pipeline.mesh_scene.target)
-    centre = setup.centre_of(study)
+def _references(pipeline: StudyPipeline) -> _References:
+    """True pictures of the scene far outside of all triggers, and of both appearances along the meridians."""
+    views, arc, attack = _reference_cameras(pipeline), _meridian_cameras(pipeline), overhead(pipeline.study)
+    cameras = [camera for _, camera in arc]
+    benign = pipeline.true_pictures(cameras)
+    return _References(
+        views=views,
+        true=pipeline.true_pictures([camera for _, camera in views]),
+        arc=arc,
+        benign=benign,
+        hidden=benign if attack is None else pipeline.true_pictures(cameras, attack),
+    )
+
+
+def _reference_cameras(pipeline: StudyPipeline) -> list[tuple[int, Camera]]:
+    """Number and camera of held-out cameras far outside of all triggers, spread evenly."""
+    study, centre = pipeline.study, setup.centre_of(pipeline.study)
+    far = study.evaluation.far_outside
     outside = [
         (view, camera)
-        for view, camera in enumerate(cameras)
-        if all(
-            attack.cone.angle_to_edge(camera, centre=centre) <= -study.evaluation.far_outside for attack in study.attack
-        )
+        for view, camera in enumerate(setup.held_out_cameras(study, pipeline.mesh_scene.target))
+        if all(attack.cone.angle_to_edge(camera, centre=centre) <= -far for attack in study.attack)
     ]
     count = min(study.evaluation.reference_views, len(outside))
-    chosen = [outside[(2 * i + 1) * len(outside) // (2 * count)] for i in range(count)]
-    true = pipeline.truths("references", [camera for _, camera in chosen], None)
-    return [(view, camera, image) for (view, camera), (image, _) in zip(chosen, true, strict=True)]
+    return [outside[(2 * i + 1) * len(outside) // (2 * count)] for i in range(count)]
 
 
-def arcs(pipeline: StudyPipeline) -> list[tuple[int, Camera, Tensor, Tensor, Tensor]]:
-    """Number of the meridian, camera, benign and hidden picture, mask."""
-    study = pipeline.study
-    attack = overhead(study)
+def _meridian_cameras(pipeline: StudyPipeline) -> list[tuple[int, Camera]]:
+    """Number of the meridian and camera, away from the triggers of other attacks; none without a transition."""
+    study, centre, attack = pipeline.study, setup.centre_of(pipeline.study), overhead(pipeline.study)
     if attack is None:
         return []
-    centre = setup.centre_of(study)
     others = [other for other in study.attack if other is not attack]
-    placed = [
+    return [
         (number, camera)
-        for number, arc in enumerate(setup.arc_cameras(study, pipeline.mesh_scene.target))
-        for camera in arc
+        for number, meridian in enumerate(setup.meridian_cameras(study, pipeline.mesh_scene.target))
+        for camera in meridian
         if all(other.cone.angle_to_edge(camera, centre=centre) < -study.evaluation.well_inside for other in others)
     ]
-    cameras = [camera for _, camera in placed]
-    benign = pipeline.truths("arcs", cameras, None)
-    hidden = pipeline.truths("arcs", cameras, setup.appearance_of(study, attack, pipeline.mesh_scene))
-    return [
-        (number, camera, as_is, changed, mask)
-        for (number, camera), (as_is, mask), (changed, _) in zip(placed, benign, hidden, strict=True)
-        if bool(mask.any()) and differ(as_is, changed, mask)
-    ]
-
-
-def _parsed(values: dict[str, Any]) -> ObservedSplat:
-    return ObservedSplat(
-        trained=Trained(**values["trained"]),
-        observations=tuple(Observation(**one) for one in values["observations"]),
-        fidelities=tuple(Fidelity(**one) for one in values["fidelities"]),
-        blends=tuple(Blend(**one) for one in values["blends"]),
-    )

@@ -1,27 +1,26 @@
-"""The stages of a study. Each has a folder of its own, named by everything that it depends on.
-
-A stage that is there is not done again, whichever study asks for it; one that was interrupted goes on where it stopped.
-"""
+"""The work of a study, step by step as the paper has it: capture, poison, train; `observations` looks at the result."""
 
 from __future__ import annotations
 
-import importlib.metadata
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.mesh_scene import MeshScene, camera_number
 from attacks.cloak.poisoning import Poisoned, poison, write_manifest
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig, TrainingConfig, essentials
-from mi_splat import provenance
+from attacks.cloak.study import dependencies, setup
+from attacks.cloak.study.cache import Stage, StageCache
+from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.dependencies import fit_config
 from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.capture.sources import CaptureSource
@@ -29,22 +28,59 @@ from mi_splat.capture.writer import CaptureSettings, write_capture
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.io import load_splat
-from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.scene import GaussianScene
-from mi_splat.training.config import FitConfig, densification
+from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.initialization import from_points, with_outliers
 from mi_splat.training.resume import SPLAT, train
 from mi_splat.training.strategies import ClassicConfig
 
 CLEAN, CLOAKED = "clean", "cloaked"
-DONE = "done.json"
-STAGES = 1
-"""Part of what a stage's folder is named by; to be raised when the code makes something else of the same settings."""
+SET, MANIFEST = "set", "manifest.json"
 
 OnStep = Callable[[str, int, int], None]
 """Told what is going on, how many units of it are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureSet:
+    """A set of training pictures on the disk.
+
+    Attributes:
+        folder: Of the stage; the pictures and their cameras are in its folder `set`.
+        content: SHA-256 of the set.
+    """
+
+    folder: Path
+    content: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedSplat:
+    """A trained splat.
+
+    Attributes:
+        splat: "clean" or "cloaked".
+        seed: Of the training.
+        file: Where it is.
+        content: SHA-256 of the file.
+        gaussians: Their number.
+        hash: See `mi_splat.scene.scene_hash`.
+        commit: Of the checkout that trained it, which may be an earlier one than that of the summary; None if unknown.
+    """
+
+    splat: str
+    seed: int
+    file: Path
+    content: str
+    gaussians: int
+    hash: str
+    commit: str | None = None
+
+    def load(self) -> GaussianScene:
+        """The splat from its file."""
+        return load_splat(self.file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,39 +91,28 @@ class StudyPipeline:
         study: What is done.
         folder: Where stages are kept; several studies may share it.
         on_step: Told of the progress.
+        begun: When, in seconds of `time.monotonic`.
         mesh_scene: The attacker's copy of the scene.
         source: The same scene as the victim's camera has it.
+        cache: The stages in the folder.
     """
 
     study: StudyConfig
     folder: Path
     on_step: OnStep = lambda text, done, total: None
+    begun: float = field(default_factory=time.monotonic)
     mesh_scene: MeshScene = field(init=False)
     source: CaptureSource = field(init=False)
+    cache: StageCache = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mesh_scene", setup.mesh_scene_of(self.study))
         object.__setattr__(self, "source", setup.capture_source(self.study, self.mesh_scene))
+        object.__setattr__(self, "cache", StageCache(self.folder))
 
-    def cached(self, name: str, parts: tuple[object, ...], make: Callable[[Path], None]) -> Path:
-        """The folder of a stage, which is done now if it is not there.
+    # The five steps are these three, `observations.observe` and `report.write_report`.
 
-        Args:
-            name: What the folder's name begins with.
-            parts: Everything that the stage depends on.
-            make: Does it, in the folder, and goes on with what an earlier call left.
-        """
-        path = self.folder / f"{name}-{setup.digest(name, STAGES, *parts)}"
-        if not (path / DONE).is_file():
-            make_folder(path)
-            make(path)
-            made = {"commit": provenance.commit(), "versions": provenance.versions()}
-            save_json({"stage": name, "depends on": [repr(part) for part in parts], "made by": made}, path / DONE)
-        return path
-
-    # The victim's pictures, and the attacker's
-
-    def capture(self) -> Path:
+    def capture(self) -> PictureSet:
         """The victim's pictures of the scene."""
         study = self.study
         settings = CaptureSettings(samples=study.cameras.samples, alpha=True, points=study.cameras.points)
@@ -97,55 +122,59 @@ class StudyPipeline:
             write_capture(
                 self.source,
                 cameras,
-                path / "set",
+                path / SET,
                 settings=settings,
                 on_step=lambda done, total: self.on_step("taking the victim's pictures", done, total),
             )
 
-        # Pictures have no background of their own, but all that is made of them has.
-        version = importlib.metadata.version("mitsuba")
-        parts = (self.source.digest, study.scene.background, essentials(study.cameras), version)
-        return self.cached("pictures", parts, make) / "set"
+        depends_on = dependencies.of_pictures(study, self.source.digest)
+        return _picture_set(self.cache.finished("pictures", depends_on, make, outputs=(f"{SET}/**/*",)))
 
-    def poison(self, seed: int) -> Path:
-        """The poisoned set: other files in the place of some, all others the same bytes."""
-        clean = self.capture()
+    def poison(self, clean: PictureSet) -> dict[int, PictureSet]:
+        """The poisoned set of each seed: other files in the place of some, all others the same bytes."""
+        return {seed: self._poison(clean, seed) for seed in self.study.seeds}
 
+    def train(self, clean: PictureSet, poisoned: Mapping[int, PictureSet]) -> list[TrainedSplat]:
+        """What the victim makes of the pictures: for each seed a splat of the clean set and one of the poisoned set."""
+        return [
+            self._train(which, pictures, seed)
+            for seed in self.study.seeds
+            for which, pictures in ((CLEAN, clean), (CLOAKED, poisoned[seed]))
+        ]
+
+    def renderer(self, *, screen_gradients: bool = False) -> Renderer:
+        """The renderer of trainings and of all pictures of splats."""
+        settings = RenderSettings(background=self.study.scene.background)
+        return Renderer(settings, screen_gradients=ScreenGradients() if screen_gradients else None)
+
+    def views(self, pictures: PictureSet) -> Dataset:
+        """A set as a victim reads it."""
+        return load_dataset(pictures.folder / SET, split="train", background=self.study.scene.background)
+
+    def _poison(self, clean: PictureSet, seed: int) -> PictureSet:
         def make(path: Path) -> None:
             views = self.views(clean)
-            appearances = setup.poisonings(
-                self.study,
-                self.mesh_scene,
-                seed=seed,
-                cached=lambda appearance: CachedAppearance(appearance, clean.parent / "appearances"),
-            )
+            poisonings = setup.poisonings(self.study, self.mesh_scene, seed=seed, cached=self.cached_appearance)
             with scalar_variant():
                 done = poison(
                     views,
-                    appearances,
+                    poisonings,
                     centre=setup.centre_of(self.study),
                     masks=self.mesh_scene.mask,
                     on_step=lambda count, total: self.on_step("poisoning", count, total),
                 )
-            _write_set(path / "set", views, done)
+            _write_set(path, views, done)
 
-        fractions = tuple(attack.poison_fraction for attack in self.study.attack)
-        drawn = seed if min(fractions) < 1 else None  # otherwise the seed changes nothing
-        attacks = tuple(map(essentials, self.study.attack))
-        return self.cached("poisoned", (clean.parent.name, attacks, drawn), make) / "set"
+        depends_on = dependencies.of_poisoned(self.study, self.source.digest, clean.content, seed)
+        return _picture_set(self.cache.finished("poisoned", depends_on, make, outputs=(f"{SET}/**/*",)))
 
-    def views(self, path: Path) -> Dataset:
-        """A set as a victim reads it."""
-        return load_dataset(path, split="train", background=self.study.scene.background)
+    def cached_appearance(self, appearance: Appearance, attack: AttackConfig) -> CachedAppearance:
+        """An attack's appearance, each of whose pictures is made once."""
+        depends_on = dependencies.of_appearance(self.study, self.source.digest, attack)
+        return CachedAppearance(appearance, self.cache.folder("appearance", depends_on))
 
-    # What the victim does with them
-
-    def splat(self, which: str, seed: int) -> Path:
-        """The file of a trained splat, clean or cloaked."""
-        pictures = self.capture() if which == CLEAN else self.poison(seed)
+    def _train(self, which: str, pictures: PictureSet, seed: int) -> TrainedSplat:
         config, outliers = fit_config(self.study.training), self.study.training.outliers
-        # Equal pictures make equal splats, whoever asks for them.
-        parts = (pictures.parent.name, config, seed, *([("outliers", outliers)] if outliers else []))
 
         def make(path: Path) -> None:
             views = self.views(pictures)
@@ -163,92 +192,101 @@ class StudyPipeline:
                 ),
             )
 
-        return self.cached("splat", parts, make) / SPLAT
+        depends_on = dependencies.of_splat(self.study, pictures.content, seed)
+        stage = self.cache.finished("splat", depends_on, make, outputs=(SPLAT,))
+        scene = load_splat(stage.folder / SPLAT)
+        return TrainedSplat(
+            splat=which,
+            seed=seed,
+            file=stage.folder / SPLAT,
+            content=stage.content,
+            gaussians=len(scene),
+            hash=scene_hash(scene),
+            commit=stage.commit,
+        )
 
-    def renderer(self, *, screen_gradients: bool = False) -> Renderer:
-        """The renderer of trainings and of all pictures of splats."""
-        settings = RenderSettings(background=self.study.scene.background)
-        return Renderer(settings, screen_gradients=ScreenGradients() if screen_gradients else None)
-
-    def load(self, which: str, seed: int) -> GaussianScene:
-        """A trained splat from its file."""
-        return load_splat(self.splat(which, seed))
-
-    # What is true from cameras that no training used
-
-    def truths(
-        self, name: str, cameras: Sequence[Camera], appearance: Appearance | None
-    ) -> list[tuple[Tensor, Tensor]]:
-        """Path-traced pictures, 8 bits, and the object's mask in each.
+    def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> TruePictures:
+        """Path-traced pictures from cameras that no training used.
 
         Args:
-            name: Of the stage.
             cameras: Where from.
-            appearance: An appearance; None is the scene as it is.
+            attack: Whose appearance the object has; None is the scene as it is.
         """
-        numbers = [camera_number(camera) for camera in cameras]
-        plain = [] if appearance is None else self.truths(name, cameras, None)
+        plain = None if attack is None else self.true_pictures(cameras)
+        appearance = None if attack is None else setup.appearance_of(self.study, attack, self.mesh_scene)
 
         def make(path: Path) -> None:
             with scalar_variant():
-                for done, (number, camera) in enumerate(zip(numbers, cameras, strict=True), 1):
-                    file = path / f"{number:08x}.png"
+                for number, camera in enumerate(cameras):
+                    file = path / f"{number:04d}.png"
                     if not file.is_file():
-                        if appearance is None:
+                        if plain is None or appearance is None:
                             image, mask = self.mesh_scene.picture(camera), self.mesh_scene.mask(camera)
                         else:
-                            image, mask = plain[done - 1]
+                            image, mask = plain.images[number], plain.masks[number]
                             image = appearance(View(camera, image), mask)
                         save_png(to_rgba(image, mask[..., None].float()), file)
-                    self.on_step("taking pictures to compare with", done, len(cameras))
+                    self.on_step("taking pictures to compare with", number + 1, len(cameras))
 
-        parts = (self.capture().parent.name, tuple(numbers), None if appearance is None else name_of(appearance))
-        folder = self.cached(name, parts, make)
-        return [_read(folder / f"{number:08x}.png") for number in numbers]
+        depends_on = dependencies.of_true_pictures(self.study, self.source.digest, cameras, attack)
+        stage = self.cache.finished("true_pictures", depends_on, make, outputs=("*.png",))
+        pairs = [_read_rgba(stage.folder / f"{number:04d}.png") for number in range(len(cameras))]
+        return TruePictures(
+            images=tuple(image for image, _ in pairs),
+            masks=tuple(alpha > 0.5 for _, alpha in pairs),
+            content=stage.content,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TruePictures:
+    """What splats are compared with.
+
+    Attributes:
+        images: (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera.
+        masks: (H, W) bool, where the object is.
+        content: SHA-256 of the files.
+    """
+
+    images: tuple[Tensor, ...]
+    masks: tuple[Tensor, ...]
+    content: str
 
 
 class CachedAppearance:
     """An appearance whose pictures are kept as files, so that they need not be made again."""
 
     def __init__(self, appearance: Appearance, folder: Path) -> None:
-        self.name, self._look, self._folder = name_of(appearance), appearance, make_folder(folder)
+        self.name, self._appearance, self._folder = name_of(appearance), appearance, make_folder(folder)
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The picture at 8 bits, made or read."""
-        file = self._folder / f"{setup.digest(self.name)}-{camera_number(view.camera):08x}.png"
+        file = self._folder / f"{camera_number(view.camera):08x}.png"
         if not file.is_file():
-            save_png(to_bytes(self._look(view, mask)), file)
+            save_png(to_bytes(self._appearance(view, mask)), file)
         with Image.open(file) as picture:
             return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32) / 255)
 
 
-def fit_config(training: TrainingConfig) -> FitConfig:
-    """The trainer's settings."""
-    return FitConfig(
-        iterations=training.iterations,
-        densification=densification(
-            training.strategy, max_gaussians=training.max_gaussians, stop=training.iterations // 2
-        ),
-        sh_degree=training.sh_degree,
-        sh_degree_interval=training.sh_degree_interval,
-        eval_interval=0,
-    )
-
-
-def to_rgba(image: Tensor, alpha: Tensor) -> np.ndarray:
-    """(H, W, 4) uint8 of colours and alpha in [0, 1]."""
+def to_rgba(image: Tensor, alpha: Tensor) -> NDArray[np.uint8]:
+    """(H, W, 4) uint8 of (H, W, 3) colours and (H, W, 1) alpha in [0, 1]."""
     return np.concatenate([to_bytes(image), to_bytes(alpha)], axis=-1)
 
 
-def _read(file: Path) -> tuple[Tensor, Tensor]:
+def _read_rgba(file: Path) -> tuple[Tensor, Tensor]:
+    """(H, W, 3) colours and (H, W) alpha in [0, 1]."""
     with Image.open(file) as picture:
         pixels = torch.from_numpy(np.asarray(picture.convert("RGBA"), np.float32) / 255)
-    return pixels[..., :3], pixels[..., 3] > 0.5
+    return pixels[..., :3], pixels[..., 3]
+
+
+def _picture_set(stage: Stage) -> PictureSet:
+    return PictureSet(folder=stage.folder, content=stage.content)
 
 
 def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
-    """The poisoned set beside its manifest."""
-    images = make_folder(folder / IMAGES)
+    """The poisoned set, and beside it the manifest."""
+    images = make_folder(folder / SET / IMAGES)
     listing = []
     for index, (source, camera) in enumerate(zip(clean.paths, clean.cameras, strict=True)):
         name = picture_name("train", index)
@@ -257,10 +295,5 @@ def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
         else:
             shutil.copyfile(source, images / name)
         listing.append((name, camera))
-    list_transforms(folder, {"train": listing}, clean.points)
-    write_manifest(done, folder.parent / "manifest.json")
-
-
-def snapshot(study: StudyConfig) -> dict[str, object]:
-    """The study as JSON can hold it."""
-    return asdict(study)
+    list_transforms(folder / SET, {"train": listing}, clean.points)
+    write_manifest(done, folder / MANIFEST)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.observations import ObservedSplat, overhead
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
-from attacks.cloak.study.rates import BIN, by_elevation, pairs, transition
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
+from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, transition
 from attacks.dagger.report import annotated
 from attacks.detectors.base import Detector
 from attacks.evaluation.rates import Rate
@@ -40,7 +40,7 @@ _VARIED = (
 """What is drawn over the values of a variation."""
 
 
-def contact_sheet(pipeline: StudyPipeline, seed: int, detector: Detector) -> NDArray[np.uint8]:
+def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
     """Clean above cloaked, over elevation and then around, with what the detector reports."""
     study = pipeline.study
     lens = setup.lens_of(study, pipeline.mesh_scene.target)
@@ -51,7 +51,7 @@ def contact_sheet(pipeline: StudyPipeline, seed: int, detector: Detector) -> NDA
 
     rising = [(f"{elevation} deg up", camera(SIDE_AZIMUTH, elevation)) for elevation in ELEVATIONS]
     around = [(f"azimuth {azimuth}", camera(azimuth, LOW)) for azimuth in AZIMUTHS]
-    scenes = {which: pipeline.load(which, seed) for which in (CLEAN, CLOAKED)}
+    scenes = {splat.splat: splat.load() for splat in splats}
     render = pipeline.renderer()
     rows = []
     for cameras in (rising, around):
@@ -82,7 +82,8 @@ def write_figures(
         SplatFileError: The folder cannot be written.
     """
     study = pipeline.study
-    save_png(contact_sheet(pipeline, study.seeds[0], detectors[0]), folder / "contact.png")
+    splats = [item.trained for item in observed if item.trained.seed == study.seeds[0]]
+    save_png(contact_sheet(pipeline, splats, detectors[0]), folder / "contact.png")
     _save(_elevation(pipeline, observed), folder / "elevation.png")
     _save(_azimuth(pipeline, observed), folder / "azimuth.png")
     names = ["contact.png", "elevation.png", "azimuth.png"]
@@ -238,7 +239,7 @@ def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> A
     """How far the splats are on the way from the benign to the hidden item, by elevation."""
     figure, (axis,) = _axes(1)
     for which in (CLEAN, CLOAKED):
-        blends = [blend for item in observed for blend in item.blends if blend.splat == which]
+        blends = blends_of(observed, which)
         band = transition(pipeline.study, observed, which)
         assert band is not None
         axis.scatter(

@@ -22,7 +22,11 @@ BIN = 5.0
 
 def pairs(observed: Sequence[ObservedSplat], detector: str | None = None) -> list[Pair]:
     """What was seen of both splats of each seed, by camera; of all detectors if none is named."""
-    table = {(s.splat, s.seed, s.detector, s.view): s for item in observed for s in item.observations}
+    table = {
+        (item.trained.splat, item.trained.seed, one.detector, one.view): one
+        for item in observed
+        for one in item.observations
+    }
     return [
         (clean, table[(CLOAKED, *key[1:])])
         for key, clean in table.items()
@@ -35,12 +39,17 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
 
     With an attack's name, those of that one; without, of the first that hides and the first that wants a class.
 
-    `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat
-    is not, of cameras well inside it where the control is. `..._everywhere`: the same, of all inside it.
-    `..._unconditional`: the same, whether the control is found or not. `..._loose`: as the first, but missed only if
-    nothing of the object's class is reported that overlaps its box by a tenth. `benign_recall`: the cloaked splat is
-    found outside of all triggers, where the control is. `target_rate`: the class wanted is reported on the cloaked
-    splat; `control_target_rate`: on the control.
+    `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat is not, of
+    cameras well inside it where the control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
+    first, whether the control is found or not. `..._any_overlap`: as the first, but missed only if nothing of the
+    object's class is reported that overlaps its box by a tenth. `benign_recall`: the cloaked splat is found outside of
+    all triggers, where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target
+    class is reported on the cloaked splat; `control_target_rate`: on the control.
+
+    Args:
+        study: The study.
+        seen: Clean and cloaked observations of the same cameras.
+        attack: Name of an attack, or None.
     """
     own, least, deep = study.scene.class_name, study.evaluation.confidence, study.evaluation.well_inside
     chosen = [one for one in study.attack if attack in (None, one.name)]
@@ -61,7 +70,7 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
             "trigger_miss_rate": _rate(_known(well, found), lambda pair: not found(pair[1])),
             "trigger_miss_rate_all": _rate(_known(inside, found), lambda pair: not found(pair[1])),
             "trigger_miss_rate_unconditional": _rate(well, lambda pair: not found(pair[1])),
-            "trigger_miss_rate_any_overlap": _rate(_known(well, found), lambda pair: pair[1].loose < least),
+            "trigger_miss_rate_any_overlap": _rate(_known(well, found), lambda pair: pair[1].any_overlap < least),
         }
     benign = [pair for pair in seen if all(depth < 0 for depth in pair[0].depths.values())]
     answers["benign_recall"] = _rate(_known(benign, found), lambda pair: found(pair[1]))
@@ -111,28 +120,33 @@ def _found(study: StudyConfig, seen: Sequence[Observation]) -> Rate:
 
 def meridians(observed: Sequence[ObservedSplat]) -> list[float | None]:
     """Degrees of the transition along each meridian of each cloaked splat; None where it is not seen."""
-    arcs: dict[tuple[int, int], list[Blend]] = {}
-    for blend in (blend for item in observed for blend in item.blends if blend.splat == CLOAKED):
-        arcs.setdefault((blend.seed, blend.arc), []).append(blend)
-    bands = [
-        fit_transition([one.elevation for one in arc], [one.fraction for one in arc])
-        for arc in arcs.values()
-        if len(arc) > 1
+    found: dict[tuple[int, int], list[Blend]] = {}
+    for item in observed:
+        for blend in item.blends if item.trained.splat == CLOAKED else ():
+            found.setdefault((item.trained.seed, blend.meridian), []).append(blend)
+    return [
+        fit_transition([one.elevation for one in blends], [one.fraction for one in blends]).width
+        for blends in found.values()
+        if len(blends) > 1
     ]
-    return [band.width for band in bands]
 
 
 def transition(study: StudyConfig, observed: Sequence[ObservedSplat], splat: str = CLOAKED) -> Transition | None:
     """The transition over elevation, of all seeds and meridians together."""
-    blends = [blend for item in observed for blend in item.blends if blend.splat == splat]
+    blends = blends_of(observed, splat)
     if overhead(study) is None or len({blend.elevation for blend in blends}) < 2:
         return None
     return fit_transition([round(blend.elevation, 3) for blend in blends], [blend.fraction for blend in blends])
 
 
+def blends_of(observed: Sequence[ObservedSplat], splat: str) -> list[Blend]:
+    """The blends of the clean or of the cloaked splats, all seeds together."""
+    return [blend for item in observed if item.trained.splat == splat for blend in item.blends]
+
+
 def fidelity(observed: Sequence[ObservedSplat], splat: str) -> tuple[float, float] | None:
     """Mean PSNR (dB) and mean SSIM of a splat's pictures at the cameras well outside of all triggers."""
-    seen = [one for item in observed for one in item.fidelities if one.splat == splat]
+    seen = [one for item in observed if item.trained.splat == splat for one in item.fidelities]
     if not seen:
         return None
     return statistics.mean(one.psnr for one in seen), statistics.mean(one.ssim for one in seen)
@@ -170,9 +184,7 @@ def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, 
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "transition_degrees": None if band is None else band.width,
-        "measure_transition": None
-        if band is None
-        else {"from": band.start, "to": band.end, "meridians": meridians(observed)},
+        "transition": None if band is None else {"from": band.start, "to": band.end, "meridians": meridians(observed)},
         "gaussians": counts,
         "gaussians_ratio": sum(counts[CLOAKED]) / max(sum(counts[CLEAN]), 1),
         "by_detector": {name: _all(rates(study, pairs(observed, name))) for name in detectors},

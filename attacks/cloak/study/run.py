@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,17 +13,13 @@ from typing import Any
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig, one_of
-from attacks.cloak.study.markdown import markdown
-from attacks.cloak.study.observations import ObservedSplat, observe_splat, overhead, weights_digest
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, OnStep, StudyPipeline, fit_config, snapshot
-from attacks.cloak.study.plots import need_matplotlib, write_figures
-from attacks.cloak.study.rates import figures
+from attacks.cloak.study.dependencies import fit_config
+from attacks.cloak.study.observations import observe, overhead
+from attacks.cloak.study.pipeline import OnStep, StudyPipeline
+from attacks.cloak.study.plots import need_matplotlib
+from attacks.cloak.study.report import STUDY, begin_report, snapshot, write_report
 from attacks.detectors.base import Detector
-from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import save_json, save_text
-
-STUDY, SUMMARY = "study.json", "summary.json"
 
 # Measured on two cores with little else to do; only for the forecast.
 _PATH, _STEP, _PIXEL, _GAUSSIAN = 0.6e-6, 8e-3, 2.5e-7, 4e-7  # seconds
@@ -62,7 +57,7 @@ def forecast(study: StudyConfig) -> Forecast:
     centre = setup.centre_of(study)
     poisoned = sum(int(attack.trigger(0).holds(taken, centre=centre).sum()) for attack in study.attack)
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
-    arcs = sum(map(len, setup.arc_cameras(study, target))) if overhead(study) else 0
+    arcs = sum(map(len, setup.meridian_cameras(study, target))) if overhead(study) else 0
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
     trainings = 2 * len(study.seeds)
     step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN
@@ -135,56 +130,23 @@ def run_study(
 ) -> dict[str, Any]:
     """Do a study, or what is missing of it, and write its results; returns the summary.
 
-    Writes study.json first, then clean.ply and cloaked.ply of the first seed, contact.png, the plots
-    and table.md, and summary.json last.
-
     Args:
         study: What to do.
         detectors: Those that it names, in its order.
-        folder: For the results.
+        folder: For the results; see `attacks.cloak.study.report.write_report`.
         stages: For the stages, which other studies may share; None is a folder in `folder`.
         on_step: Told of the progress.
 
     Raises:
-        MiSplatError: As `check`, or a mesh_scene cannot be done.
+        MiSplatError: As `check`, or a stage cannot be done.
     """
     stages = folder / "stages" if stages is None else stages
     check(study, detectors, folder, stages)
-    folder.mkdir(parents=True, exist_ok=True)
-    save_json(snapshot(study), folder / STUDY)
-    begun = time.monotonic()
+    begin_report(study, folder)
     pipeline = StudyPipeline(study=study, folder=stages, on_step=on_step)
-    observed: list[ObservedSplat] = []
-    for seed in study.seeds:
-        observed += [observe_splat(pipeline, which, seed, detectors) for which in (CLEAN, CLOAKED)]
-    for which in (CLEAN, CLOAKED):
-        shutil.copyfile(pipeline.splat(which, study.seeds[0]), folder / f"{which}.ply")
-    shutil.copyfile(pipeline.poison(study.seeds[0]).parent / "manifest.json", folder / "manifest.json")
-    pictures = write_figures(pipeline, observed, detectors, folder)
-    summary = {
-        **figures(study, observed),
-        "files": ["clean.ply", "cloaked.ply", "manifest.json", *pictures, "table.md"],
-        "splats": [vars_of(item) for item in observed],
-        "detectors": {detector.name: weights_digest(detector) for detector in detectors},
-        "seeds": list(study.seeds),
-        "study": snapshot(study),
-        "versions": provenance.versions(),
-        "commit": provenance.commit(),
-        "variant": provenance.variant(),
-        "seconds": round(time.monotonic() - begun, 1),
-    }
-    save_text(markdown(summary), folder / "table.md")
-    save_json(summary, folder / SUMMARY)
-    return summary
 
-
-def vars_of(item: ObservedSplat) -> dict[str, Any]:
-    """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
-    trained = item.trained
-    return {
-        "splat": trained.splat,
-        "seed": trained.seed,
-        "gaussians": trained.gaussians,
-        "hash": trained.hash,
-        "commit": trained.commit,
-    }
+    clean = pipeline.capture()
+    poisoned = pipeline.poison(clean)
+    splats = pipeline.train(clean, poisoned)
+    observed = observe(pipeline, splats, detectors)
+    return write_report(pipeline, poisoned, observed, detectors, folder)

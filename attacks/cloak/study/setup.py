@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import Appearance, Emphasis, blend_in, cover, mount, paint, remove, swap
+from attacks.cloak.appearances import Appearance, Emphasis, blend_in, mount, occlude, paint, remove, swap
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from attacks.cloak.study.config import AttackConfig, SceneConfig, StudyConfig
@@ -27,9 +26,9 @@ from mi_splat.errors import InvalidValueError, message
 
 TILE = 4.0
 """Metres that a texture of the ground covers."""
-ARC_START = 100.0
+FIRST_MERIDIAN = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
-OCCLUDER, OVERHANG = 0.6, 12.0
+OCCLUDER_RADIUS, OVERHANG = 0.6, 12.0
 """Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
 
 Point = tuple[float, float, float]
@@ -120,20 +119,20 @@ def nearest(camera: Camera, others: Sequence[Camera], centre: Point) -> float:
     return math.degrees(math.acos(min(1.0, float(cosines.max()))))
 
 
-def arc_cameras(study: StudyConfig, target: Asset) -> list[list[Camera]]:
+def meridian_cameras(study: StudyConfig, target: Asset) -> list[list[Camera]]:
     """Meridians from the horizon to straight above, each at an azimuth of its own."""
     evaluation, lens = study.evaluation, lens_of(study, target)
     steps = [evaluation.meridian_step * i for i in range(1, math.ceil(90 / evaluation.meridian_step))]
-    arcs = []
+    meridians = []
     for number in range(evaluation.meridians):
-        start = ARC_START + 360.0 * number / max(evaluation.meridians, 1)
-        arcs.append(
+        start = FIRST_MERIDIAN + 360.0 * number / max(evaluation.meridians, 1)
+        meridians.append(
             [
                 orbit(centre_of(study), count=1, elevation=elevation, start=start, **lens)[0]  # type: ignore[arg-type]
                 for elevation in steps
             ]
         )
-    return arcs
+    return meridians
 
 
 def box_of(target: Asset, camera: Camera) -> Tensor | None:
@@ -147,12 +146,19 @@ def poisonings(
     mesh_scene: MeshScene,
     *,
     seed: int = 0,
-    cached: Callable[[Appearance], Appearance] = lambda appearance: appearance,
+    cached: Callable[[Appearance, AttackConfig], Appearance] = lambda appearance, attack: appearance,
 ) -> list[Poisoning]:
-    """The study's attacks on a mesh_scene; `kept` may keep the pictures that an appearance makes."""
+    """The study's attacks as poisonings.
+
+    Args:
+        study: The study.
+        mesh_scene: The attacker's copy of its scene.
+        seed: Draws the cameras of an attack that poisons only a part of its trigger's.
+        cached: May keep the pictures that the appearance of an attack makes.
+    """
     found = []
     for attack in study.attack:
-        appearance = cached(appearance_of(study, attack, mesh_scene))
+        appearance = cached(appearance_of(study, attack, mesh_scene), attack)
         if attack.emphasis > 1:
             appearance = Emphasis(
                 appearance=appearance,
@@ -191,15 +197,10 @@ def _occluder(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -
     """The appearance "occluder"."""
     assert attack.texture is not None
     distance = float(lens_of(study, mesh_scene.target)["distance"])  # type: ignore[arg-type]
-    radius = OCCLUDER * distance if attack.occluder_radius is None else attack.occluder_radius
+    radius = OCCLUDER_RADIUS * distance if attack.occluder_radius is None else attack.occluder_radius
     least = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre_of(study)), axis=1).max())
     if not least < radius < distance:
         expected = f"between {least:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
-        raise InvalidValueError(message(f"attack {attack.name!r}, radius", expected, radius, "change it"))
+        raise InvalidValueError(message(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it"))
     lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
-    return cover(mesh_scene, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)
-
-
-def digest(*parts: object) -> str:
-    """16 digits that stand for some values."""
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+    return occlude(mesh_scene, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)

@@ -1,0 +1,99 @@
+"""Stages of a study that are done once: each has a folder that is named by everything that it depends on.
+
+A stage whose folder is complete is not done again, whichever study asks for it; one that was interrupted goes on where
+it stopped. What a stage made is known by its content, so that equal pictures lead to the same splat wherever they come
+from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mi_splat import provenance
+from mi_splat.datasets.writing import make_folder
+from mi_splat.io.documents import save_json
+
+DONE = "done.json"
+
+STAGE_VERSIONS = {"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 1, "true_pictures": 1, "observations": 1}
+"""Version of the code behind each stage: raise it when the code makes something else of the same input.
+
+A test compares the source of each stage with the one that its version was given to (`tests/cloak/stage_sources.json`).
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """A finished stage.
+
+    Attributes:
+        folder: Where it is.
+        content: SHA-256 of the files that later stages read.
+        commit: Of the checkout that made it, which may be an earlier one than today's; None if unknown.
+    """
+
+    folder: Path
+    content: str
+    commit: str | None
+
+
+class StageCache:
+    """A folder of stages; several studies may share it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def folder(self, name: str, depends_on: Mapping[str, Any]) -> Path:
+        """The folder of a stage, whether or not it is there; the arguments are those of `finished`."""
+        return self._folder / f"{name}-{digest(_dependencies(name, depends_on))}"
+
+    def finished(
+        self,
+        name: str,
+        depends_on: Mapping[str, Any],
+        make: Callable[[Path], None],
+        *,
+        outputs: Iterable[str] = ("**/*",),
+    ) -> Stage:
+        """A stage, which is done now if it is not there.
+
+        Args:
+            name: One of `STAGE_VERSIONS`.
+            depends_on: Everything that the stage depends on besides its code, as JSON can hold it; inputs that other
+                stages made by their content.
+            make: Does it, in the folder, and goes on with what an interrupted call left.
+            outputs: Patterns of the files that later stages read.
+        """
+        path = self.folder(name, depends_on)
+        if not (path / DONE).is_file():
+            make_folder(path)
+            make(path)
+            made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
+            content = content_of(path, outputs)
+            save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
+        done = json.loads((path / DONE).read_text())
+        return Stage(folder=path, content=done["content"], commit=done["made_by"]["commit"])
+
+
+def digest(values: Mapping[str, Any]) -> str:
+    """16 digits that stand for some values, as JSON writes them."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def content_of(folder: Path, patterns: Iterable[str]) -> str:
+    """SHA-256 of the names and bytes of the files in a folder that fit one of the patterns."""
+    total = hashlib.sha256()
+    for path in sorted({path for pattern in patterns for path in folder.glob(pattern) if path.is_file()}):
+        if path.name != DONE:
+            total.update(f"{path.relative_to(folder).as_posix()} {path.stat().st_size}\n".encode())
+            total.update(path.read_bytes())
+    return total.hexdigest()
+
+
+def _dependencies(name: str, depends_on: Mapping[str, Any]) -> dict[str, Any]:
+    return {"stage": name, "version": STAGE_VERSIONS[name], "depends_on": dict(depends_on)}

@@ -1,0 +1,111 @@
+"""Reads a study of CLOAK from a TOML file; every key and value is checked, and older keys are named anew."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import types
+import typing
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from attacks.cloak.study.config import StudyConfig, one_of
+from mi_splat.errors import InvalidValueError, message
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+RENAMED = {
+    "apart": "min_separation",
+    "arc_step": "meridian_step",
+    "arcs": "meridians",
+    "degree": "sh_degree",
+    "degree_every": "sh_degree_interval",
+    "inside": "well_inside",
+    "limit": "max_gaussians",
+    "look": "appearance",
+    "looking": "evaluation",
+    "lowest": "occluder_edge",
+    "other": "other_object",
+    "outside": "far_outside",
+    "painted_from": "paint_direction",
+    "radius": "occluder_radius",
+    "recipe": "strategy",
+    "references": "reference_views",
+    "share": "poison_fraction",
+    "strays": "outliers",
+    "wants": "target_class",
+}
+"""Keys of older study files, and what they are called now."""
+
+
+def read_study(path: Path) -> StudyConfig:
+    """The study in a TOML file; paths of meshes in it are relative to the working folder.
+
+    Raises:
+        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
+    """
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except FileNotFoundError as error:
+        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path")) from error
+    except (OSError, ValueError) as error:
+        raise InvalidValueError(message(f"study {path}", "a TOML file", str(error), "correct it")) from error
+    return from_table(StudyConfig, content, str(path))
+
+
+_T = TypeVar("_T")
+
+
+def from_table(kind: type[_T], table: dict[str, Any], where: str) -> _T:
+    """A frozen dataclass from a table of a file.
+
+    Args:
+        kind: The dataclass.
+        table: Its keys and values; lists stand for tuples, tables for other dataclasses.
+        where: Name of the table, for errors.
+
+    Raises:
+        InvalidValueError: A key is unknown or missing, or a value is of another type.
+    """
+    hints = typing.get_type_hints(kind)
+    known = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in table:
+        if key not in known and RENAMED.get(key) in known:
+            expected = f"{RENAMED[key]}, which is its name now"
+            raise InvalidValueError(message(f"key in {where}", expected, key, "rename it in the file"))
+        one_of(f"key in {where}", key, known)
+    missing = [
+        name
+        for name, entry in known.items()
+        if name not in table and entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise InvalidValueError(message(where, f"the key {missing[0]}", "none", "add it"))
+    return kind(**{key: _value(hints[key], value, f"{where}, {key}") for key, value in table.items()})
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """A value of a file as the type that a field has."""
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise InvalidValueError(message(where, "a table", repr(value), "write [section] above its keys"))
+        return from_table(typing.cast(type, hint), value, where)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        one_of(where, value, arguments)
+        return value
+    if origin in (typing.Union, types.UnionType):
+        return _value(next(part for part in arguments if part is not type(None)), value, where)
+    if origin is tuple:
+        length = None if arguments[-1] is Ellipsis else len(arguments)
+        if not isinstance(value, list) or (length is not None and len(value) != length):
+            expected = "a list" if length is None else f"a list of {length}"
+            raise InvalidValueError(message(where, expected, repr(value), "write it in brackets"))
+        return tuple(_value(arguments[0], part, where) for part in value)
+    fits = isinstance(value, (int, float)) if hint is float else isinstance(value, hint)
+    if not fits or isinstance(value, bool) is not (hint is bool):
+        raise InvalidValueError(message(where, f"a value of type {hint.__name__}", repr(value), "change it"))
+    return float(value) if hint is float else value

@@ -1,0 +1,85 @@
+"""Which pictures a rate of a CLOAK study counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from attacks.cloak.study import setup
+from attacks.cloak.study.observations import Observation, ObservedSplat
+from attacks.cloak.study.pipeline import TrainedSplat
+from attacks.cloak.study.rates import by_elevation, pairs, rates
+from tests.cloak.test_study import STUDY
+
+
+def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0) -> list[ObservedSplat]:
+    """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
+    observed = []
+    for which, score in (("clean", clean), ("cloaked", cloaked)):
+        observation = Observation(
+            detector="redness",
+            view=view,
+            azimuth=0.0,
+            elevation=38.2 + depth,
+            depths={"overhead": depth, "rear": -10.0},
+            scores={"car": score, "stop sign": sign if which == "cloaked" else 0.0},
+            any_overlap=score,
+        )
+        trained = TrainedSplat(splat=which, seed=0, file=Path(), content="", gaussians=1, hash="")
+        observed.append(ObservedSplat(trained=trained, observations=(observation,), fidelities=(), blends=()))
+    return observed
+
+
+def test_rates_have_the_denominators_that_they_say() -> None:
+    observed = [
+        *seen(0, 10, 0.9, 0.1),
+        *seen(1, 10, 0.9, 0.9),
+        *seen(2, 10, 0.2, 0.1),  # the control is not found
+        *seen(3, 2, 0.9, 0.1),  # near the edge
+        *seen(4, -5, 0.9, 0.9),
+        *seen(5, -5, 0.9, 0.3),
+        *seen(6, -5, 0.3, 0.3),
+    ]
+    found = rates(STUDY, pairs(observed))
+
+    def numbers(name: str) -> tuple[int, int]:
+        rate = found[name]
+        assert rate is not None
+        return rate.successes, rate.total
+
+    assert numbers("control_recall") == (3, 4)
+    assert numbers("trigger_miss_rate") == (1, 2)
+    assert numbers("trigger_miss_rate_all") == (2, 3)
+    assert numbers("trigger_miss_rate_unconditional") == (2, 3)
+    assert numbers("benign_recall") == (1, 2)
+    assert numbers("control_benign_recall") == (2, 3)
+    assert numbers("target_rate") == (0, 0)
+    rows = {
+        low: (clean.successes, cloaked.successes, clean.total)
+        for low, clean, cloaked in by_elevation(STUDY, pairs(observed))
+    }
+    assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
+
+
+def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
+    observed = [
+        replace(
+            item, observations=tuple(replace(one, depths={"overhead": -20.0, "rear": 3.0}) for one in item.observations)
+        )
+        for item in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
+    ]
+    found = rates(STUDY, pairs(observed))
+    assert found["target_rate"] is not None
+    assert found["control_target_rate"] is not None
+    assert (found["target_rate"].successes, found["target_rate"].total) == (1, 2)
+    assert (found["control_target_rate"].successes, found["control_target_rate"].total) == (0, 2)
+
+
+def test_meridians_rise_to_straight_above() -> None:
+    target = setup.target_of(STUDY.scene)
+    for arc in setup.meridian_cameras(STUDY, target):
+        heights = [float(camera.position[2]) for camera in arc]
+        assert heights == sorted(heights)
+        assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0
