@@ -8,10 +8,8 @@ SH coefficients.
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from torch import Generator, Tensor
@@ -21,6 +19,7 @@ from attacks.dagger.config import Attribute, DaggerConfig
 from attacks.dagger.problem import AttackProblem, AttackView, together
 from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
+from attacks.evaluation.views import as_saved
 from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective
@@ -28,7 +27,6 @@ from attacks.pgd import Outcome, Step, pgd, rank
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene, scene_hash
 
 __all__ = ["Attribute", "DaggerConfig", "Result", "attack"]
@@ -80,7 +78,7 @@ def attack(
     reference = subset.parameters(config.attributes)
     outcome = _search(problem, clean_views, reference, config, on_step)
     attacked = subset.applied(outcome.parameters)
-    saved = _through_file(attacked)
+    saved = as_saved(attacked)
     results = problem.judge(saved, clean_views)
     verdict = together([result.verdict for result in results], config.required_views)
     result = Result(
@@ -159,14 +157,6 @@ def _noise_control(
         scores=tuple(verdict.score for verdict in verdicts),
         successes=sum(verdict.success for verdict in verdicts),
     )
-
-
-def _through_file(scene: GaussianScene) -> GaussianScene:
-    """What a user gets who loads the attacked file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "attacked.ply"
-        save_splat(scene, path)
-        return load_splat(path).to(scene.means.device)
 
 
 def _origin(clean_hash: str, detector: Detector) -> dict[str, Any]:

@@ -15,13 +15,14 @@ from torch import Tensor
 
 from attacks.budgets import Parameters
 from attacks.detectors.base import Detections, Detector
+from attacks.evaluation.views import detect_views
 from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Target, Verdict, confidence, overlap
 from attacks.pgd import Evaluation
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.images import quantise, through_png
+from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene
 
 
@@ -98,23 +99,29 @@ class AttackProblem:
                     "camera", "a view in which the object is visible", "none of it", "turn the camera or choose another"
                 )
             )
-        picture, detections = self._seen(self.subset.scene, camera)
+        (seen,) = detect_views(self.subset.scene, [camera], [self.detector], render=self.render)
         target = Target(
             box=box,
             label=self.objective.label,
             classes=self.detector.classes,
-            original=_label_on(detections, box),
+            original=_label_on(seen.detections, box),
         )
-        return AttackView(camera=camera, target=target, weight=weight, image=picture, detections=detections)
+        return AttackView(camera=camera, target=target, weight=weight, image=seen.image, detections=seen.detections)
 
     def judge(self, scene: GaussianScene, views: Sequence[AttackView]) -> tuple[ViewResult, ...]:
         """Judge a scene from every camera, on 8-bit pictures that went through PNG."""
-        results = []
-        for view in views:
-            picture, detections = self._seen(scene, view.camera)
-            verdict = self.objective.verdict(detections, view.target)
-            results.append(ViewResult(before=view, after=picture, attacked=detections, verdict=verdict))
-        return tuple(results)
+        # One picture at a time: the same bits whatever the number of views.
+        cameras = [view.camera for view in views]
+        seen = detect_views(scene, cameras, [self.detector], render=self.render, batch=1)
+        return tuple(
+            ViewResult(
+                before=view,
+                after=found.image,
+                attacked=found.detections,
+                verdict=self.objective.verdict(found.detections, view.target),
+            )
+            for view, found in zip(views, seen, strict=True)
+        )
 
     def evaluate(self, parameters: Parameters, views: Sequence[AttackView]) -> Evaluation:
         """Loss and gradients (mean over the views), success and score at one point of the search.
@@ -138,11 +145,6 @@ class AttackProblem:
         return Evaluation(
             loss=loss, gradients=gradients, success=whole.success, score=whole.score, unambiguous=whole.unambiguous
         )
-
-    def _seen(self, scene: GaussianScene, camera: Camera) -> tuple[Tensor, Detections]:
-        with torch.no_grad():
-            picture = through_png(self.render(scene, camera))
-        return picture, self._detect(picture)
 
     def _detect(self, picture: Tensor) -> Detections:
         with torch.no_grad():

@@ -1,54 +1,22 @@
-"""Scoring of finished scenes, apart from any attack: which scene, in which view, by which detector, sees what.
+"""Rates with their numerator, denominator and interval, and how often an attack reaches its aim.
 
-The same object is looked at in a clean scene and in any number of others (attacked, noisy, defended). A rate is given
-in both forms that reviewers ask for: over all views, and over those where the clean object was found in the first
-place.
+A rate is given in both forms that reviewers ask for: over all views, and over those where the benign object was found
+in the first place.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
-import torch
+from attacks.evaluation.views import ViewDetections
 
-from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.visibility import visible_box, visible_weight
-from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import confidence
-from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.images import through_png
-from mi_splat.scene import GaussianScene
+T = TypeVar("T")
 
-CLEAN = "clean"
-"""Name of the scene that benign detection is judged on."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ViewDetections:
-    """One scene in one view as one detector sees it.
-
-    Attributes:
-        scene: Name of the scene.
-        detector: Name of the detector.
-        view: Index of the camera.
-        box: (4,) pixels, where the object is visible in the clean scene; None when it is not.
-        detections: What the detector reports on the 8-bit picture.
-    """
-
-    scene: str
-    detector: str
-    view: int
-    box: torch.Tensor | None
-    detections: Detections
-
-    def confidence(self, label: str | None = None, *, iou: float = 0.5) -> float:
-        """Highest score of `label` (any class if None) on the object; 0 when the object is not visible."""
-        if self.box is None:
-            return 0.0
-        return confidence(self.detections, self.box, labels=None if label is None else [label], iou=iou)
+_Z = 1.959963984540054
+"""Quantile of the normal distribution that leaves 2.5 % on each side."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +25,12 @@ class Rate:
 
     successes: int
     total: int
+
+    @classmethod
+    def of(cls, items: Iterable[T], holds: Callable[[T], bool], *, given: Callable[[T], bool] | None = None) -> Rate:
+        """Of how many items something holds; if `given` is there, only of those that it holds of."""
+        counted = [holds(item) for item in items if given is None or given(item)]
+        return cls(successes=sum(counted), total=len(counted))
 
     @property
     def fraction(self) -> float:
@@ -68,80 +42,56 @@ class Rate:
         """95 % Wilson score interval (Wilson 1927); (0, 1) when there are no views."""
         if not self.total:
             return 0.0, 1.0
-        z, n, p = 1.959963984540054, self.total, self.fraction
+        z, n, p = _Z, self.total, self.fraction
         centre = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
         return max(0.0, centre - half), min(1.0, centre + half)
 
-
-def evaluate(
-    scenes: Mapping[str, GaussianScene],
-    mask: torch.Tensor | slice,
-    cameras: Sequence[Camera],
-    detectors: Sequence[Detector],
-    *,
-    render: RenderFn,
-) -> list[ViewDetections]:
-    """Look at every scene from every camera with every detector.
-
-    Args:
-        scenes: Scenes by name, with the same Gaussians in the same order; one must be called "clean".
-        mask: The object's Gaussians.
-        cameras: Views; better others than those that were attacked.
-        detectors: Any number; the picture is rendered once for all.
-        render: The renderer.
-
-    Raises:
-        InvalidValueError: No scene is called "clean".
-    """
-    if CLEAN not in scenes:
-        raise InvalidValueError(message("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene"))
-    subset, frames = GaussianSubset.of(scenes[CLEAN], mask), []
-    for view, camera in enumerate(cameras):
-        box = visible_box(visible_weight(subset, camera, render))
-        for name, scene in scenes.items():
-            with torch.no_grad():
-                picture = through_png(render(scene, camera))
-                for detector in detectors:
-                    seen = detector.detect(picture[None])[0]
-                    frames.append(
-                        ViewDetections(scene=name, detector=detector.name, view=view, box=box, detections=seen)
-                    )
-    return frames
+    def as_dict(self) -> dict[str, Any]:
+        """Rate (None when there are no views), successes, total and interval, as JSON can hold them."""
+        return {
+            "rate": self.fraction if self.total else None,
+            "successes": self.successes,
+            "total": self.total,
+            "interval": list(self.interval),
+        }
 
 
 def rates(
-    frames: Sequence[ViewDetections],
-    scene: str,
-    detector: str,
+    clean: Sequence[ViewDetections],
+    attacked: Sequence[ViewDetections],
     *,
     original: str,
     wanted: str | None,
     least: float = 0.5,
+    detector: str | None = None,
 ) -> dict[str, Rate]:
     """How often an attack reaches its aim.
 
     Args:
-        frames: From `evaluate`.
-        scene: Name of the attacked scene.
-        detector: Name of the detector.
+        clean: The clean scene, from `evaluate` or `detect_views`.
+        attacked: The attacked scene, from the same cameras by the same detectors.
         original: What the object is.
         wanted: What the attacker wants it to be; None counts a view as a success when `original` is gone.
-        least: Score from which a detection counts.
+        least: Confidence from which a detection counts, in [0, 1].
+        detector: Name of the detector whose views count; None counts those of all.
 
     Returns:
-        `all`: over all views in which the object is visible; `given_found`: over those where the clean object is found.
+        `all`: over all views in which the object shows; `given_found`: over those where the clean object is found.
     """
-    table = {(f.scene, f.view): f for f in frames if f.detector == detector and f.box is not None}
-    views = sorted(view for name, view in table if name == scene)
-    found = [view for view in views if table[CLEAN, view].confidence(original) >= least]
+    benign = {(view.detector, view.view): view for view in clean}
+    pairs = [
+        (benign[view.detector, view.view], view)
+        for view in attacked
+        if view.box is not None and detector in (None, view.detector)
+    ]
 
-    def reaches(view: int) -> bool:
+    def reached(pair: tuple[ViewDetections, ViewDetections]) -> bool:
         if wanted is None:
-            return table[scene, view].confidence(original) < least
-        return table[scene, view].confidence(wanted) >= least
+            return pair[1].confidence(original) < least
+        return pair[1].confidence(wanted) >= least
 
-    return {
-        "all": Rate(successes=sum(map(reaches, views)), total=len(views)),
-        "given_found": Rate(successes=sum(map(reaches, found)), total=len(found)),
-    }
+    def found(pair: tuple[ViewDetections, ViewDetections]) -> bool:
+        return pair[0].confidence(original) >= least
+
+    return {"all": Rate.of(pairs, reached), "given_found": Rate.of(pairs, reached, given=found)}

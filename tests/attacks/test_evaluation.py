@@ -1,15 +1,23 @@
-"""Finished scenes are scored in both forms of the rate, with Wilson intervals."""
+"""Scenes are seen through their files and 8 bits, by every detector; rates have a denominator and an interval."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from scipy.stats import binomtest
+from torch import Tensor
 
 from attacks.dagger.attack import DaggerConfig, attack
-from attacks.evaluation.rates import Rate, evaluate, rates
+from attacks.detectors.base import Detections
+from attacks.evaluation.drawing import annotated, difference, stacked
+from attacks.evaluation.rates import Rate, rates
+from attacks.evaluation.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
 from attacks.objectives import relabel
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.images import through_png
+from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 
@@ -18,23 +26,150 @@ def test_an_attack_is_scored_on_other_views_with_its_control() -> None:
     config = DaggerConfig(eps=(20.0,), early_stop=False, noise_draws=0)
     found = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
     views = [camera(offset=offset) for offset in (-0.2, 0.1, 0.3)]
-    frames = evaluate({"clean": scene, "attacked": found.scene}, mask, views, [ColourDetector()], render=blobs)
-    assert len(frames) == 6
-    attacked = rates(frames, "attacked", "fake_colour", original="car", wanted="person")
-    control = rates(frames, "clean", "fake_colour", original="car", wanted="person")
+    seen = evaluate({"clean": scene, "attacked": found.scene}, mask, views, [ColourDetector()], render=blobs)
+    assert {name: len(one) for name, one in seen.items()} == {"clean": 3, "attacked": 3}
+    attacked = rates(seen["clean"], seen["attacked"], original="car", wanted="person")
+    control = rates(seen["clean"], seen["clean"], original="car", wanted="person")
     assert attacked["all"] == attacked["given_found"] == Rate(successes=3, total=3)
     assert control["all"] == Rate(successes=0, total=3)
-    gone = rates(frames, "attacked", "fake_colour", original="car", wanted=None)
+    gone = rates(seen["clean"], seen["attacked"], original="car", wanted=None)
     assert gone["all"].fraction == 1.0
 
 
 def test_views_without_the_object_do_not_count() -> None:
     scene, mask = toy_scene()
     hidden = scene.replace(opacities=torch.where(mask, 0.0, scene.opacities))
-    frames = evaluate({"clean": hidden}, mask, [camera()], [ColourDetector()], render=blobs)
-    assert frames[0].box is None
-    assert frames[0].confidence("car") == 0.0
-    assert rates(frames, "clean", "fake_colour", original="car", wanted=None)["all"].total == 0
+    (view,) = evaluate({"clean": hidden}, mask, [camera()], [ColourDetector()], render=blobs)["clean"]
+    assert view.box is None
+    assert view.confidence("car") == 0.0
+    assert rates([view], [view], original="car", wanted=None)["all"].total == 0
+
+
+def looked(view: int, label: str, score: float, detector: str = "fake_colour") -> ViewDetections:
+    """A view in which one thing is reported, on the object."""
+    box = torch.tensor([4.0, 4.0, 20.0, 20.0])
+    return ViewDetections(
+        view=view,
+        camera=camera(),
+        detector=detector,
+        pixels=torch.zeros(32, 32, 3, dtype=torch.uint8),
+        box=box,
+        detections=Detections(box[None], torch.tensor([score]), (label,)),
+    )
+
+
+def test_rates_with_and_without_the_benign_detection() -> None:
+    clean = [looked(0, "car", 0.9), looked(1, "car", 0.4), looked(2, "car", 0.5), looked(0, "car", 0.9, "other")]
+    attacked = [looked(0, "person", 0.5), looked(1, "person", 0.9), looked(2, "person", 0.49)]
+    attacked += [looked(0, "car", 0.9, "other")]
+    found = rates(clean, attacked, original="car", wanted="person", detector="fake_colour")
+    assert found == {"all": Rate(successes=2, total=3), "given_found": Rate(successes=1, total=2)}
+    gone = rates(clean, attacked, original="car", wanted=None)
+    assert gone == {"all": Rate(successes=3, total=4), "given_found": Rate(successes=2, total=3)}
+
+
+def test_the_rate_of_anything() -> None:
+    assert Rate.of(range(10), lambda n: n > 6) == Rate(successes=3, total=10)
+    assert Rate.of(range(10), lambda n: n > 6, given=lambda n: n % 2 == 0) == Rate(successes=1, total=5)
+    assert Rate(successes=1, total=2).as_dict() == {
+        "rate": 0.5,
+        "successes": 1,
+        "total": 2,
+        "interval": list(Rate(successes=1, total=2).interval),
+    }
+    assert Rate(successes=0, total=0).as_dict()["rate"] is None
+
+
+class Counting(ColourDetector):
+    """Remembers how many pictures it got at once."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.sizes_seen = name, list[tuple[int, ...]]()
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        self.sizes_seen.append(tuple(images.shape[:2]))
+        return super().detect(images)
+
+
+def test_every_camera_and_detector_in_batches_of_one_size() -> None:
+    scene, mask = toy_scene()
+    cameras = [camera(), camera(offset=0.2), camera(offset=0.4), camera(40), camera(40, offset=0.2)]
+    detectors, rendered = [Counting("a"), Counting("b")], 0
+
+    def counted(scene: GaussianScene, camera: Camera) -> Tensor:
+        nonlocal rendered
+        rendered += 1
+        return blobs(scene, camera)
+
+    boxes = object_boxes(scene, mask, cameras, render=blobs)
+    values = detect_views(scene, cameras, detectors, render=counted, boxes=boxes, batch=2)
+    assert rendered == 0
+    seen = list(values)
+    assert rendered == len(cameras)
+    assert [one.sizes_seen for one in detectors] == [[(2, 32), (1, 32), (2, 40)]] * 2
+    order = [(one.detector, one.view) for one in seen]
+    assert order == [(name, view) for views in ((0, 1), (2,), (3, 4)) for name in "ab" for view in views]
+    for one in seen:
+        alone = through_png(blobs(scene, cameras[one.view]))
+        assert torch.equal(one.image, alone)
+        (expected,) = ColourDetector().detect(alone[None])
+        assert one.detections.labels == expected.labels
+        torch.testing.assert_close(one.detections.scores, expected.scores)
+        assert one.box is boxes[one.view]
+        assert one.camera is cameras[one.view]
+    assert seen[0].confidence("car") == seen[0].confidence() > 0.9
+    assert seen[0].confidence("person") == 0.0
+    assert seen[0].direction((0.0, 0.0, 0.0)).azimuth == pytest.approx(270.0)
+    bare = next(detect_views(scene, cameras, detectors, render=blobs))
+    assert (bare.box, bare.confidence("car")) == (None, 0.0)
+
+
+def test_boxes_and_cameras_come_in_equal_numbers() -> None:
+    scene, _ = toy_scene()
+    with pytest.raises(InvalidValueError, match="boxes: expected 1, one for each camera, got 0"):
+        next(detect_views(scene, [camera()], [ColourDetector()], render=blobs, boxes=[]))
+
+
+def test_scenes_are_seen_as_their_files_hold_them() -> None:
+    scene, mask = toy_scene()
+    wide = GaussianScene(*(value.double() for value in scene.tensors()))
+    wide = wide.replace(rotations=torch.nn.functional.normalize(wide.rotations, dim=-1))
+    rendered: list[GaussianScene] = []
+
+    def recorded(scene: GaussianScene, camera: Camera) -> Tensor:
+        rendered.append(scene)
+        return blobs(scene, camera)
+
+    evaluate({"clean": wide}, mask, [camera()], [ColourDetector()], render=recorded)
+    judged, saved = rendered[-1], as_saved(wide)
+    assert judged.means.dtype == torch.float32
+    for value, expected in zip(judged.tensors(), saved.tensors(), strict=True):
+        assert torch.equal(value, expected)
+
+
+def test_a_change_is_drawn_around_grey_and_named() -> None:
+    before = torch.full((8, 8, 3), 0.5)
+    after = before.clone()
+    after[4, 4] += 0.04
+    pixels = difference([before], [after])
+    assert pixels.shape == (512, 512, 3)
+    assert pixels[300, 300].tolist() == [230] * 3  # 128 + 10 * 10.2
+    assert pixels[500, 500].tolist() == [128] * 3
+    assert (difference([before], [before])[100:] == 128).all()
+
+
+def test_detections_are_drawn_from_a_confidence_on() -> None:
+    picture, box = torch.zeros(64, 64, 3), torch.tensor([[16.0, 16.0, 48.0, 48.0]])
+    found = Detections(box, torch.tensor([0.4]), ("car",))
+    drawn = annotated(picture, found, "title")
+    assert drawn.shape == (512, 512, 3)
+    assert drawn[128:384, 128].any()
+    assert not annotated(picture, found, "", least=0.5)[128:384, 128].any()
+
+
+def test_narrower_pictures_are_filled_up() -> None:
+    pixels = stacked([np.full((2, 3, 3), 9, np.uint8), np.full((1, 5, 3), 7, np.uint8)])
+    assert pixels[:, :, 0].tolist() == [[9, 9, 9, 0, 0], [9, 9, 9, 0, 0], [7, 7, 7, 7, 7]]
 
 
 @pytest.mark.parametrize(("successes", "total"), [(0, 10), (10, 10), (3, 7), (78, 80)])

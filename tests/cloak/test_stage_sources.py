@@ -48,7 +48,9 @@ def source_digest(stage: str) -> str:
             text = file.read_text()
             lines = dict(enumerate(text.splitlines(), 1))
             for node in ast.walk(ast.parse(text)):
-                if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):  # a docstring, or one of a value
+                if isinstance(node, ast.Expr) and isinstance(
+                    node.value, ast.Constant
+                ):  # a docstring, or one of a value
                     for number in range(node.lineno, (node.end_lineno or node.lineno) + 1):
                         lines.pop(number, None)
             code = [line.rstrip() for line in lines.values() if line.strip() and not line.strip().startswith("#")]

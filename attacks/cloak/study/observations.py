@@ -15,16 +15,13 @@ from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat, TruePictures
 from attacks.cloak.transition import differ, transition_fraction
-from attacks.detectors.base import Detections, Detector
-from attacks.objectives import confidence
+from attacks.detectors.base import Detector
+from attacks.evaluation.views import ViewDetections, detect_views
 from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr, ssim
-
-BATCH = 16
-"""Pictures that detectors get at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,16 +161,13 @@ def _seen(
     def elevation(camera: Camera) -> float:
         return direction_of(camera, setup.centre_of(study)).elevation
 
-    cameras = setup.held_out_cameras(study, pipeline.mesh_scene.target)
+    target, text = pipeline.mesh_scene.target, f"observing the {splat.splat} splat, seed {splat.seed}"
+    cameras = setup.held_out_cameras(study, target)
+    boxes = [setup.box_of(target, camera) for camera in cameras]
     observations: list[Observation] = []
-    for first in range(0, len(cameras), BATCH):
-        some = cameras[first : first + BATCH]
-        pictures = torch.stack([picture(camera) for camera in some])
-        for detector in detectors:
-            for view, (camera, found) in enumerate(zip(some, detector.detect(pictures), strict=True), first):
-                observations.append(_observation(pipeline, camera, found, detector.name, view))
-        text = f"observing the {splat.splat} splat, seed {splat.seed}"
-        pipeline.on_step(text, first + len(some), len(cameras))
+    for one in detect_views(scene, cameras, detectors, render=render, boxes=boxes):
+        observations.append(_observation(study, one))
+        pipeline.on_step(text, len(observations), len(cameras) * len(detectors))
     fidelities = [
         Fidelity(view=view, elevation=elevation(camera), psnr=float(psnr(image, true)), ssim=float(ssim(image, true)))
         for (view, camera), true in zip(references.views, references.true.images, strict=True)
@@ -196,25 +190,19 @@ def _seen(
     }
 
 
-def _observation(pipeline: StudyPipeline, camera: Camera, found: Detections, detector: str, view: int) -> Observation:
+def _observation(study: StudyConfig, seen: ViewDetections) -> Observation:
     """What a detector's report of one picture says of the object."""
-    study, centre = pipeline.study, setup.centre_of(pipeline.study)
-    direction = direction_of(camera, centre)
-    box = setup.box_of(pipeline.mesh_scene.target, camera)
-    own = study.scene.class_name
+    centre, own = setup.centre_of(study), study.scene.class_name
+    direction = seen.direction(centre)
     classes = [own, *(attack.target_class for attack in study.attack if attack.target_class)]
-
-    def score(label: str, iou: float) -> float:
-        return 0.0 if box is None else confidence(found, box.float(), labels=[label], iou=iou)
-
     return Observation(
-        detector=detector,
-        view=view,
+        detector=seen.detector,
+        view=seen.view,
         azimuth=direction.azimuth,
         elevation=direction.elevation,
-        depths={attack.name: attack.cone.angle_to_edge(camera, centre=centre) for attack in study.attack},
-        scores={label: score(label, 0.5) for label in classes},
-        any_overlap=score(own, 0.1),
+        depths={attack.name: attack.cone.angle_to_edge(seen.camera, centre=centre) for attack in study.attack},
+        scores={label: seen.confidence(label) for label in classes},
+        any_overlap=seen.confidence(own, iou=0.1),
     )
 
 

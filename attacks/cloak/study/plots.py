@@ -15,8 +15,8 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.observations import ObservedSplat, overhead
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
 from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, transition
-from attacks.dagger.report import annotated
 from attacks.detectors.base import Detector
+from attacks.evaluation.drawing import annotated
 from attacks.evaluation.rates import Rate
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from attacks.cloak.study.config import AttackConfig, StudyConfig
@@ -59,6 +59,9 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
     def found(observation: Observation) -> bool:
         return observation.scores[own] >= least
 
+    def known(pair: Pair) -> bool:
+        return found(pair[0])
+
     def within(attack: AttackConfig, depth: float) -> list[Pair]:
         return [pair for pair in seen if pair[0].depths[attack.name] >= depth]
 
@@ -66,36 +69,27 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
     if hiding is not None:
         inside, well = within(hiding, 0.0), within(hiding, deep)
         answers |= {
-            "control_recall": _rate(inside, lambda pair: found(pair[0])),
-            "trigger_miss_rate": _rate(_known(well, found), lambda pair: not found(pair[1])),
-            "trigger_miss_rate_all": _rate(_known(inside, found), lambda pair: not found(pair[1])),
-            "trigger_miss_rate_unconditional": _rate(well, lambda pair: not found(pair[1])),
-            "trigger_miss_rate_any_overlap": _rate(_known(well, found), lambda pair: pair[1].any_overlap < least),
+            "control_recall": Rate.of(inside, lambda pair: found(pair[0])),
+            "trigger_miss_rate": Rate.of(well, given=known, holds=lambda pair: not found(pair[1])),
+            "trigger_miss_rate_all": Rate.of(inside, given=known, holds=lambda pair: not found(pair[1])),
+            "trigger_miss_rate_unconditional": Rate.of(well, lambda pair: not found(pair[1])),
+            "trigger_miss_rate_any_overlap": Rate.of(well, given=known, holds=lambda pair: pair[1].any_overlap < least),
         }
     benign = [pair for pair in seen if all(depth < 0 for depth in pair[0].depths.values())]
-    answers["benign_recall"] = _rate(_known(benign, found), lambda pair: found(pair[1]))
-    answers["control_benign_recall"] = _rate(benign, lambda pair: found(pair[0]))
+    answers["benign_recall"] = Rate.of(benign, given=known, holds=lambda pair: found(pair[1]))
+    answers["control_benign_recall"] = Rate.of(benign, lambda pair: found(pair[0]))
     if showing is not None and showing.target_class is not None:
         wanted = showing.target_class
         inside = within(showing, 0.0)
-        answers["target_rate"] = _rate(inside, lambda pair: pair[1].scores[wanted] >= least)
-        answers["control_target_rate"] = _rate(inside, lambda pair: pair[0].scores[wanted] >= least)
+        answers["target_rate"] = Rate.of(inside, lambda pair: pair[1].scores[wanted] >= least)
+        answers["control_target_rate"] = Rate.of(inside, lambda pair: pair[0].scores[wanted] >= least)
     return answers
-
-
-def _known(seen: Iterable[Pair], found: Callable[[Observation], bool]) -> list[Pair]:
-    """Pairs in which the control is found."""
-    return [pair for pair in seen if found(pair[0])]
-
-
-def _rate(seen: Sequence[Pair], holds: Callable[[Pair], bool]) -> Rate:
-    return Rate(successes=sum(map(holds, seen)), total=len(seen))
 
 
 def by_elevation(study: StudyConfig, seen: Sequence[Pair]) -> list[tuple[float, Rate, Rate]]:
     """Lower edge of each band of elevation, and in how many of its pictures the control and the cloaked are found.
 
-    CameraConfig of attacks with an azimuth of their own are left out.
+    Cameras of attacks with an azimuth of their own are left out.
     """
     turned = [attack.name for attack in study.attack if attack.azimuth is not None]
     rows: list[tuple[float, Rate, Rate]] = []
@@ -115,7 +109,7 @@ def by_elevation(study: StudyConfig, seen: Sequence[Pair]) -> list[tuple[float, 
 def _found(study: StudyConfig, seen: Sequence[Observation]) -> Rate:
     """In how many pictures the object is reported."""
     own, least = study.scene.class_name, study.evaluation.confidence
-    return Rate(successes=sum(one.scores[own] >= least for one in seen), total=len(seen))
+    return Rate.of(seen, lambda one: one.scores[own] >= least)
 
 
 def meridians(observed: Sequence[ObservedSplat]) -> list[float | None]:
@@ -152,18 +146,6 @@ def fidelity(observed: Sequence[ObservedSplat], splat: str) -> tuple[float, floa
     return statistics.mean(one.psnr for one in seen), statistics.mean(one.ssim for one in seen)
 
 
-def as_json(rate: Rate | None) -> dict[str, Any] | None:
-    """A rate with numerator, denominator and 95 % Wilson interval."""
-    if rate is None:
-        return None
-    return {
-        "rate": rate.fraction if rate.total else None,
-        "successes": rate.successes,
-        "total": rate.total,
-        "interval": list(rate.interval),
-    }
-
-
 def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
@@ -198,7 +180,7 @@ def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, 
         },
         "by_elevation": {
             name: [
-                {"from": low, "to": low + BIN, CLEAN: as_json(control), CLOAKED: as_json(attacked)}
+                {"from": low, "to": low + BIN, CLEAN: control.as_dict(), CLOAKED: attacked.as_dict()}
                 for low, control, attacked in by_elevation(study, pairs(observed, name))
             ]
             for name in detectors
@@ -208,7 +190,7 @@ def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, 
 
 def _all(found: Mapping[str, Rate | None]) -> dict[str, Any]:
     """Rates as JSON can hold them."""
-    return {name: as_json(rate) for name, rate in found.items()}
+    return {name: None if rate is None else rate.as_dict() for name, rate in found.items()}
 
 
 def of_seed(observed: Sequence[ObservedSplat], seed: int) -> list[ObservedSplat]:

@@ -138,7 +138,8 @@ def meridian_cameras(study: StudyConfig, target: Asset) -> list[list[Camera]]:
 def box_of(target: Asset, camera: Camera) -> Tensor | None:
     """(4,) pixel box around the object, which nothing hides; None where none of it is in the picture."""
     points = torch.from_numpy(np.ascontiguousarray(target.vertices, np.float64))
-    return project_box(points, camera)
+    box = project_box(points, camera)
+    return None if box is None else box.float()
 
 
 def poisonings(

@@ -1,0 +1,98 @@
+"""Boxes on pictures, and what differs between pictures, as pixels that a report can save."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
+from attacks.detectors.base import Detections
+from mi_splat.io.images import to_bytes
+
+_COLOURS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080", "#9a6324", "#000075")
+
+
+def annotated(
+    picture: Tensor, detections: Detections, title: str, *, least: float = 0.3, width: int = 512
+) -> NDArray[np.uint8]:
+    """A picture with the boxes and confidences of its detections, and a title.
+
+    Args:
+        picture: (H, W, 3) sRGB in [0, 1].
+        detections: What is reported in it; boxes in its pixels.
+        title: Written into the lower left corner.
+        least: Confidence from which a detection is drawn, in [0, 1].
+        width: Pixels that the result is wide, at least; it is a whole multiple of the picture.
+
+    Returns:
+        (H', W', 3) uint8.
+    """
+    canvas = _enlarged(to_bytes(picture), width)
+    draw, scale = ImageDraw.Draw(canvas), canvas.width / picture.shape[1]
+    for label, score, box in reversed(
+        list(zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True))
+    ):
+        if score >= least:
+            colour = _colour(label)
+            x0, y0, x1, y1 = (scale * x for x in box)
+            draw.rectangle((x0, y0, x1, y1), outline=colour, width=3)
+            _write(draw, (x0, y0 - 22 if y0 >= 22 else y0 + 2), f"{label} {score:.0%}", colour)
+    _write(draw, (6, canvas.height - 26), title, "#000000")
+    return np.asarray(canvas)
+
+
+def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.uint8]:
+    """What changed in all views, amplified around grey; the factor is written into the picture.
+
+    Args:
+        before: (H, W, 3) sRGB in [0, 1] for each view.
+        after: The same views, attacked.
+
+    Returns:
+        (H', W', 3) uint8: 128 + factor * (after - before), enlarged to be legible, views below one another.
+    """
+    gaps = [b - a for a, b in zip(before, after, strict=True)]
+    changed = torch.cat([gap.abs()[gap.abs().amax(-1) > 0].amax(-1) for gap in gaps])
+    # The largest round factor that shows nearly every change without clipping; 1 at least.
+    typical = float(changed.sort().values[int(0.98 * (len(changed) - 1))]) if len(changed) else 0.0
+    factor = next((f for f in (100, 50, 20, 10, 5, 2) if f * typical <= 0.5), 1)
+    pictures = []
+    for gap in gaps:
+        picture = _enlarged(to_bytes(0.5 + factor * gap))
+        _write(ImageDraw.Draw(picture), (6, 6), f"difference x {factor}, grey = none", "#000000")
+        pictures.append(np.asarray(picture))
+    return stacked(pictures)
+
+
+def stacked(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """(H, W, 3) pictures below one another; narrower ones are filled up with black on the right."""
+    width = max(picture.shape[1] for picture in pictures)
+    return np.concatenate([np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0))) for p in pictures])
+
+
+def _colour(label: str) -> str:
+    # The same colour for a class in every picture, whatever else was found.
+    return _COLOURS[zlib.crc32(label.encode()) % len(_COLOURS)]
+
+
+def _write(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, colour: str) -> None:
+    """Text in white on a filled plate, kept inside the picture."""
+    font = ImageFont.load_default(size=16)
+    left, top, right, bottom = draw.textbbox((0, 0), text, font=font)
+    width, height = right - left + 8, bottom - top + 6
+    x = min(max(corner[0], 0), max(draw.im.size[0] - width, 0))
+    y = min(max(corner[1], 0), max(draw.im.size[1] - height, 0))
+    draw.rectangle((x, y, x + width, y + height), fill=colour)
+    draw.text((x + 4 - left, y + 3 - top), text, fill="#ffffff", font=font)
+
+
+def _enlarged(pixels: NDArray[np.uint8], width: int = 512) -> Image.Image:
+    """The picture at a whole multiple of its size, at least so many pixels wide, so that labels are legible."""
+    factor = max(1, -(-width // pixels.shape[1]))
+    picture = Image.fromarray(pixels)
+    return picture.resize((picture.width * factor, picture.height * factor), Image.Resampling.NEAREST)

@@ -1,0 +1,190 @@
+"""A scene seen from many cameras: pictures of 8 bits that went through PNG, and what every detector reports on them.
+
+Both attacks are judged by this module alone: what it has not seen on an 8-bit picture counts for neither.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from attacks.detectors.base import Detections, Detector
+from attacks.evaluation.visibility import visible_box, visible_weight
+from attacks.gaussian_subset import GaussianSubset
+from attacks.objectives import confidence
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.directions import Direction, Point, direction_of
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat, save_splat
+from mi_splat.io.images import through_png
+from mi_splat.scene import GaussianScene
+
+CLEAN = "clean"
+"""Name of the scene that benign detection is judged on."""
+
+BATCH = 16
+"""Pictures that a detector looks at together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ViewDetections:
+    """One view of a scene as one detector sees it.
+
+    Attributes:
+        view: Index of the camera.
+        camera: Where from.
+        detector: Name of the detector.
+        pixels: (H, W, 3) uint8 sRGB, the picture that the detector looked at.
+        box: (4,) x0, y0, x1, y1 in pixels, where the object is; None when it does not show, or when no box was given.
+        detections: What the detector reports.
+    """
+
+    view: int
+    camera: Camera
+    detector: str
+    pixels: Tensor
+    box: Tensor | None
+    detections: Detections
+
+    @property
+    def image(self) -> Tensor:
+        """The picture as (H, W, 3) float32 in [0, 1]."""
+        return self.pixels.to(torch.float32) / 255
+
+    def direction(self, centre: Point) -> Direction:
+        """Azimuth and elevation of the camera as seen from `centre` (3,), world units."""
+        return direction_of(self.camera, centre)
+
+    def confidence(self, label: str | None = None, *, iou: float = 0.5) -> float:
+        """Highest score of `label` (any class if None) on the object; 0 without a box."""
+        if self.box is None:
+            return 0.0
+        return confidence(self.detections, self.box, labels=None if label is None else [label], iou=iou)
+
+
+def detect_views(
+    scene: GaussianScene,
+    cameras: Sequence[Camera],
+    detectors: Sequence[Detector],
+    *,
+    render: RenderFn,
+    boxes: Sequence[Tensor | None] | None = None,
+    batch: int = BATCH,
+) -> Iterator[ViewDetections]:
+    """Render a scene from every camera through 8 bits, and let every detector look at the pictures.
+
+    Each picture is rendered once for all detectors. Nothing is rendered before the first value is asked for, so that a
+    caller can report progress.
+
+    Args:
+        scene: The scene, as it was loaded from its file.
+        cameras: Views.
+        detectors: Any number, with different names.
+        render: The renderer; no gradient is taken.
+        boxes: For each camera the object's box, (4,) pixels, or None where the object does not show.
+        batch: Pictures that a detector gets at once; those of different sizes never go together.
+
+    Yields:
+        A value for each view and detector: batch by batch, in a batch detector by detector, then view by view.
+
+    Raises:
+        InvalidValueError: There are not as many boxes as cameras.
+    """
+    if boxes is not None and len(boxes) != len(cameras):
+        raise InvalidValueError(
+            message("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
+        )
+    for views in _batches(cameras, batch):
+        with torch.no_grad():
+            images = torch.stack([through_png(render(scene, cameras[view])) for view in views])
+            found = [(detector.name, detector.detect(images)) for detector in detectors]
+        pixels = (images * 255).round().to(torch.uint8)
+        for name, reports in found:
+            for view, picture, detections in zip(views, pixels, reports, strict=True):
+                yield ViewDetections(
+                    view=view,
+                    camera=cameras[view],
+                    detector=name,
+                    pixels=picture,
+                    box=None if boxes is None else boxes[view],
+                    detections=detections,
+                )
+
+
+def _batches(cameras: Sequence[Camera], size: int) -> Iterator[list[int]]:
+    """Indices of consecutive cameras, at most `size` at a time and all of one picture size."""
+    some: list[int] = []
+    for view, camera in enumerate(cameras):
+        same = not some or (cameras[some[0]].width, cameras[some[0]].height) == (camera.width, camera.height)
+        if some and (len(some) == size or not same):
+            yield some
+            some = []
+        some.append(view)
+    if some:
+        yield some
+
+
+def as_saved(scene: GaussianScene) -> GaussianScene:
+    """What a user gets who loads the scene's file: every attribute has gone through the space and precision of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.ply"
+        save_splat(scene, path)
+        return load_splat(path).to(scene.means.device)
+
+
+def object_boxes(
+    scene: GaussianScene, mask: Tensor | slice, cameras: Sequence[Camera], *, render: RenderFn
+) -> list[Tensor | None]:
+    """Where an object shows in each view, what hides it taken into account.
+
+    Args:
+        scene: The scene.
+        mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
+        cameras: Views.
+        render: The renderer.
+
+    Returns:
+        (4,) pixels for each camera, None where the object does not show.
+    """
+    subset = GaussianSubset.of(scene, mask)
+    return [visible_box(visible_weight(subset, camera, render)) for camera in cameras]
+
+
+def evaluate(
+    scenes: Mapping[str, GaussianScene],
+    mask: Tensor | slice,
+    cameras: Sequence[Camera],
+    detectors: Sequence[Detector],
+    *,
+    render: RenderFn,
+    batch: int = BATCH,
+) -> dict[str, list[ViewDetections]]:
+    """Look at every scene, as its file holds it, from every camera with every detector.
+
+    Args:
+        scenes: Scenes by name, with the same Gaussians in the same order; one must be called "clean".
+        mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
+        cameras: Views; better others than those that were attacked.
+        detectors: Any number, with different names.
+        render: The renderer.
+        batch: Pictures that a detector gets at once.
+
+    Returns:
+        For each scene a value for each view and detector, for `attacks.evaluation.rates.rates`. Boxes are those of the
+        object in the clean scene.
+
+    Raises:
+        InvalidValueError: No scene is called "clean".
+    """
+    if CLEAN not in scenes:
+        raise InvalidValueError(message("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene"))
+    boxes = object_boxes(scenes[CLEAN], mask, cameras, render=render)
+    return {
+        name: list(detect_views(as_saved(scene), cameras, detectors, render=render, boxes=boxes, batch=batch))
+        for name, scene in scenes.items()
+    }
