@@ -50,6 +50,9 @@ COMMANDS = {
         "cloak",
         "poison training pictures, train on them, and measure who sees what (CLOAK)",
     ),
+    "cloak-experiment": Command(
+        "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
+    ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "attacks.cli",

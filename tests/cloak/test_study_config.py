@@ -142,7 +142,7 @@ def test_a_canopy_lies_between_the_object_and_the_cameras(tmp_path: Path) -> Non
     assert "from elevation 38" in name_of(usual.appearance)
     for radius in (1.0, 7.4, 9.0):
         study = replace(SMALL, attack=(replace(COVER, occluder_radius=radius),))
-        with pytest.raises(InvalidValueError, match="attack 'overhead', radius: expected between"):
+        with pytest.raises(InvalidValueError, match="attack 'overhead', occluder_radius: expected between"):
             check(study, [], tmp_path / "out", tmp_path / "stages")
     assert not list(tmp_path.iterdir())
 

@@ -120,7 +120,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("section", "name", "value", "stages"), CASES, ids=lambda value: str(value)[:20])
+@pytest.mark.parametrize(("section", "name", "value", "stages"), CASES, ids=[f"{case[0]}.{case[1]}" for case in CASES])
 def test_a_field_changes_the_stages_that_it_has_a_part_in(
     section: str, name: str, value: object, stages: frozenset[str]
 ) -> None:

@@ -1,68 +1,76 @@
-"""How a cloaked splat fares from other distances: `python attacks/cloak/experiments/distance.py STUDY RESULTS`.
+"""How a cloaked splat fares from other distances than those of its training pictures.
 
-RESULTS is the folder that `mi-splat cloak STUDY` has written. ObservedSplat at its clean and its cloaked splat from the
-study's held-out cameras, moved towards the object or away from it, and prints for each detector and distance from how
-many the object is found: overhead, 5 degrees or more inside the trigger, and outside of all triggers. An occluder hides
-from those above it and not from those beneath it.
+From the study's held-out cameras, moved towards the object or away from it, each detector counts from how many the
+object is found on the clean and on the cloaked splat: well inside the hiding trigger, and outside of all triggers. An
+occluder hides from cameras above it and not from those beneath it.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import torch
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import overhead
-from attacks.cloak.study.study_file import read_study
-from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
-from attacks.objectives import confidence
+from attacks.evaluation.views import detect_views
 from mi_splat.assets.mesh import Asset
-from mi_splat.cameras import Camera
-from mi_splat.io import load_splat
-from mi_splat.io.images import through_png
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 
 FACTORS = (0.5, 0.6, 0.7, 0.8, 1.0, 1.25, 1.5, 2.0)
+"""Distances in units of the study's."""
 
 
-def main() -> None:
-    """Print the counts as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", type=Path)
-    parser.add_argument("results", type=Path)
-    parser.add_argument("--every", type=int, default=4, help="use each so manieth of the held-out cameras")
-    options = parser.parse_args()
-    study = read_study(options.study)
+def measure_distances(
+    study: StudyConfig,
+    splats: Mapping[str, GaussianScene],
+    detectors: Sequence[Detector],
+    *,
+    render: RenderFn,
+    every: int = 4,
+) -> list[dict[str, Any]]:
+    """From how many cameras the object is found, for each splat, distance, group of cameras and detector.
+
+    Args:
+        study: The study.
+        splats: Its splats by name, for instance clean and cloaked.
+        detectors: Those that look.
+        render: The renderer.
+        every: Each so manieth of the held-out cameras is used.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around, or `every` is not positive.
+    """
+    if every < 1:
+        raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
     target = setup.target_of(study.scene)
-    detectors = [load_detector(name) for name in study.evaluation.detectors]
-    groups = {name: some[:: options.every] for name, some in _groups(study, target).items()}
-    render = Renderer(RenderSettings(background=study.scene.background))
+    groups = {name: some[::every] for name, some in _groups(study, target).items()}
     report = []
-    for which in ("clean", "cloaked"):
-        splat = load_splat(options.results / f"{which}.ply")
+    for splat, scene in splats.items():
         for factor in FACTORS:
             for name, cameras in groups.items():
                 moved = [_moved(camera, factor, study) for camera in cameras]
-                for detector, found in _found(study, target, splat, render, detectors, moved).items():
-                    place = {"splat": which, "distance": factor, "cameras": name, "detector": detector}
-                    report.append({**place, "found": found, "of": len(moved)})
-    json.dump(report, sys.stdout, indent=1)
-    sys.stdout.write("\n")
+                counts = dict.fromkeys((detector.name for detector in detectors), 0)
+                boxes = [setup.box_of(target, camera) for camera in moved]
+                for seen in detect_views(scene, moved, detectors, render=render, boxes=boxes):
+                    counts[seen.detector] += seen.confidence(study.scene.class_name) >= study.evaluation.confidence
+                place = {"splat": splat, "distance": factor, "cameras": name, "of": len(moved)}
+                report += [{**place, "detector": detector, "found": found} for detector, found in counts.items()]
+    return report
 
 
 def _groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
     """Held-out cameras well inside the hiding trigger, and outside of all triggers."""
     hiding = overhead(study)
     if hiding is None:
-        raise SystemExit("the study has no appearance that is seen from all around")
+        do = "add an attack without an azimuth, up to 90 degrees"
+        raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))
     centre = setup.centre_of(study)
     groups: dict[str, list[Camera]] = {"overhead": [], "elsewhere": []}
     for camera in setup.held_out_cameras(study, target):
@@ -74,33 +82,8 @@ def _groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
 
 
 def _moved(camera: Camera, factor: float, study: StudyConfig) -> Camera:
-    """The camera at another distance from the centre, evaluation the same way."""
+    """The camera at another distance from the centre, looking the same way."""
     centre = torch.tensor(setup.centre_of(study)).to(camera.to_world)
     pose = camera.to_world.clone()
     pose[:3, 3] = centre + factor * (pose[:3, 3] - centre)
     return replace(camera, to_world=pose)
-
-
-def _found(
-    study: StudyConfig,
-    target: Asset,
-    splat: GaussianScene,
-    render: Renderer,
-    detectors: list[Detector],
-    cameras: list[Camera],
-) -> dict[str, int]:
-    """From how many cameras each detector finds the object."""
-    counts = {detector.name: 0 for detector in detectors}
-    for camera in cameras:
-        box = setup.box_of(target, camera)
-        with torch.no_grad():
-            picture = through_png(render(splat, camera))[None]
-        for detector in detectors:
-            (seen,) = detector.detect(picture)
-            score = 0.0 if box is None else confidence(seen, box.float(), labels=[study.scene.class_name], iou=0.5)
-            counts[detector.name] += score >= study.evaluation.confidence
-    return counts
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,87 @@
+"""Experiments that explain figures of a CLOAK study, on a small one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks import cli
+from attacks.cloak.experiments.distance import FACTORS, measure_distances
+from attacks.cloak.experiments.paint_direction import measure_paint_directions
+from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError
+from mi_splat.scene import GaussianScene
+from tests.cloak.test_study import Redness
+
+STUDY = StudyConfig(
+    name="small",
+    cameras=CameraConfig(train=60, size=48, distance=7.4, samples=1, points=100),
+    attack=(
+        AttackConfig(name="overhead", elevation=(38.2, 90), emphasis=3.0),
+        AttackConfig(name="rear", appearance="paint", texture="stop_sign", elevation=(0, 38), azimuth=(180, 30)),
+    ),
+)
+
+
+def test_colour_switches_faster_with_more_bands_and_with_emphasis() -> None:
+    found = {(row["sh_degree"], row["emphasis"]): row for row in measure_transition_limit(STUDY)}
+    widths = [found[degree, 1.0]["width"] for degree in (1, 2, 3)]
+    assert widths == sorted(widths, reverse=True)
+    assert 15 < widths[2] < 40
+    assert found[3, 3.0]["highest"] > found[3, 1.0]["highest"] > 1
+
+
+def test_a_sign_is_seen_best_from_low_directions() -> None:
+    found = {row["elevation"]: row["smallest"] for row in measure_paint_directions(STUDY)}
+    assert found[5] > found[30]
+    assert all(0 < part <= 1 for part in found.values())
+
+
+def test_distance_counts_each_detector_and_group() -> None:
+    """A renderer that shows red only from near by: the object is found there, and nowhere else."""
+
+    def render(scene: GaussianScene, camera: Camera) -> Tensor:
+        near = float(camera.position.norm()) < 8.5
+        return torch.tensor([1.0, 0.0, 0.0] if near else [0.5, 0.5, 0.5]).expand(48, 48, 3)
+
+    nothing = GaussianScene(
+        torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0, 4), torch.zeros(0), torch.zeros(0, 1, 3)
+    )
+    rows = measure_distances(STUDY, {"clean": nothing}, [Redness()], render=render, every=40)
+    assert {row["cameras"] for row in rows} == {"overhead", "elsewhere"}
+    assert {row["distance"] for row in rows} == set(FACTORS)
+    for row in rows:
+        if row["distance"] > 1.1:
+            assert row["found"] == 0
+    near = [row for row in rows if row["distance"] == 1.0]
+    assert sum(row["found"] for row in near) > 0
+
+
+def test_what_a_study_must_have() -> None:
+    rear = replace(STUDY, attack=STUDY.attack[1:])
+    with pytest.raises(InvalidValueError, match="seen from all around"):
+        measure_transition_limit(rear)
+    with pytest.raises(InvalidValueError, match="seen from all around"):
+        measure_distances(rear, {}, [], render=lambda scene, camera: torch.zeros(1))
+    with pytest.raises(InvalidValueError, match="painted from one side"):
+        measure_paint_directions(replace(STUDY, attack=STUDY.attack[:1]))
+    with pytest.raises(InvalidValueError, match="every: expected a positive number"):
+        measure_distances(STUDY, {}, [], render=lambda scene, camera: torch.zeros(1), every=0)
+
+
+def test_the_command_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "small.toml"
+    path.write_text("name = 'small'\n[cameras]\ntrain = 60\n[[attack]]\nname = 'a'\nelevation = [50, 90]\n")
+    assert cli.main(["cloak-experiment", "transition-limit", str(path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["experiment"] == "transition-limit"
+    assert len(document["found"]) == 6
+    assert cli.main(["cloak-experiment", "distance", str(path)]) == 1
+    assert "--results" in capsys.readouterr().err
