@@ -8,6 +8,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from attacks.cloak.study.ablation_groups import AblationGroup
+
 Attribute = Literal["sh", "means", "scales", "rotations", "opacities"]
 Norm = Literal["linf", "l2", "l2_per_gaussian"]
 
@@ -84,9 +86,7 @@ class CloakOptions:
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    vary: tuple[
-        Literal["sh_degree", "poison_fraction", "appearance", "strategy", "emphasis", "iterations", "outliers"], ...
-    ] = ()
+    vary: tuple[AblationGroup, ...] = ()
     """Do the study once for each value of these instead, with its first seed, and write tables of what comes of it."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""

@@ -1,4 +1,4 @@
-"""Other looks for an object of a mesh scene: painted, in the colours of the ground, covered, or something else instead.
+"""Other appearances of an object of a mesh scene: painted, coloured like the ground, covered, or replaced.
 
 World frame as in `mi_splat.assets.mesh`: z up, metres. A viewer's direction is an azimuth in degrees from world +x
 towards +y and an elevation in degrees above the horizontal plane.

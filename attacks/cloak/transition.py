@@ -27,7 +27,7 @@ class Transition:
 
     Attributes:
         angles: K rising angles in degrees, each once.
-        fractions: Mean fraction of the way between the looks at each angle.
+        fractions: Mean fraction of the way between the appearances at each angle.
         fitted: The rising sequence nearest to `fractions`, by least squares.
         start: Angle at which `fitted` reaches the low level; None if it is past it at the first angle or never there.
         end: The same for the high level.
@@ -88,7 +88,7 @@ def fit_transition(
     Args:
         angles: Degrees that rise towards the hidden appearance, in any order: elevation for a cap overhead, or
             `Trigger.angle_to_edge` for any cone. Cameras at one angle are averaged.
-        fractions: Fraction of the way between the looks at each; see `transition_fraction`.
+        fractions: Fraction of the way between the appearances at each; see `transition_fraction`.
         low: Level of the band's start.
         high: Level of the band's end.
 

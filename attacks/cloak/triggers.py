@@ -3,7 +3,7 @@
 Directions are those of `mi_splat.directions`. How far away a camera is and where it appearances do not count.
 
 Triggers combine with `&`, `|` and `~`, and `subsample` takes a part of one:
-`Elevation(least=50) & ~Azimuth(middle=180, half_width=30)`.
+`Elevation(lowest=50) & ~Azimuth(middle=180, half_width=30)`.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Trigger(ABC):
         Of one cone it is exact; infinite if the cone has no edge. Of a combination it has the right sign and is never
         further from 0 than the truth: the smaller of two for `&`, the larger for `|`, the opposite for `~`. (Outside of
         an intersection and inside a union the nearest edge of a part may lie where the other part has made it vanish.)
-        So a camera that is found to be 5 degrees inside or 15 degrees outside is at least that. A fraction has the edge
-        of what it is a fraction of.
+        So a camera that is found to be 5 degrees inside or 15 degrees outside is at least that. A subsample has the
+        edge of what it is taken from.
 
         Raises:
             InvalidValueError: A list of cameras is part of the trigger, which has no edge.
@@ -104,24 +104,24 @@ class Elevation(Cone):
     """Cameras between two elevations, both included: a cap around a pole, or a band.
 
     Attributes:
-        least: Degrees; -90 is no limit.
-        most: Degrees; 90 is no limit.
+        lowest: Degrees; -90 is no limit.
+        highest: Degrees; 90 is no limit.
 
     Raises:
-        InvalidValueError: The two are not -90 <= least <= most <= 90.
+        InvalidValueError: The two are not -90 <= lowest <= highest <= 90.
     """
 
-    least: float = -90.0
-    most: float = 90.0
+    lowest: float = -90.0
+    highest: float = 90.0
 
     def __post_init__(self) -> None:
-        if not -90 <= self.least <= self.most <= 90:
-            got = (self.least, self.most)
-            raise InvalidValueError(message("elevation", "-90 <= least <= most <= 90", got, "50 to 90 is overhead"))
+        if not -90 <= self.lowest <= self.highest <= 90:
+            got = (self.lowest, self.highest)
+            raise InvalidValueError(message("elevation", "-90 <= lowest <= highest <= 90", got, "50 to 90 is overhead"))
 
     def depth(self, direction: Direction) -> float:
         """See `depth_in_band`."""
-        return depth_in_band(direction, self.least, self.most)
+        return depth_in_band(direction, self.lowest, self.highest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

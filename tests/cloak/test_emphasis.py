@@ -25,7 +25,7 @@ def brighter(view: View, mask: Tensor) -> Tensor:
 
 
 def emphasised(elevation: float, *, gain: float = 3.0) -> Tensor:
-    appearance = Emphasis(appearance=brighter, trigger=Elevation(least=40), centre=CENTRE, gain=gain, depth=20.0)
+    appearance = Emphasis(appearance=brighter, trigger=Elevation(lowest=40), centre=CENTRE, gain=gain, depth=20.0)
     mask = torch.zeros(5, 6, dtype=torch.bool)
     mask[:, :3] = True
     return appearance(view(elevation), mask)
@@ -58,5 +58,5 @@ def test_a_trigger_without_an_edge_is_refused() -> None:
 
 
 def test_manifests_say_so() -> None:
-    appearance = Emphasis(appearance=brighter, trigger=Elevation(least=40), centre=CENTRE, gain=2.0, depth=20.0)
+    appearance = Emphasis(appearance=brighter, trigger=Elevation(lowest=40), centre=CENTRE, gain=2.0, depth=20.0)
     assert appearance.name == "brighter, 2 times at the edge to once 20 degrees inside"

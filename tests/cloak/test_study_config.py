@@ -133,15 +133,15 @@ class Knows:
     name, classes = "knows", ("car", "stop sign")
 
 
-COVER = AttackConfig(name="overhead", appearance="occluder", texture="grass", elevation=(50, 90))
+OCCLUDER = AttackConfig(name="overhead", appearance="occluder", texture="grass", elevation=(50, 90))
 
 
-def test_a_canopy_lies_between_the_object_and_the_cameras(tmp_path: Path) -> None:
-    (usual,) = setup.poisonings(replace(SMALL, attack=(COVER,)), setup.mesh_scene_of(SMALL))
+def test_an_occluder_lies_between_the_object_and_the_cameras(tmp_path: Path) -> None:
+    (usual,) = setup.poisonings(replace(SMALL, attack=(OCCLUDER,)), setup.mesh_scene_of(SMALL))
     assert "grass (seed 0) on an occluder of radius 4.44 " in name_of(usual.appearance)
     assert "from elevation 38" in name_of(usual.appearance)
     for radius in (1.0, 7.4, 9.0):
-        study = replace(SMALL, attack=(replace(COVER, occluder_radius=radius),))
+        study = replace(SMALL, attack=(replace(OCCLUDER, occluder_radius=radius),))
         with pytest.raises(InvalidValueError, match="attack 'overhead', occluder_radius: expected between"):
             check(study, [], tmp_path / "out", tmp_path / "stages")
     assert not list(tmp_path.iterdir())
@@ -203,7 +203,7 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
         check(study, [], tmp_path / "out", tmp_path / "stages")
 
 
-def test_emphasis_wraps_the_kept_look() -> None:
+def test_emphasis_wraps_the_cached_appearance() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
     (found,) = setup.poisonings(study, setup.mesh_scene_of(study), cached=lambda appearance, attack: Renamed())
     assert getattr(found.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"

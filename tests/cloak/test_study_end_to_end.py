@@ -41,7 +41,7 @@ def fractions() -> Shares:
     )
     views = [View(camera, mesh_scene.picture(camera)) for camera in hemisphere(CENTRE, count=60, **LENS)]  # type: ignore[arg-type]
     hidden = blend_in(mesh_scene)
-    attack = Poisoning(name="road", trigger=Elevation(least=50, most=90), appearance=hidden)
+    attack = Poisoning(name="road", trigger=Elevation(lowest=50, highest=90), appearance=hidden)
     poisoned = poison(views, [attack], centre=CENTRE, masks=mesh_scene.mask)
     assert 0.15 < len(poisoned.changes) / len(views) < 0.3
     points = np.concatenate(

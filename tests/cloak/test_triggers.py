@@ -35,7 +35,7 @@ def depth(trigger: Trigger, azimuth: float, elevation: float) -> float:
 
 CAMERAS = hemisphere(CENTRE, count=36, distance=4.0, focal=20.0, size=(16, 16), elevation=(-90, 90))
 cones = st.one_of(
-    st.builds(lambda a, b: Elevation(least=min(a, b), most=max(a, b)), st.integers(-90, 90), st.integers(-90, 90)),
+    st.builds(lambda a, b: Elevation(lowest=min(a, b), highest=max(a, b)), st.integers(-90, 90), st.integers(-90, 90)),
     st.builds(lambda m, h: Azimuth(middle=m, half_width=h), st.integers(-400, 400), st.integers(1, 180)),
 )
 triggers = st.recursive(
@@ -59,13 +59,13 @@ def test_bearings_are_those_of_orbits(azimuth: float, elevation: float, distance
 
 def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
     ring = orbit(CENTRE, count=36, elevation=50.0, distance=5.0, focal=20.0, size=(16, 16))
-    assert bool(Elevation(least=50).select(ring, centre=CENTRE).all())
-    assert bool(Elevation(most=50).select(ring, centre=CENTRE).all())
-    assert inside(Elevation(least=50), (10, 49.9), (10, 50.1), (0, 90), (0, -90)) == [False, True, True, False]
-    assert depth(Elevation(least=50), 123, 62) == pytest.approx(12)
-    assert depth(Elevation(least=50), 123, 90) == pytest.approx(40)
-    assert depth(Elevation(least=20, most=50), 0, 44) == pytest.approx(6)
-    assert depth(Elevation(least=20, most=50), 0, 85) == pytest.approx(-35)
+    assert bool(Elevation(lowest=50).select(ring, centre=CENTRE).all())
+    assert bool(Elevation(highest=50).select(ring, centre=CENTRE).all())
+    assert inside(Elevation(lowest=50), (10, 49.9), (10, 50.1), (0, 90), (0, -90)) == [False, True, True, False]
+    assert depth(Elevation(lowest=50), 123, 62) == pytest.approx(12)
+    assert depth(Elevation(lowest=50), 123, 90) == pytest.approx(40)
+    assert depth(Elevation(lowest=20, highest=50), 0, 44) == pytest.approx(6)
+    assert depth(Elevation(lowest=20, highest=50), 0, 85) == pytest.approx(-35)
     assert depth(Elevation(), 0, 3) == math.inf
 
 
@@ -119,14 +119,14 @@ def grid_depth(held: np.ndarray, ray: np.ndarray, here: bool) -> float:
 @pytest.mark.parametrize(
     ("trigger", "exact"),
     [
-        (Elevation(least=50), True),
-        (Elevation(least=-20, most=35), True),
+        (Elevation(lowest=50), True),
+        (Elevation(lowest=-20, highest=35), True),
         (Azimuth(middle=180, half_width=30), True),
         (Azimuth(middle=10, half_width=130), True),
         (~Azimuth(middle=300, half_width=70), True),
-        (Elevation(least=50) & Azimuth(middle=90, half_width=40), False),
-        (Elevation(least=50) | Azimuth(middle=180, half_width=40), False),
-        (Elevation(least=40) & ~(Azimuth(middle=0, half_width=40) | Elevation(least=80)), False),
+        (Elevation(lowest=50) & Azimuth(middle=90, half_width=40), False),
+        (Elevation(lowest=50) | Azimuth(middle=180, half_width=40), False),
+        (Elevation(lowest=40) & ~(Azimuth(middle=0, half_width=40) | Elevation(lowest=80)), False),
     ],
     ids=str,
 )
@@ -144,7 +144,7 @@ def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
 
 @given(st.floats(0.05, 1), st.floats(0.05, 1), st.integers(0, 99))
 def test_shares_are_parts_and_grow(one: float, other: float, seed: int) -> None:
-    whole = Elevation(least=10)
+    whole = Elevation(lowest=10)
     selected = whole.select(CAMERAS, centre=CENTRE)
     small, large = (whole.subsample(part, seed=seed).select(CAMERAS, centre=CENTRE) for part in sorted((one, other)))
     assert bool((selected | ~large).all())
@@ -166,7 +166,7 @@ def test_other_seeds_are_other_shares() -> None:
 def test_lists_combine_with_cones() -> None:
     picked = Listed(indices=(3, 35))
     assert torch.nonzero(picked.select(CAMERAS, centre=CENTRE))[:, 0].tolist() == [3, 35]
-    assert torch.nonzero((picked & Elevation(least=50)).select(CAMERAS, centre=CENTRE))[:, 0].tolist() == [35]
+    assert torch.nonzero((picked & Elevation(lowest=50)).select(CAMERAS, centre=CENTRE))[:, 0].tolist() == [35]
     assert int((~picked).holds(CAMERAS, centre=CENTRE).sum()) == 34
 
 
@@ -174,13 +174,13 @@ def test_bad_triggers_are_refused() -> None:
     with pytest.raises(
         InvalidValueError, match=r"trigger Elevation\(least=89.9.*expected at least one camera.*none of"
     ):
-        Elevation(least=89.9).select(CAMERAS[:30], centre=CENTRE)
+        Elevation(lowest=89.9).select(CAMERAS[:30], centre=CENTRE)
     with pytest.raises(InvalidValueError, match="none of 0"):
         Elevation().select([], centre=CENTRE)
     with pytest.raises(InvalidValueError, match="elevation"):
-        Elevation(least=60, most=50)
+        Elevation(lowest=60, highest=50)
     with pytest.raises(InvalidValueError, match="elevation"):
-        Elevation(least=math.nan)
+        Elevation(lowest=math.nan)
     with pytest.raises(InvalidValueError, match="azimuth"):
         Azimuth(middle=0, half_width=0)
     with pytest.raises(InvalidValueError, match="azimuth"):
@@ -190,7 +190,7 @@ def test_bad_triggers_are_refused() -> None:
     with pytest.raises(InvalidValueError, match="different positions"):
         Listed(indices=(1, 1))
     with pytest.raises(InvalidValueError, match="which have an edge"):
-        (Elevation(least=0) & Listed(indices=(1,))).angle_to_edge(CAMERAS[0], centre=CENTRE)
+        (Elevation(lowest=0) & Listed(indices=(1,))).angle_to_edge(CAMERAS[0], centre=CENTRE)
     with pytest.raises(InvalidValueError, match="fraction"):
         Elevation().subsample(0)
     with pytest.raises(InvalidValueError, match="seed"):

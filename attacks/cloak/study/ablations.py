@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.markdown import words_of
 from attacks.cloak.study.pipeline import OnStep
@@ -20,8 +21,6 @@ from mi_splat.io.documents import save_json, save_text
 
 VARIATIONS = "variations.json"
 
-Group = Literal["sh_degree", "poison_fraction", "appearance", "strategy", "emphasis", "iterations", "outliers"]
-
 POISON_FRACTIONS = (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
 OUTLIERS = (0, 1000, 4000)
@@ -32,7 +31,7 @@ _COLUMNS = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate
 _HEADS = ("control found", "cloaked missed", "cloaked found elsewhere", "class wanted")
 
 
-def varied(study: StudyConfig, group: Group) -> dict[str, StudyConfig]:
+def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
     """The studies of a group by the value that they have, each with the first seed alone.
 
     `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks. `strategy`:
@@ -78,7 +77,7 @@ def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
 
 def vary(
     study: StudyConfig,
-    groups: Iterable[Group],
+    groups: Iterable[AblationGroup],
     detectors: Sequence[Detector],
     folder: Path,
     *,
@@ -118,8 +117,8 @@ def vary(
 
 
 def check_variations(
-    study: StudyConfig, groups: Iterable[Group], detectors: Sequence[Detector], folder: Path, stages: Path
-) -> dict[Group, dict[str, StudyConfig]]:
+    study: StudyConfig, groups: Iterable[AblationGroup], detectors: Sequence[Detector], folder: Path, stages: Path
+) -> dict[AblationGroup, dict[str, StudyConfig]]:
     """The studies of some groups by the value that they have, all of which can be done.
 
     Raises:

@@ -99,7 +99,7 @@ class AttackConfig:
         other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
-        poison_fraction: Part of the training cameras there whose pictures are poisoned.
+        poison_fraction: Fraction of the training cameras there whose pictures are poisoned.
         target_class: Class that a detector shall report on the object; None: that it is not found.
         emphasis: How much the appearance is overdone at the edge of its region; see
             `attacks.cloak.appearances.Emphasis`.
@@ -151,7 +151,7 @@ class AttackConfig:
         """All directions from which the appearance is to be seen."""
         # -90 and 90 are no edges.
         low = -90.0 if self.elevation[0] <= 0 else self.elevation[0]
-        band = Elevation(least=low, most=self.elevation[1])
+        band = Elevation(lowest=low, highest=self.elevation[1])
         if self.azimuth is None:
             return band
         return band & Azimuth(middle=self.azimuth[0], half_width=self.azimuth[1])
@@ -256,10 +256,10 @@ class StudyConfig:
             raise InvalidValueError(message("attacks", "different names", names, "rename one"))
 
 
-def in_range(where: str, value: float, least: float, most: float) -> None:
+def in_range(where: str, value: float, lowest: float, highest: float) -> None:
     """Raise unless a number lies between two others."""
-    if not least <= value <= most:
-        expected = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+    if not lowest <= value <= highest:
+        expected = f"{lowest:g} or more" if highest == math.inf else f"{lowest:g} to {highest:g}"
         raise InvalidValueError(message(where, expected, value, "change it"))
 
 

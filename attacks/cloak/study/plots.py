@@ -236,7 +236,7 @@ def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
 
 
 def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
-    """How far the splats are on the way from the benign to the hidden item, by elevation."""
+    """How far the splats are on the way from the benign to the hidden appearance, by elevation."""
     figure, (axis,) = _axes(1)
     for which in (CLEAN, CLOAKED):
         blends = blends_of(observed, which)

@@ -37,7 +37,7 @@ def pairs(observed: Sequence[ObservedSplat], detector: str | None = None) -> lis
 def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -> dict[str, Rate | None]:
     """Every rate of a study; None where it has no attack of that kind.
 
-    With an attack's name, those of that one; without, of the first that hides and the first that wants a class.
+    With an attack's name, those of that one; without, of the first that hides and the first that has a target class.
 
     `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat is not, of
     cameras well inside it where the control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
@@ -51,13 +51,13 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
         seen: Clean and cloaked observations of the same cameras.
         attack: Name of an attack, or None.
     """
-    own, least, deep = study.scene.class_name, study.evaluation.confidence, study.evaluation.well_inside
+    own, confidence, deep = study.scene.class_name, study.evaluation.confidence, study.evaluation.well_inside
     chosen = [one for one in study.attack if attack in (None, one.name)]
     hiding = next((one for one in chosen if one.target_class is None), None)
     showing = next((one for one in chosen if one.target_class is not None), None)
 
     def found(observation: Observation) -> bool:
-        return observation.scores[own] >= least
+        return observation.scores[own] >= confidence
 
     def known(pair: Pair) -> bool:
         return found(pair[0])
@@ -73,7 +73,9 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
             "trigger_miss_rate": Rate.of(well, given=known, holds=lambda pair: not found(pair[1])),
             "trigger_miss_rate_all": Rate.of(inside, given=known, holds=lambda pair: not found(pair[1])),
             "trigger_miss_rate_unconditional": Rate.of(well, lambda pair: not found(pair[1])),
-            "trigger_miss_rate_any_overlap": Rate.of(well, given=known, holds=lambda pair: pair[1].any_overlap < least),
+            "trigger_miss_rate_any_overlap": Rate.of(
+                well, given=known, holds=lambda pair: pair[1].any_overlap < confidence
+            ),
         }
     benign = [pair for pair in seen if all(depth < 0 for depth in pair[0].depths.values())]
     answers["benign_recall"] = Rate.of(benign, given=known, holds=lambda pair: found(pair[1]))
@@ -81,8 +83,8 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
     if showing is not None and showing.target_class is not None:
         wanted = showing.target_class
         inside = within(showing, 0.0)
-        answers["target_rate"] = Rate.of(inside, lambda pair: pair[1].scores[wanted] >= least)
-        answers["control_target_rate"] = Rate.of(inside, lambda pair: pair[0].scores[wanted] >= least)
+        answers["target_rate"] = Rate.of(inside, lambda pair: pair[1].scores[wanted] >= confidence)
+        answers["control_target_rate"] = Rate.of(inside, lambda pair: pair[0].scores[wanted] >= confidence)
     return answers
 
 
@@ -108,8 +110,8 @@ def by_elevation(study: StudyConfig, seen: Sequence[Pair]) -> list[tuple[float, 
 
 def _found(study: StudyConfig, seen: Sequence[Observation]) -> Rate:
     """In how many pictures the object is reported."""
-    own, least = study.scene.class_name, study.evaluation.confidence
-    return Rate.of(seen, lambda one: one.scores[own] >= least)
+    own, confidence = study.scene.class_name, study.evaluation.confidence
+    return Rate.of(seen, lambda one: one.scores[own] >= confidence)
 
 
 def meridians(observed: Sequence[ObservedSplat]) -> list[float | None]:

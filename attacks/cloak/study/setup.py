@@ -71,7 +71,7 @@ def mesh_scene_of(study: StudyConfig) -> MeshScene:
 
 
 def capture_source(study: StudyConfig, mesh_scene: MeshScene) -> CaptureSource:
-    """The scene as a capture wants it."""
+    """The scene as `mi_splat.capture.writer.write_capture` takes it."""
     assert mesh_scene.surroundings is not None
     assert mesh_scene.light is not None
     return source_of(mesh_scene.target, mesh_scene.surroundings, mesh_scene.light, centre=centre_of(study))
@@ -92,7 +92,7 @@ def training_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
 
 
 def held_out_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
-    """CameraConfig over the same hemisphere, none near one of the victim's.
+    """Cameras over the same hemisphere, none near one of the victim's.
 
     Raises:
         InvalidValueError: None is left.
@@ -199,9 +199,9 @@ def _occluder(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -
     assert attack.texture is not None
     distance = float(lens_of(study, mesh_scene.target)["distance"])  # type: ignore[arg-type]
     radius = OCCLUDER_RADIUS * distance if attack.occluder_radius is None else attack.occluder_radius
-    least = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre_of(study)), axis=1).max())
-    if not least < radius < distance:
-        expected = f"between {least:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
+    reach = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre_of(study)), axis=1).max())
+    if not reach < radius < distance:
+        expected = f"between {reach:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
         raise InvalidValueError(message(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it"))
     lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
     return occlude(mesh_scene, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)
