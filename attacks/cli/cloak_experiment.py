@@ -5,6 +5,7 @@ from __future__ import annotations
 from attacks.cli.options import CloakExperimentOptions
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
+from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_transition_limit
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors import load_detector
@@ -28,8 +29,11 @@ def run(options: CloakExperimentOptions) -> int:
                 do = "pass the folder that mi-splat cloak has written"
                 raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
             splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
-            detectors = [load_detector(name) for name in study.evaluation.detectors]
             render = Renderer(RenderSettings(background=study.scene.background))
-            found = measure_distances(study, splats, detectors, render=render, every=options.every)
+            if options.experiment == "surroundings":
+                found = measure_surroundings(study, splats, render=render, every=options.every)
+            else:
+                detectors = [load_detector(name) for name in study.evaluation.detectors]
+                found = measure_distances(study, splats, detectors, render=render, every=options.every)
     show_json({"study": study.name, "experiment": options.experiment, "found": found})
     return 0

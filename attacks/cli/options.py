@@ -98,18 +98,19 @@ class CloakOptions:
 class CloakExperimentOptions:
     """Explain a figure of a CLOAK study.
 
-    distance: from how many cameras the object is found when they stand nearer or farther away. transition-limit: how
-    sharply colour alone can switch. paint-direction: from where a painted sign is seen best.
+    surroundings: how far the cloaked splat is from the clean one beside the object. distance: from how many cameras the
+    object is found when they stand nearer or farther away. transition-limit: how sharply colour alone can switch.
+    paint-direction: from where a painted sign is seen best.
     """
 
-    experiment: Positional[Literal["distance", "transition-limit", "paint-direction"]]
+    experiment: Positional[Literal["surroundings", "distance", "transition-limit", "paint-direction"]]
     """Which experiment."""
     study: Positional[Path]
     """TOML file of the study."""
     results: Path | None = None
-    """Folder that `mi-splat cloak` has written for this study (distance)."""
+    """Folder that `mi-splat cloak` has written for this study (surroundings, distance)."""
     every: int = 4
-    """Use each so manieth of the held-out cameras (distance)."""
+    """Use each so manieth of the held-out cameras (surroundings, distance)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,12 @@ from torch import Tensor
 from attacks import cli
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
+from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig
 from mi_splat.cameras import Camera
+from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from tests.cloak.test_study import Redness
@@ -62,6 +66,37 @@ def test_distance_counts_each_detector_and_group() -> None:
             assert row["found"] == 0
     near = [row for row in rows if row["distance"] == 1.0]
     assert sum(row["found"] for row in near) > 0
+
+
+def test_surroundings_leave_the_object_out() -> None:
+    """Splats that differ by a tenth everywhere but at the object, where they differ by more."""
+    study = replace(STUDY, evaluation=replace(STUDY.evaluation, cameras=60))
+    clean, cloaked = (one_gaussian(one) for one in (0.0, 1.0))
+    mesh_scene = setup.mesh_scene_of(study)
+
+    def render(scene: GaussianScene, camera: Camera) -> Tensor:
+        if float(scene.opacities[0]) == 0.0:
+            return torch.zeros(48, 48, 3)
+        with scalar_variant():
+            mask = mesh_scene.mask(camera)
+        return torch.where(mask[..., None], 1.0, 51 / 255).expand(48, 48, 3)
+
+    rows = measure_surroundings(study, {"clean": clean, "cloaked": cloaked}, render=render, every=8)
+    assert [row["cameras"] for row in rows] == ["inside the trigger", "elsewhere"]
+    for row in rows:
+        assert row["of"] > 0
+        assert row["psnr_lowest"] == pytest.approx(-20 * math.log10(0.2), abs=1e-3)
+        assert row["psnr_highest"] == pytest.approx(row["psnr_mean"], abs=1e-3)
+
+
+def one_gaussian(opacity: float) -> GaussianScene:
+    return GaussianScene(
+        torch.zeros(1, 3),
+        torch.ones(1, 3),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.tensor([opacity]),
+        torch.zeros(1, 1, 3),
+    )
 
 
 def test_what_a_study_must_have() -> None:

@@ -172,7 +172,7 @@ def test_lists_combine_with_cones() -> None:
 
 def test_bad_triggers_are_refused() -> None:
     with pytest.raises(
-        InvalidValueError, match=r"trigger Elevation\(least=89.9.*expected at least one camera.*none of"
+        InvalidValueError, match=r"trigger Elevation\(lowest=89.9.*expected at least one camera.*none of"
     ):
         Elevation(lowest=89.9).select(CAMERAS[:30], centre=CENTRE)
     with pytest.raises(InvalidValueError, match="none of 0"):
