@@ -124,7 +124,7 @@ def analytic(scene: GaussianScene, view: Camera) -> dict[str, Tensor]:
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     picture = Renderer(RenderSettings(background=BACKGROUND))(GaussianScene(*leaves), view)
     (picture * torch.from_numpy(weights(view)).float()).sum().backward()  # type: ignore[no-untyped-call]
-    gradients = {}
+    gradients: dict[str, Tensor] = {}
     for name, leaf in zip(ATTRIBUTES, leaves, strict=True):
         assert leaf.grad is not None
         gradients[name] = leaf.grad
