@@ -135,7 +135,9 @@ def numeric(scene: GaussianScene, view: Camera, name: str, entry: int, step: flo
     """Central difference of the float64 oracle with one entry moved."""
     values = []
     for sign in (1.0, -1.0):
-        tensors = {key: tensor.double().clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+        tensors: dict[str, Tensor] = {
+            key: tensor.double().clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)
+        }
         tensors[name].view(-1)[entry] += sign * step
         moved = GaussianScene._trusted(*(tensors[key] for key in ATTRIBUTES))
         values.append(float((oracle.render(moved, view, background=BACKGROUND)[0] * weights(view)).sum()))
