@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
@@ -150,11 +150,10 @@ def strategy_config(name: str, **options: Any) -> StrategyConfig:
         near = difflib.get_close_matches(name, _REGISTRY, n=1, cutoff=0.5)
         do = f"did you mean {near[0]}?" if near else "choose one of them, or call register_strategy first"
         raise InvalidValueError(message("strategy", " or ".join(_REGISTRY), repr(name), do))
-    known = _REGISTRY[name].__dataclass_fields__
+    known = [entry.name for entry in fields(_REGISTRY[name])]
     for option in options:
         if option not in known:
-            got = f"{option!r}"
-            raise InvalidValueError(message(f"option of {name}", " or ".join(known), got, "leave it out"))
+            raise InvalidValueError(message(f"option of {name}", " or ".join(known), repr(option), "leave it out"))
     return _REGISTRY[name](**options)
 
 
