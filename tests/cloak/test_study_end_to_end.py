@@ -25,6 +25,8 @@ from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import FixedConfig
 
+pytestmark = pytest.mark.slow
+
 CENTRE = (0.0, 0.0, 0.7)
 LENS = {"distance": 9.0, "focal": 84.0, "size": (60, 60)}
 CONFIG = FitConfig(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save
 
 from mi_splat.scene import scene_hash
 from mi_splat.training.checkpoints import CheckpointError, from_json, load_state, save_state, to_json
@@ -63,4 +65,12 @@ def test_bad_checkpoints_say_why(tmp_path: Path) -> None:
     path = tmp_path / "bad.safetensors"
     path.write_bytes(b"\x05" * 100)
     with pytest.raises(CheckpointError, match="a checkpoint of this version"):
+        load_state(path)
+
+
+def test_checkpoints_of_another_format_say_what_changed(tmp_path: Path) -> None:
+    path = tmp_path / "old.safetensors"
+    notes = {"config": {"densification": None}, "extent": 1.0, "was_reset": False}
+    path.write_bytes(save({"gradient": torch.zeros(1)}, metadata={"notes": json.dumps(notes)}))
+    with pytest.raises(CheckpointError, match="names strategies and SH as gsplat does, got format 1; end it with"):
         load_state(path)

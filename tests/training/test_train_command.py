@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -11,8 +12,12 @@ import pytest
 from plyfile import PlyData
 
 from attacks import cli
+from mi_splat.cli.options import TrainOptions
 from mi_splat.datasets import has_tests, load_dataset
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
+from mi_splat.training.config import FitConfig
+from mi_splat.training.strategies import MCMCConfig, strategy_config, strategy_names
 from tests.training.sets import write_set
 
 
@@ -93,3 +98,24 @@ def test_train_says_what_is_wrong_usage(
     assert cli.main(["train", str(dataset), "--out", str(out), *words]) == 2
     assert says in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_flags_are_the_fields_of_the_configs(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in strategy_names():
+        assert cli.main(["train", "--strategy", name, "--help"]) == 0
+        said = capsys.readouterr().out
+        for config in (FitConfig, type(strategy_config(name))):
+            flags = {f"--{entry.name.replace('_', '-')}" for entry in dataclasses.fields(config)}
+            assert not [flag for flag in flags if flag not in said]
+
+
+def test_flags_become_the_configs() -> None:
+    plain = cli._parse("train", ["set", "--out", "out"])
+    assert isinstance(plain, TrainOptions)
+    assert plain.fit == FitConfig()
+    words = ["--strategy", "mcmc", "--noise-lr", "3", "--max-gaussians", "7", "--lr-sh", "0.1", "--iterations", "9"]
+    given = cli._parse("train", ["set", "--out", "out", *words])
+    assert isinstance(given, TrainOptions)
+    assert given.fit == FitConfig(strategy=MCMCConfig(noise_lr=3.0, max_gaussians=7), lr_sh=0.1, iterations=9)
+    with pytest.raises(InvalidValueError, match="expected classic, as in fit, got mcmc"):
+        TrainOptions(dataset=Path("set"), out=Path("out"), strategy="mcmc")
