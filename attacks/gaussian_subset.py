@@ -65,8 +65,8 @@ class GaussianSubset:
 
     def scene_with(self, parameters: Parameters) -> GaussianScene:
         """The whole scene with the object's rows exchanged, differentiable in the parameters, other rows untouched."""
-        moved = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
-        tensors = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
+        moved: dict[str, Tensor] = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
+        tensors: dict[str, Tensor] = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
         for name in parameters:
             tensors[name] = tensors[name].detach().index_put((self.rows,), moved[name])
         return GaussianScene._trusted(**tensors)

@@ -13,7 +13,8 @@ from typing import Any
 from attacks.cloak.study.config import AttackConfig, StudyConfig, TrainingConfig
 from mi_splat.cameras import Camera
 from mi_splat.training.checkpoints import to_json
-from mi_splat.training.config import FitConfig, densification
+from mi_splat.training.config import FitConfig
+from mi_splat.training.strategies import strategy_config
 
 _POISONING_ONLY = ("name", "poison_fraction", "emphasis", "emphasis_depth", "target_class")
 """Fields of an attack that have no part in what its appearance looks like."""
@@ -23,9 +24,7 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     """The trainer's settings."""
     return FitConfig(
         iterations=training.iterations,
-        densification=densification(
-            training.strategy, max_gaussians=training.max_gaussians, stop=training.iterations // 2
-        ),
+        strategy=strategy_config(training.strategy, max_gaussians=training.max_gaussians),
         sh_degree=training.sh_degree,
         sh_degree_interval=training.sh_degree_interval,
         eval_interval=0,

@@ -34,7 +34,6 @@ from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.initialization import from_points, with_outliers
 from mi_splat.training.resume import SPLAT, train
-from mi_splat.training.strategies import ClassicConfig
 
 CLEAN, CLOAKED = "clean", "cloaked"
 SET, MANIFEST = "set", "manifest.json"
@@ -184,7 +183,7 @@ class StudyPipeline:
                 views,
                 from_points(cloud.points, cloud.colours),
                 path,
-                render=self.renderer(screen_gradients=isinstance(config.densification, ClassicConfig)),
+                render=self.renderer(screen_gradients=config.strategy.needs_screen_gradients),
                 config=config,
                 seed=seed,
                 on_step=lambda line: self.on_step(
