@@ -54,16 +54,16 @@ def read_scene(path: str | Path) -> SplatScene:
     except RuntimeError as error:
         raise _reason(error, path) from None
     from mi_splat.plugins import sensor as sensors
-    from mi_splat.plugins.tile import Splats
+    from mi_splat.plugins.gaussian_shapes import GaussianShapes
 
     if not isinstance(loaded, mi.Scene):
         raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
-    splats = Splats(loaded)
-    if not splats.parts or not loaded.sensors():
+    shapes = GaussianShapes(loaded)
+    if not shapes.arrays or not loaded.sensors():
         raise InvalidValueError(
             message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
         )
-    scenes = [_scene_of(arrays) for arrays in splats.parts]
+    scenes = [_scene_of(arrays) for arrays in shapes.arrays]
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
     return SplatScene(
         scene=merge(*scenes),

@@ -10,7 +10,7 @@ rotations           tensor (N, 4)       quaternions w, x, y, z
 opacities           tensor (N, )        in [0, 1]
 sh                  tensor (N, K, 3)    spherical harmonics in 3DGS order
 to_world            transform           rotation, translation and uniform scale; the spherical harmonics turn with it
-extent, ...         as `ellipsoids`     handed on to Mitsuba's shape
+extent, ...         as `ellipsoids`     passed on to Mitsuba's shape
 ==================  ==================  ==============================================================================
 
 `mi.traverse` shows `<id>.data` (N x 10: centre, standard deviations, quaternion x, y, z, w), `<id>.opacities` (N) and
@@ -31,7 +31,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity
 
-_HANDED_ON = ("extent", "extent_adaptive_clamping")
+_PASSED_ON = ("extent", "extent_adaptive_clamping")
 
 
 def gaussians(props: Any) -> Any:
@@ -57,12 +57,12 @@ def gaussians(props: Any) -> Any:
         )
     if "to_world" in props:
         scene = scene.transform(similarity(np.array(props["to_world"].matrix)))
-    extra = {key: props[key] for key in _HANDED_ON if key in props}
+    extra = {key: props[key] for key in _PASSED_ON if key in props}
     children = dict(props.objects())
-    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **tensors(scene), **extra, **children})
+    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra, **children})
 
 
-def tensors(scene: GaussianScene) -> dict[str, Any]:
+def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:
     """The entries `data`, `opacities` and `sh_coeffs` of an `ellipsoids` dict for a scene."""
     means, scales, (w, *xyz) = scene.means, scene.scales, scene.rotations.unbind(1)
     data = torch.cat([means, scales, torch.stack([*xyz, w], dim=1)], dim=1)

@@ -76,7 +76,7 @@ def test_sampler_samples_and_seed_have_no_influence(tmp_path: Path) -> None:
     _, shapes = two_splats(tmp_path)
     loaded = mi.load_string(scene_xml(shapes))
     plain = np.array(mi.render(loaded))
-    loaded.integrator().forget()
+    loaded.integrator().clear_cache()
     assert np.array_equal(plain, np.array(mi.render(loaded, seed=7, spp=64)))
 
 

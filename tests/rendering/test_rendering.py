@@ -77,7 +77,7 @@ def test_float64_scenes_are_rendered_in_float32() -> None:
 
 
 def test_recordings_follow_shapes_never_values() -> None:
-    from mi_splat.rasterization import pipeline
+    from mi_splat.rasterization import backward, forward
     from mi_splat.rasterization.frozen import frozen
 
     frozen.cache_clear()  # which values Dr.Jit keeps out of a recording hangs on all calls before
@@ -90,7 +90,10 @@ def test_recordings_follow_shapes_never_values() -> None:
 
     for seed in range(3):
         step(seed)
-    stages = (pipeline._project, pipeline._emit, pipeline._blend, pipeline._blend_backward, pipeline._project_backward)
+    stages = (
+        *(forward.project_gaussians, forward.allot_rows, forward.write_pairs, forward.blend_tiles),
+        *(backward.gradient_to_tiles, backward.blend_backward, backward.project_backward),
+    )
     recordings = [frozen(render.variant, stage) for stage in stages]
     before = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
     for seed in range(3, 12):
