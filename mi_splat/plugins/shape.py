@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.rasterization.frozen import aligned
 from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity
 
 _PASSED_ON = ("extent", "extent_adaptive_clamping")
@@ -67,12 +68,12 @@ def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:
     means, scales, (w, *xyz) = scene.means, scene.scales, scene.rotations.unbind(1)
     data = torch.cat([means, scales, torch.stack([*xyz, w], dim=1)], dim=1)
     flat = {"data": data, "opacities": scene.opacities[:, None], "sh_coeffs": scene.sh.flatten(1)}
-    return {key: mi.TensorXf(np.ascontiguousarray(t.detach().cpu().float().numpy())) for key, t in flat.items()}
+    return {key: _tensor(t) for key, t in flat.items()}
 
 
 def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
     """A dict for `mi.load_dict` that holds `scene` as a `gaussians` shape."""
-    arrays = {name: mi.TensorXf(t.detach().cpu().float().contiguous().numpy()) for name, t in _named(scene)}
+    arrays = {name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
     return {"type": "gaussians", **arrays, **extra}
 
 
@@ -96,8 +97,10 @@ def similarity(matrix: NDArray[np.float64]) -> Similarity:
     )
 
 
-def _named(scene: GaussianScene) -> list[tuple[str, torch.Tensor]]:
-    return list(zip(ATTRIBUTES, scene.tensors(), strict=True))
+def _tensor(values: torch.Tensor) -> Any:
+    # Aligned now, once, and not before each of its pictures.
+    flat = aligned(mi.Float(values.detach().cpu().float().flatten().numpy()))
+    return mi.TensorXf(flat, tuple(values.shape))
 
 
 def _numpy(tensor: Any) -> NDArray[np.float32]:
