@@ -109,7 +109,7 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
 def open_scene(path: Path) -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
-    A bare splat file becomes a loaded of one part without cameras, in front of black.
+    A bare splat file becomes a scene of one object without cameras, in front of black.
 
     Raises:
         MiSplatError: The file cannot be read, or is of neither kind.
@@ -125,7 +125,7 @@ def open_scene(path: Path) -> SplatScene:
 
 
 def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
-    """The camera called `name` of a loaded, or its first if None.
+    """The camera called `name`, or the first one if None.
 
     Raises:
         InvalidValueError: There is no such camera.

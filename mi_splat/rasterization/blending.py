@@ -67,21 +67,21 @@ def any_open(transmittances: list[Any]) -> Any:
 
 
 def blend_tile(
-    records: tuple[Any, Any], gaussians: Any, span: tuple[Any, Any], corner: tuple[Any, Any]
+    records: tuple[Any, Any], gaussians: Any, pair_range: tuple[Any, Any], corner: tuple[Any, Any]
 ) -> tuple[Any, Any]:
     """Blend every tile.
 
     Args:
         records: The Gaussians' records.
         gaussians: UInt32, Gaussian of each pair in tile order.
-        span: First and one-past-last pair of the lane's tile.
+        pair_range: First and one-past-last pair of the lane's tile.
         corner: `first_pixel` of the lane's tile.
 
     Returns:
         A list of 3 x 16 colours (channel-major) without background, and a list of 16 transmittances.
     """
     start = (
-        mi.UInt32(span[0]),
+        mi.UInt32(pair_range[0]),
         [mi.Float(1) for _ in _PIXELS],
         [mi.Float(0) for _ in range(3 * TILE * TILE)],
     )
@@ -99,7 +99,7 @@ def blend_tile(
 
     _, transmittances, colours = dr.while_loop(
         start,
-        lambda pair, transmittances, _: (pair < span[1]) & any_open(transmittances),
+        lambda pair, transmittances, _: (pair < pair_range[1]) & any_open(transmittances),
         body,
         label="blend",
     )
@@ -109,7 +109,7 @@ def blend_tile(
 def blend_tile_backward(
     records: tuple[Any, Any],
     pairs: tuple[Any, Any],
-    span: tuple[Any, Any],
+    pair_range: tuple[Any, Any],
     corner: tuple[Any, Any],
     pixels: tuple[list[Any], list[Any], list[Any]],
     moments: tuple[Any, Any],
@@ -123,14 +123,14 @@ def blend_tile_backward(
     Args:
         records: The Gaussians' records.
         pairs: For each pair in tile order: its Gaussian, and its row (its place before the sort by tile).
-        span: First and one-past-last pair of the lane's tile.
+        pair_range: First and one-past-last pair of the lane's tile.
         corner: `first_pixel` of the lane's tile.
         pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), and the sum over everything that
             reaches the pixel of weight times dL/dweight, background included (16).
         moments: Two buffers, of 8 floats a row and of 1.
     """
     grad_colour, grad_opacity, weighted = pixels
-    start = (mi.UInt32(span[0]), [mi.Float(1) for _ in _PIXELS], list(weighted))
+    start = (mi.UInt32(pair_range[0]), [mi.Float(1) for _ in _PIXELS], list(weighted))
     n = TILE * TILE
 
     def body(pair: Any, transmittances: list[Any], remaining: list[Any]) -> tuple[Any, list[Any], list[Any]]:
@@ -171,7 +171,7 @@ def blend_tile_backward(
 
     reached, _, _ = dr.while_loop(
         start,
-        lambda pair, transmittances, _: (pair < span[1]) & any_open(transmittances),
+        lambda pair, transmittances, _: (pair < pair_range[1]) & any_open(transmittances),
         body,
         label="blend backward",
     )
@@ -182,4 +182,4 @@ def blend_tile_backward(
         dr.scatter(moments[1], mi.Float(0), index)
         return (pair + 1,)
 
-    dr.while_loop((reached,), lambda pair: pair < span[1], clear, label="hidden pairs")
+    dr.while_loop((reached,), lambda pair: pair < pair_range[1], clear, label="hidden pairs")

@@ -68,7 +68,7 @@ class Splat:
         return [*self.centre, self.u0, self.u1, self.v1, self.level, *self.colour]
 
 
-def rotation_columns(quaternion: Any) -> Any:
+def rotation_matrix(quaternion: Any) -> Any:
     """Matrix3f of the rotation of a quaternion (w, x, y, z) of any length but 0."""
     w, x, y, z = quaternion
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -77,17 +77,6 @@ def rotation_columns(quaternion: Any) -> Any:
         s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),
         s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y),
     )  # fmt: skip
-
-
-def depth(gaussians_mean: Any, camera: KernelCamera) -> Any:
-    """Camera-space depth of a world point."""
-    row = camera.rotation
-    return (
-        row[2, 0] * gaussians_mean.x
-        + row[2, 1] * gaussians_mean.y
-        + row[2, 2] * gaussians_mean.z
-        + camera.translation.z
-    )
 
 
 def colour(gaussians: Gaussians, camera: KernelCamera) -> Any:
@@ -119,15 +108,10 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
     r = camera.rotation
     row_x = mi.Vector3f(*[jx * (r[0, i] - tx * r[2, i]) for i in range(3)])
     row_y = mi.Vector3f(*[jy * (r[1, i] - ty * r[2, i]) for i in range(3)])
-    turn = rotation_columns(gaussians.rotation)
-    v0 = (
-        mi.Vector3f(*[dr.dot(row_x, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)])
-        * gaussians.scale
-    )
-    v1 = (
-        mi.Vector3f(*[dr.dot(row_y, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)])
-        * gaussians.scale
-    )
+    axes = rotation_matrix(gaussians.rotation)
+    columns = [mi.Vector3f(axes[0, i], axes[1, i], axes[2, i]) for i in range(3)]
+    v0 = mi.Vector3f(*[dr.dot(row_x, column) for column in columns]) * gaussians.scale
+    v1 = mi.Vector3f(*[dr.dot(row_y, column) for column in columns]) * gaussians.scale
 
     n0, n1 = dr.squared_norm(v0), dr.squared_norm(v1)
     xx, yy, xy = n0 + BLUR, n1 + BLUR, dr.dot(v0, v1)

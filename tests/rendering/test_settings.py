@@ -117,7 +117,7 @@ def test_names_and_values_in_traverse(tmp_path: Path) -> None:
         for name, value in values.items():
             assert getattr(integrator, name) == value
             shown = np.ravel(np.array(params[f"{prefix}.{name}"]))
-            assert shown.tolist() == np.ravel(value).tolist()
+            assert shown.tolist() == np.array(value).ravel().tolist()
             assert params.flags(f"{prefix}.{name}") & mi.ParamFlags.NonDifferentiable
 
 
@@ -149,7 +149,9 @@ def test_wrong_values_are_refused_and_the_old_ones_stay(name: str, value: Any, r
     with pytest.raises(InvalidValueError, match=reason):
         params.update({f"integrator.{name}": value})
     assert getattr(loaded.integrator(), name) == DEFAULTS[name]
-    assert np.ravel(np.array(params[f"integrator.{name}"])).tolist() == pytest.approx(np.ravel(DEFAULTS[name]).tolist())
+    assert np.ravel(np.array(params[f"integrator.{name}"])).tolist() == pytest.approx(
+        np.array(DEFAULTS[name]).ravel().tolist()
+    )
     assert np.array_equal(mi.render(loaded).numpy(), before)
 
 
