@@ -155,7 +155,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             """
             tensors = (means, scales, rotations, opacities, sh)
             self.shapes = [t.shape for t in tensors]
-            # Here and not only in `rasterize`, so that memory that lies askew is copied once and not once a camera.
+            # Here and not only in `rasterize`, so that memory that is not aligned is copied once and not once a camera.
             arrays = tuple(aligned(mi.Float(dr.detach(t.array))) for t in tensors)
             self.job = job
             self.pictures: list[Picture] = []

@@ -19,23 +19,21 @@ Differentiable with respect to `data`, `opacities` and `sh_coeffs` in reverse mo
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
+from mi_splat.plugins.settings import SETTINGS
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.layouts import ELLIPSOIDS
 from mi_splat.rasterization.picture import Picture
 from mi_splat.rasterization.pinhole import Pinhole
 from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
-from mi_splat.rasterization.settings import checked_background, checked_near
 
 _DEFAULT_ID = "integrator"  # as in the usual dict; Mitsuba would name an integrator without an id by its address
 _CACHED_PICTURES = 2
@@ -48,60 +46,6 @@ class CachedPicture:
     held: list[Any]
     camera: Pinhole
     picture: Picture
-
-
-def _numbers(name: str, expected: str, value: Any) -> list[float]:
-    """All numbers in a plain, NumPy or Dr.Jit value."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValueError(message(name, expected, repr(value), "give numbers")) from None
-    return [float(v) for v in np.ravel(array)]
-
-
-def _near(value: Any) -> float:
-    numbers = _numbers("near", "a positive distance", value)
-    if len(numbers) != 1:
-        raise InvalidValueError(message("near", "a positive distance", numbers, "give one number"))
-    return checked_near(numbers[0])
-
-
-def _background(value: Any) -> tuple[float, float, float]:
-    numbers = _numbers("background", "three finite numbers", value)
-    return checked_background(numbers * 3 if len(numbers) == 1 else numbers)
-
-
-def _switch(name: str) -> Callable[[Any], bool]:
-    def checked(value: Any) -> bool:
-        numbers = _numbers(name, "true or false", value)
-        if len(numbers) != 1 or numbers[0] not in (0.0, 1.0):
-            raise InvalidValueError(message(name, "true or false", value, "give a boolean"))
-        return bool(numbers[0])
-
-    return checked
-
-
-@dataclass(frozen=True, slots=True)
-class _Setting:
-    """One changeable parameter of the integrator.
-
-    Attributes:
-        default: Its value where none is given.
-        checked: Its plain value from anything that a user may give; raises InvalidValueError.
-        array: Name of the Mitsuba type by which `mi.traverse` shows it.
-    """
-
-    default: Any
-    checked: Callable[[Any], Any]
-    array: str
-
-
-_SETTINGS = {
-    "background": _Setting((0.0, 0.0, 0.0), _background, "Color3f"),
-    "near": _Setting(0.2, _near, "Float"),
-    "alpha": _Setting(False, _switch("alpha"), "Bool"),
-    "linear": _Setting(False, _switch("linear"), "Bool"),
-}
 
 
 def _property_of(name: str) -> property:
@@ -127,18 +71,17 @@ def integrator_class(variant: str) -> Any:
                 self.set_id(_DEFAULT_ID)
             self._values: dict[str, Any] = {}
             # What `mi.traverse` shows. The plain values count: reading these waits for every kernel in flight.
-            self._shown = {name: getattr(mi, setting.array)() for name, setting in _SETTINGS.items()}
-            for name, setting in _SETTINGS.items():
+            self._shown = {name: setting.array(setting.default) for name, setting in SETTINGS.items()}
+            for name, setting in SETTINGS.items():
                 self._set(name, props.get(name, setting.default))
             self._pictures: OrderedDict[Any, CachedPicture] = OrderedDict()
             self._camera: tuple[Any, Any, Pinhole] | None = None
 
         def _set(self, name: str, value: Any) -> None:
-            setting = _SETTINGS[name]
-            checked = setting.checked(value)
-            self._values[name] = checked
+            setting = SETTINGS[name]
+            self._values[name] = setting.checked(value)
             # In place, as SceneParameters does it: one made before shall show the new value.
-            mi.set_property(self._shown[name], getattr(mi, setting.array)(checked))
+            mi.set_property(self._shown[name], setting.array(self._values[name]))
 
         def traverse(self, callback: Any) -> None:
             for name, array in self._shown.items():
@@ -146,14 +89,15 @@ def integrator_class(variant: str) -> Any:
 
         def parameters_changed(self, keys: list[str]) -> None:
             """Take over what `mi.traverse` was given; a value that cannot be is refused, and the old one stays."""
-            changed = [name for name in _SETTINGS if name in keys]
+            changed = [name for name in SETTINGS if name in keys]
             try:
-                for name in changed:
-                    self._set(name, self._shown[name])
+                values = {name: SETTINGS[name].checked(self._shown[name]) for name in changed}
             except InvalidValueError:
                 for name in changed:
                     self._set(name, self._values[name])
                 raise
+            for name, value in values.items():
+                self._set(name, value)
 
         def _camera_of(self, sensor: Any) -> Pinhole:
             """The camera of a sensor; the last one is cached, since a gradient is asked for right after its picture."""

@@ -40,7 +40,7 @@ def aligned(array: Any) -> Any:
 
     Dr.Jit borrows the memory of NumPy arrays and torch tensors without a copy. Where that memory does not start at a
     multiple of 64 bytes, which is left to chance, kernels that read it are other ones: a second recording, and seconds
-    of compilation. So every array that may come from a user passes through here; only one that lies askew is copied.
+    of compilation. So every array that may come from a user passes through here; one that is aligned is not copied.
     """
     dr.make_opaque(array)
     if len(array) == 0 or dr.backend_v(array) != dr.JitBackend.LLVM or _address(array) % _ALIGNMENT == 0:

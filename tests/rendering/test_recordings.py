@@ -35,7 +35,7 @@ VIEW = Camera(
 KEYS = ("data", "opacities", "sh_coeffs")
 
 
-def askew(values: Any, offset: int = 4) -> NDArray[np.float32]:
+def misaligned(values: Any, offset: int = 4) -> NDArray[np.float32]:
     """The same numbers in memory that starts `offset` bytes after a multiple of 64."""
     values = np.asarray(values, dtype=np.float32)
     room = np.zeros(values.nbytes + 128, dtype=np.uint8)
@@ -71,16 +71,16 @@ def test_recordings_follow_shapes_never_values() -> None:
     assert recordings() == [1] * len(STAGES)
 
 
-def test_aligned_copies_only_what_lies_askew() -> None:
+def test_aligned_copies_only_what_is_not() -> None:
     values = np.arange(100, dtype=np.float32)
     for offset in range(4, 64, 4):
-        copy = aligned(mi.Float(askew(values, offset)))
+        copy = aligned(mi.Float(misaligned(values, offset)))
         assert address(copy) % 64 == 0
         assert np.array_equal(copy.numpy(), values)
-    straight = mi.Float(askew(values, 0))
-    assert address(straight) % 64 == 0
-    assert aligned(straight).index == straight.index
-    integers = aligned(mi.UInt32(askew(values, 8).view(np.uint32)))
+    plain = mi.Float(misaligned(values, 0))
+    assert address(plain) % 64 == 0
+    assert aligned(plain).index == plain.index
+    integers = aligned(mi.UInt32(misaligned(values, 8).view(np.uint32)))
     assert isinstance(integers, mi.UInt32)
     assert np.array_equal(integers.numpy(), values.view(np.uint32))
     assert len(aligned(mi.Float())) == 0
@@ -95,31 +95,31 @@ def test_a_cameras_numbers_are_aligned() -> None:
 
 def test_a_shapes_arrays_are_aligned() -> None:
     scene = oracle.random_scene(51, degree=1, seed=0)
-    scene = GaussianScene(*(torch.from_numpy(askew(tensor.numpy())) for tensor in scene.tensors()))
+    scene = GaussianScene(*(torch.from_numpy(misaligned(tensor.numpy())) for tensor in scene.tensors()))
     assert [address(tensor.array) % 64 for tensor in ellipsoid_arrays(scene).values()] == [0, 0, 0]
     params = mi.traverse(dict_scene(scene))
     assert [address(params[f"splat.{key}"]) % 64 for key in KEYS] == [0, 0, 0]
 
 
-def test_torch_tensors_may_lie_askew() -> None:
+def test_torch_tensors_need_not_be_aligned() -> None:
     scene, render = oracle.random_scene(50, degree=1, seed=0), Renderer(RenderSettings(alpha=True))
     weights = np.random.default_rng(0).normal(size=(29, 37, 4))
 
     def step(offset: int) -> tuple[torch.Tensor, ...]:
-        tensors = [torch.from_numpy(askew(t.numpy(), offset)).requires_grad_(True) for t in scene.tensors()]
+        tensors = [torch.from_numpy(misaligned(t.numpy(), offset)).requires_grad_(True) for t in scene.tensors()]
         picture = render(GaussianScene(*tensors), VIEW)
-        picture.backward(torch.from_numpy(askew(weights, offset)))  # type: ignore[no-untyped-call]
+        picture.backward(torch.from_numpy(misaligned(weights, offset)))  # type: ignore[no-untyped-call]
         return (picture.detach(), *(t.grad for t in tensors if t.grad is not None))
 
-    straight = step(0)
+    plain = step(0)
     before = recordings()
     assert before == [1] * len(STAGES)
     for offset in (4, 16, 32):
-        assert all(torch.equal(a, b) for a, b in zip(step(offset), straight, strict=True))
+        assert all(torch.equal(a, b) for a, b in zip(step(offset), plain, strict=True))
     assert recordings() == before
 
 
-def test_parameters_of_a_scene_may_lie_askew() -> None:
+def test_parameters_of_a_scene_need_not_be_aligned() -> None:
     loaded = dict_scene(oracle.random_scene(60, degree=1, seed=1))
     integrator, params = loaded.integrator(), mi.traverse(loaded)
     values = {key: params[f"splat.{key}"].numpy().copy() for key in KEYS}
@@ -128,16 +128,16 @@ def test_parameters_of_a_scene_may_lie_askew() -> None:
 
     def step(offset: int) -> list[NDArray[np.float32]]:
         for key in KEYS:
-            params[f"splat.{key}"] = mi.Float(askew(values[key], offset))
+            params[f"splat.{key}"] = mi.Float(misaligned(values[key], offset))
             dr.enable_grad(params[f"splat.{key}"])
         params.update()
         picture = mi.render(loaded, params)
-        integrator.render_backward(loaded, params, mi.TensorXf(askew(weights, offset)))
+        integrator.render_backward(loaded, params, mi.TensorXf(misaligned(weights, offset)))
         return [picture.numpy(), *(dr.grad(params[f"splat.{key}"]).numpy() for key in KEYS)]
 
-    straight = step(0)
+    plain = step(0)
     before = recordings()
     assert before == [1] * len(STAGES)
     for offset in (4, 16, 32):
-        assert all(np.array_equal(a, b) for a, b in zip(step(offset), straight, strict=True))
+        assert all(np.array_equal(a, b) for a, b in zip(step(offset), plain, strict=True))
     assert recordings() == before

@@ -155,6 +155,16 @@ def test_wrong_values_are_refused_and_the_old_ones_stay(name: str, value: Any, r
     assert np.array_equal(mi.render(loaded).numpy(), before)
 
 
+def test_of_several_values_all_are_taken_or_none() -> None:
+    loaded = dict_scene(SCENE)
+    params = mi.traverse(loaded)
+    with pytest.raises(InvalidValueError, match="a positive distance"):
+        params.update({"integrator.background": [1.0, 1.0, 1.0], "integrator.near": -1.0})
+    assert loaded.integrator().background == DEFAULTS["background"]
+    params.update({"integrator.background": [1.0, 1.0, 1.0], "integrator.near": 1.0})
+    assert (loaded.integrator().background, loaded.integrator().near) == ((1.0, 1.0, 1.0), 1.0)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [

@@ -47,6 +47,15 @@ def test_alpha_is_at_most_099() -> None:
     assert centre(blobs([1.0], [0.98])) == pytest.approx(0.98, abs=1e-6)
 
 
+def test_alpha_at_its_bound_has_no_gradient() -> None:
+    for opacity, moves in ((1.0, False), (0.98, True)):
+        opacities = torch.tensor([opacity], requires_grad=True)
+        scene = blobs([1.0], [opacity], scale=50.0).replace(opacities=opacities)  # the same alpha in every pixel
+        Renderer()(scene, VIEW).sum().backward()  # type: ignore[no-untyped-call]
+        assert opacities.grad is not None
+        assert float(opacities.grad) == pytest.approx(3 * 64 if moves else 0.0, rel=1e-3)
+
+
 def test_alpha_under_1_255_contributes_nothing() -> None:
     assert centre(blobs([1.0], [1.0001 / 255])) == pytest.approx(1 / 255, rel=2e-4)
     assert centre(blobs([1.0], [0.9999 / 255])) == 0.0
@@ -62,6 +71,17 @@ def test_a_pixel_stops_before_its_transmittance_is_under_1e_4() -> None:
 def test_a_stopped_pixel_stays_stopped() -> None:
     """Even for what is so faint that it would not bring the transmittance under 1e-4."""
     assert centre(blobs([1.0, 2.0, 3.0], [0.99, 0.99999, 0.1])) == pytest.approx(0.99, abs=1e-6)
+
+
+def test_what_lies_behind_the_stop_has_no_gradient() -> None:
+    values = [0.98, 0.97, 0.98, 0.5]  # the third would leave 1.2e-5
+    opacities = torch.tensor(values, requires_grad=True)
+    scene = blobs([1.0, 2.0, 3.0, 4.0], values, scale=100.0).replace(opacities=opacities)
+    Renderer(RenderSettings(background=(0.25, 0.25, 0.25)))(scene, VIEW).sum().backward()  # type: ignore[no-untyped-call]
+    assert opacities.grad is not None
+    # In each of 64 pixels of three channels white takes the place of what is behind it.
+    first, second = 1 - (0.97 + 0.03 * 0.25), 0.02 * (1 - 0.25)
+    assert opacities.grad.tolist() == pytest.approx([192 * first, 192 * second, 0.0, 0.0], rel=2e-3)
 
 
 def test_a_point_is_blurred_by_a_variance_of_03() -> None:
