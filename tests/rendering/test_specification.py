@@ -116,3 +116,17 @@ def test_equal_depths_keep_the_files_order() -> None:
     sh[0] = -scene.sh[0]  # black in front of white
     assert centre(scene.replace(sh=sh)) == pytest.approx(0.25, abs=1e-6)
     assert centre(scene.replace(sh=sh.flip(0))) == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.03, 0.04, 0.042, 0.06, 0.5])
+def test_linear_values_are_those_of_iec_61966(value: float) -> None:
+    opacities = torch.tensor([value], requires_grad=True)
+    scene = blobs([1.0], [value], scale=1000.0).replace(opacities=opacities)  # every pixel has this value
+    picture = Renderer(RenderSettings(linear=True))(scene, VIEW)
+    dark = value <= 0.04045
+    linear = value / 12.92 if dark else ((value + 0.055) / 1.055) ** 2.4
+    derivative = 1 / 12.92 if dark else 2.4 / 1.055 * ((value + 0.055) / 1.055) ** 1.4
+    assert picture.flatten().tolist() == pytest.approx([linear] * 192, rel=1e-4)
+    picture.sum().backward()  # type: ignore[no-untyped-call]
+    assert opacities.grad is not None
+    assert float(opacities.grad) == pytest.approx(192 * derivative, rel=1e-4)
