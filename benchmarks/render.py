@@ -50,25 +50,25 @@ def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Ru
     import mitsuba as mi
 
     from mi_splat.plugins.sensor import sensor_dict
-    from mi_splat.plugins.shape import tensors
+    from mi_splat.plugins.shape import ellipsoid_arrays
 
-    shape = {"type": "ellipsoids", "id": "splat", **tensors(scene)}
+    shape = {"type": "ellipsoids", "id": "splat", **ellipsoid_arrays(scene)}
     parts = {"integrator": {"type": integrator}, "splat": shape, "sensor": sensor_dict(camera)}
     loaded = mi.load_dict({"type": "scene", **parts})
     params = mi.traverse(loaded)
     keys = [f"splat.{name}" for name in ("data", "opacities", "sh_coeffs")]
     rng = np.random.default_rng(1)
     # splat_tile keeps its last pictures for their gradients; a timed forward pass must not find one.
-    forget = getattr(loaded.integrator(), "forget", lambda: None)
+    clear_cache = loaded.integrator().clear_cache if integrator == "splat_tile" else lambda: None
     weights = mi.TensorXf(rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32))
 
     def forward() -> None:
-        forget()
+        clear_cache()
         dr.eval(mi.render(loaded, spp=1))
         dr.sync_thread()
 
     def both() -> None:
-        forget()
+        clear_cache()
         for key in keys:
             dr.disable_grad(params[key])
             dr.enable_grad(params[key])

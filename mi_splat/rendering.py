@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from torch import Tensor
 from mi_splat import variant
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.rasterization.settings import checked_background, checked_near
 from mi_splat.scene import GaussianScene
 
 
@@ -39,12 +39,8 @@ class RenderSettings:
     variant: str = ""
 
     def __post_init__(self) -> None:
-        if len(self.background) != 3 or not all(math.isfinite(v) for v in self.background):
-            raise InvalidValueError(
-                message("background", "three finite numbers", self.background, "pass an sRGB colour")
-            )
-        if not (math.isfinite(self.near) and self.near > 0):
-            raise InvalidValueError(message("near", "a positive distance", self.near, "pass world units, such as 0.2"))
+        checked_background(self.background)
+        checked_near(self.near)
 
 
 class ScreenGradients:
@@ -125,15 +121,10 @@ class Renderer:
                     "scene", f"tensors on {device} for {self.variant}", scene.means.device, f'call scene.to("{device}")'
                 )
             )
-        tensors = [_aligned(t.to(torch.float32).contiguous()) for t in scene.tensors()]
+        tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
         return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings, self.screen_gradients)))
-
-
-def _aligned(tensor: Tensor) -> Tensor:
-    """The tensor at an address that vector loads like; Dr.Jit would compile another kernel for any other."""
-    return tensor if tensor.data_ptr() % 64 == 0 else tensor.clone()
 
 
 @functools.cache
@@ -144,23 +135,36 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
     from mi_splat.rasterization import layouts, pinhole
     from mi_splat.rasterization.colour import develop, develop_backward
-    from mi_splat.rasterization.frozen import buffer
-    from mi_splat.rasterization.pipeline import Picture, rasterize, rasterize_backward
+    from mi_splat.rasterization.frozen import aligned, buffer
+    from mi_splat.rasterization.picture import Picture
+    from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
 
     class Rasterize(dr.CustomOp):  # type: ignore[misc]
         """Rasteriser as one node of Dr.Jit's AD graph."""
 
         def eval(self, means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
-            self.shapes = [t.shape for t in (means, scales, rotations, opacities, sh)]
-            self.arrays = tuple(mi.Float(dr.detach(t.array)) for t in (means, scales, rotations, opacities, sh))
+            """One image per camera.
+
+            Args:
+                means: TensorXf (N, 3), world units.
+                scales: TensorXf (N, 3), standard deviations, world units.
+                rotations: TensorXf (N, 4), quaternions w, x, y, z.
+                opacities: TensorXf (N,).
+                sh: TensorXf (N, K, 3).
+                job: Cameras and settings.
+            """
+            tensors = (means, scales, rotations, opacities, sh)
+            self.shapes = [t.shape for t in tensors]
+            # Here and not only in `rasterize`, so that memory that is not aligned is copied once and not once a camera.
+            arrays = tuple(aligned(mi.Float(dr.detach(t.array))) for t in tensors)
             self.job = job
             self.pictures: list[Picture] = []
             images = []
             for camera in job.cameras:
-                view = pinhole.from_camera(camera, near=job.settings.near)
-                picture = rasterize(layouts.TENSORS, self.arrays, view, job.settings.background)
+                numbers = pinhole.from_camera(camera, near=job.settings.near)
+                picture = rasterize(layouts.TENSORS, arrays, numbers, job.settings.background)
                 self.pictures.append(picture)
-                images.append(develop(picture, view.size, alpha=job.settings.alpha, linear=job.settings.linear))
+                images.append(develop(picture, numbers.size, alpha=job.settings.alpha, linear=job.settings.linear))
             return images
 
         def backward(self) -> None:
@@ -168,13 +172,13 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             settings, screen_gradients, count = self.job.settings, self.job.screen_gradients, self.shapes[0][0]
             if screen_gradients is not None:
                 screen_gradients._begin(count)
-            for camera, picture, grad_colour in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
-                grads = develop_backward(picture, grad_colour, alpha=settings.alpha, linear=settings.linear)
+            for camera, picture, grad_image in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
+                grad_picture = develop_backward(picture, grad_image, alpha=settings.alpha, linear=settings.linear)
                 screen = None if screen_gradients is None else buffer(3 * count, value=0.0)
-                parts = rasterize_backward(layouts.TENSORS, self.arrays, picture, *grads, screen=screen)
+                gradients = rasterize_backward(picture, *grad_picture, screen=screen)
                 if screen_gradients is not None and screen is not None:
                     screen_gradients._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
-                totals = list(parts) if totals is None else [a + b for a, b in zip(totals, parts, strict=True)]
+                totals = list(gradients) if totals is None else [a + b for a, b in zip(totals, gradients, strict=True)]
             names = ("means", "scales", "rotations", "opacities", "sh")
             for key, shape, total in zip(names, self.shapes, totals or [], strict=True):
                 self.set_grad_in(key, mi.TensorXf(total, shape))

@@ -54,16 +54,16 @@ def read_scene(path: str | Path) -> SplatScene:
     except RuntimeError as error:
         raise _reason(error, path) from None
     from mi_splat.plugins import sensor as sensors
-    from mi_splat.plugins.tile import Splats
+    from mi_splat.plugins.gaussian_shapes import GaussianShapes
 
     if not isinstance(loaded, mi.Scene):
         raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
-    splats = Splats(loaded)
-    if not splats.parts or not loaded.sensors():
+    shapes = GaussianShapes(loaded)
+    if not shapes.arrays or not loaded.sensors():
         raise InvalidValueError(
             message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
         )
-    scenes = [_scene_of(arrays) for arrays in splats.parts]
+    scenes = [_scene_of(arrays) for arrays in shapes.arrays]
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
     return SplatScene(
         scene=merge(*scenes),
@@ -109,7 +109,7 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
 def open_scene(path: Path) -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
-    A bare splat file becomes a loaded of one part without cameras, in front of black.
+    A bare splat file becomes a scene of one object without cameras, in front of black.
 
     Raises:
         MiSplatError: The file cannot be read, or is of neither kind.
@@ -125,7 +125,7 @@ def open_scene(path: Path) -> SplatScene:
 
 
 def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
-    """The camera called `name` of a loaded, or its first if None.
+    """The camera called `name`, or the first one if None.
 
     Raises:
         InvalidValueError: There is no such camera.

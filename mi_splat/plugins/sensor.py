@@ -18,7 +18,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.rasterization.pinhole import Pinhole
 
 _LENS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
-_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+_MITSUBA_TO_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]:
@@ -30,7 +30,7 @@ def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]
                 f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
             )
         )
-    pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _FLIP
+    pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     film = sensor.film()
     width, height = (int(v) for v in film.size())
@@ -50,10 +50,11 @@ def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
     held = [sensor.world_transform().matrix, *(params[key] for key in _LENS if key in params)]
     film = sensor.film()
     sizes = (tuple(film.size()), tuple(film.crop_offset()), tuple(film.crop_size()))
-    return (*(dr.detach(array).index for array in _leaves(held)), *sizes), held
+    return (*(dr.detach(array).index for array in _flat(held)), *sizes), held
 
 
-def _leaves(arrays: list[Any]) -> list[Any]:
+def _flat(arrays: list[Any]) -> list[Any]:
+    """The entries of the matrix that comes first, then the other arrays."""
     matrix, *others = arrays
     return [*(matrix[i, j] for i in range(4) for j in range(4)), *others]
 
@@ -109,7 +110,7 @@ def sensor_dict(camera: Camera) -> dict[str, Any]:
         "principal_point_offset_y": 0.5 - camera.cy / camera.height,
         "near_clip": 0.01,
         "far_clip": 2000.0,
-        "to_world": mi.ScalarTransform4f(camera.to_world.numpy() @ _FLIP),
+        "to_world": mi.ScalarTransform4f(camera.to_world.numpy() @ _MITSUBA_TO_OPENCV),
         "film": {
             "type": "hdrfilm",
             "width": camera.width,

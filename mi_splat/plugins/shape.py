@@ -10,7 +10,7 @@ rotations           tensor (N, 4)       quaternions w, x, y, z
 opacities           tensor (N, )        in [0, 1]
 sh                  tensor (N, K, 3)    spherical harmonics in 3DGS order
 to_world            transform           rotation, translation and uniform scale; the spherical harmonics turn with it
-extent, ...         as `ellipsoids`     handed on to Mitsuba's shape
+extent, ...         as `ellipsoids`     passed on to Mitsuba's shape
 ==================  ==================  ==============================================================================
 
 `mi.traverse` shows `<id>.data` (N x 10: centre, standard deviations, quaternion x, y, z, w), `<id>.opacities` (N) and
@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.rasterization.frozen import aligned
 from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity
 
-_HANDED_ON = ("extent", "extent_adaptive_clamping")
+_PASSED_ON = ("extent", "extent_adaptive_clamping")
 
 
 def gaussians(props: Any) -> Any:
@@ -57,22 +58,22 @@ def gaussians(props: Any) -> Any:
         )
     if "to_world" in props:
         scene = scene.transform(similarity(np.array(props["to_world"].matrix)))
-    extra = {key: props[key] for key in _HANDED_ON if key in props}
+    extra = {key: props[key] for key in _PASSED_ON if key in props}
     children = dict(props.objects())
-    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **tensors(scene), **extra, **children})
+    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra, **children})
 
 
-def tensors(scene: GaussianScene) -> dict[str, Any]:
+def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:
     """The entries `data`, `opacities` and `sh_coeffs` of an `ellipsoids` dict for a scene."""
     means, scales, (w, *xyz) = scene.means, scene.scales, scene.rotations.unbind(1)
     data = torch.cat([means, scales, torch.stack([*xyz, w], dim=1)], dim=1)
     flat = {"data": data, "opacities": scene.opacities[:, None], "sh_coeffs": scene.sh.flatten(1)}
-    return {key: mi.TensorXf(np.ascontiguousarray(t.detach().cpu().float().numpy())) for key, t in flat.items()}
+    return {key: _tensor(t) for key, t in flat.items()}
 
 
 def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
     """A dict for `mi.load_dict` that holds `scene` as a `gaussians` shape."""
-    arrays = {name: mi.TensorXf(t.detach().cpu().float().contiguous().numpy()) for name, t in _named(scene)}
+    arrays = {name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
     return {"type": "gaussians", **arrays, **extra}
 
 
@@ -96,8 +97,10 @@ def similarity(matrix: NDArray[np.float64]) -> Similarity:
     )
 
 
-def _named(scene: GaussianScene) -> list[tuple[str, torch.Tensor]]:
-    return list(zip(ATTRIBUTES, scene.tensors(), strict=True))
+def _tensor(values: torch.Tensor) -> Any:
+    # Aligned now, once, and not before each of its pictures.
+    flat = aligned(mi.Float(values.detach().cpu().float().flatten().numpy()))
+    return mi.TensorXf(flat, tuple(values.shape))
 
 
 def _numpy(tensor: Any) -> NDArray[np.float32]:

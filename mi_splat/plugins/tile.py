@@ -9,122 +9,48 @@ alpha       boolean  false      append opacity (1 - transmittance) as a fourth c
 linear      boolean  false      linear instead of sRGB values (mi.Bitmap and mi.util.write_bitmap expect linear ones)
 ==========  =======  =========  ======================================================================================
 
+All four can be changed, as attributes of the integrator or through `mi.traverse`, where they are called
+`<id of the integrator>.near` and so on ("integrator" without an id); the next picture is made with the new value.
+
 One deterministic sample at every pixel centre: sampler, sample count, seed and reconstruction filter have no influence.
 Differentiable with respect to `data`, `opacities` and `sh_coeffs` in reverse mode.
 """
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins import sensor as sensors
+from mi_splat.plugins.gaussian_shapes import GaussianShapes
+from mi_splat.plugins.settings import SETTINGS
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.layouts import ELLIPSOIDS
+from mi_splat.rasterization.picture import Picture
 from mi_splat.rasterization.pinhole import Pinhole
-from mi_splat.rasterization.pipeline import Picture, rasterize, rasterize_backward
+from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
 
-_KEYS = ("data", "opacities", "sh_coeffs")
-_REMEMBERED = 2  # pictures whose intermediate results are kept for their backward pass
+_DEFAULT_ID = "integrator"  # as in the usual dict; Mitsuba would name an integrator without an id by its address
+_CACHED_PICTURES = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Remembered:
-    """A picture with what its gradient needs; holding the shapes' arrays keeps their indices taken."""
+class CachedPicture:
+    """A picture with its camera; holding the shapes' arrays keeps their indices, and so the cache's key, taken."""
 
     held: list[Any]
-    arrays: tuple[Any, ...]
-    view: Pinhole
+    camera: Pinhole
     picture: Picture
 
 
-class Splats:
-    """The `gaussians` shapes of a scene, in file order, as one set of arrays."""
-
-    def __init__(self, scene: Any) -> None:
-        shapes = scene.shapes()
-        others = [s.id() or s.class_name() for s in shapes if not s.is_ellipsoids()]
-        if others:
-            raise InvalidValueError(
-                message("scene", "gaussians shapes only", f"also {', '.join(others)}", "render it without its meshes")
-            )
-        self.parts = [self._arrays(shape) for shape in shapes]
-        self.degrees = [math.isqrt(len(sh) // (3 * len(opacities))) - 1 for _, opacities, sh in self.parts]
-        for shape, (_, opacities, sh), degree in zip(shapes, self.parts, self.degrees, strict=True):
-            if len(sh) != 3 * (degree + 1) ** 2 * len(opacities) or not 0 <= degree <= 3:
-                raise InvalidValueError(
-                    message(f"{shape.id()}.sh_coeffs", "SH of degree 0 to 3", len(sh), "check the splat's coefficients")
-                )
-
-    @staticmethod
-    def _arrays(shape: Any) -> tuple[Any, ...]:
-        params = mi.traverse(shape)
-        missing = [key for key in _KEYS if key not in params]
-        if missing:
-            raise InvalidValueError(
-                message(f'shape "{shape.id()}"', "a splat", f"no {', '.join(missing)}", 'use type="gaussians"')
-            )
-        return tuple(params[key] for key in _KEYS)
-
-    def joined(self) -> tuple[Any, ...]:
-        """Detached arrays of all shapes, at the highest SH degree among them."""
-        if not self.parts:
-            return tuple(mi.Float() for _ in _KEYS)
-        top = max(self.degrees)
-        parts = [
-            (dr.detach(data), dr.detach(opacities), _pad(dr.detach(sh), degree, top))
-            for (data, opacities, sh), degree in zip(self.parts, self.degrees, strict=True)
-        ]
-        joined = parts[0] if len(parts) == 1 else tuple(dr.concat(arrays) for arrays in zip(*parts, strict=True))
-        dr.make_opaque(joined)
-        return joined
-
-    def backward(self, gradients: tuple[Any, ...]) -> None:
-        """Hand each shape its rows of the gradient of `joined()`."""
-        top = max(self.degrees, default=0)
-        widths = (10, 1, 3 * (top + 1) ** 2)
-        row = 0
-        for arrays, degree in zip(self.parts, self.degrees, strict=True):
-            count = len(arrays[1])
-            for array, gradient, width in zip(arrays, gradients, widths, strict=True):
-                if not dr.grad_enabled(array):
-                    continue
-                part = _slice(gradient, row * width, count * width) if len(self.parts) > 1 else gradient
-                if len(part) != len(array):
-                    part = _pad(part, top, degree)
-                dr.backward_from(dr.detach(part) * array)
-            row += count
-
-
-def _slice(array: Any, start: int, count: int) -> Any:
-    return dr.gather(mi.Float, array, dr.arange(mi.UInt32, count) + start)
-
-
-def _pad(sh: Any, degree: int, target: int) -> Any:
-    """SH rows of another degree: missing coefficients are 0, surplus ones are cut."""
-    if degree == target:
-        return sh
-    old, new = 3 * (degree + 1) ** 2, 3 * (target + 1) ** 2
-    index = dr.arange(mi.UInt32, len(sh) // old * new)
-    column = index % new
-    return dr.gather(mi.Float, sh, index // new * old + column, column < old)
-
-
-def _colour(props: Any, name: str) -> tuple[float, float, float]:
-    given = props.get(name, [0.0, 0.0, 0.0])
-    value = [] if isinstance(given, str) else [float(v) for v in np.ravel(np.array(given, dtype=np.float64))]
-    if len(value) == 1:
-        value *= 3
-    if len(value) != 3 or not all(math.isfinite(v) for v in value):
-        raise InvalidValueError(message(name, "three finite numbers", given, "give an <rgb>"))
-    return value[0], value[1], value[2]
+def _property_of(name: str) -> property:
+    """Attribute of the integrator that reads and sets a setting."""
+    return property(lambda self: self._values[name], lambda self, value: self._set(name, value))
 
 
 def integrator_class(variant: str) -> Any:
@@ -134,48 +60,71 @@ def integrator_class(variant: str) -> Any:
     class SplatTile(ADIntegrator):  # type: ignore[misc]
         """Thin caller of `mi_splat.rasterization`."""
 
+        background = _property_of("background")
+        near = _property_of("near")
+        alpha = _property_of("alpha")
+        linear = _property_of("linear")
+
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.background = _colour(props, "background")
-            self.near = float(props.get("near", 0.2))
-            self.alpha = bool(props.get("alpha", False))
-            self.linear = bool(props.get("linear", False))
-            if not (math.isfinite(self.near) and self.near > 0):
-                raise InvalidValueError(
-                    message("near", "a positive distance", self.near, "pass world units, such as 0.2")
-                )
-            self.remembered: OrderedDict[Any, Remembered] = OrderedDict()
-            self.looked: tuple[Any, Any, Pinhole] | None = None
+            if not props.id() or props.id().startswith("_unnamed_"):
+                self.set_id(_DEFAULT_ID)
+            self._values: dict[str, Any] = {}
+            # What `mi.traverse` shows. The plain values count: reading these waits for every kernel in flight.
+            self._shown = {name: setting.array(setting.default) for name, setting in SETTINGS.items()}
+            for name, setting in SETTINGS.items():
+                self._set(name, props.get(name, setting.default))
+            self._pictures: OrderedDict[Any, CachedPicture] = OrderedDict()
+            self._camera: tuple[Any, Any, Pinhole] | None = None
 
-        def _view(self, sensor: Any) -> Pinhole:
-            """The camera of a sensor; the last one is kept, since a gradient is asked for right after its picture."""
-            key, held = sensors.identity(sensor)
-            if self.looked is None or self.looked[0] != key:
-                self.looked = key, held, sensors.pinhole(sensor, near=self.near)
-            return self.looked[2]
+        def _set(self, name: str, value: Any) -> None:
+            setting = SETTINGS[name]
+            self._values[name] = setting.checked(value)
+            # In place, as SceneParameters does it: one made before shall show the new value.
+            mi.set_property(self._shown[name], setting.array(self._values[name]))
 
-        def _picture(self, splats: Splats, sensor: Any) -> Remembered:
-            """The picture from a sensor; the last few are kept, since a gradient is asked for right after its picture.
+        def traverse(self, callback: Any) -> None:
+            for name, array in self._shown.items():
+                callback.put(name, array, mi.ParamFlags.NonDifferentiable)
+
+        def parameters_changed(self, keys: list[str]) -> None:
+            """Take over what `mi.traverse` was given; a value that cannot be is refused, and the old one stays."""
+            changed = [name for name in SETTINGS if name in keys]
+            try:
+                values = {name: SETTINGS[name].checked(self._shown[name]) for name in changed}
+            except InvalidValueError:
+                for name in changed:
+                    self._set(name, self._values[name])
+                raise
+            for name, value in values.items():
+                self._set(name, value)
+
+        def _camera_of(self, sensor: Any) -> Pinhole:
+            """The camera of a sensor; the last one is cached, since a gradient is asked for right after its picture."""
+            identity, held = sensors.identity(sensor)
+            key = identity, self.near
+            if self._camera is None or self._camera[0] != key:
+                self._camera = key, held, sensors.pinhole(sensor, near=self.near)
+            return self._camera[2]
+
+        def _picture(self, shapes: GaussianShapes, sensor: Any) -> CachedPicture:
+            """The picture from a sensor; the last few are cached for their gradients.
 
             Dr.Jit's arrays never change under a given index while someone holds them, so the indices are a safe key.
             """
-            view = self._view(sensor)
-            indices = tuple(dr.detach(array).index for arrays in splats.parts for array in arrays)
-            key = (indices, view.to_camera.tobytes(), view.focal, view.principal, view.size, view.field)
-            if key not in self.remembered:
-                held = [dr.detach(array) for arrays in splats.parts for array in arrays]
-                arrays = splats.joined()
-                self.remembered[key] = Remembered(
-                    held, arrays, view, rasterize(ELLIPSOIDS, arrays, view, self.background)
-                )
-                while len(self.remembered) > _REMEMBERED:
-                    self.remembered.popitem(last=False)
-            return self.remembered[key]
+            camera, held = self._camera_of(sensor), shapes.detached()
+            key = tuple(array.index for array in held), camera.key(), self.background
+            if key not in self._pictures:
+                picture = rasterize(ELLIPSOIDS, shapes.joined(), camera, self.background)
+                self._pictures[key] = CachedPicture(held, camera, picture)
+                while len(self._pictures) > _CACHED_PICTURES:
+                    self._pictures.popitem(last=False)
+            return self._pictures[key]
 
-        def forget(self) -> None:
+        def clear_cache(self) -> None:
             """Drop the pictures kept for their gradients."""
-            self.remembered.clear()
-            self.looked = None
+            self._pictures.clear()
+            self._camera = None
 
         def render(
             self,
@@ -186,23 +135,66 @@ def integrator_class(variant: str) -> Any:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
+            """The picture as a TensorXf.
+
+            Args:
+                scene: A Mitsuba scene whose shapes are `gaussians`.
+                sensor: A perspective sensor, or its number in the scene.
+                seed: Without influence.
+                spp: Without influence.
+                develop: Must be True: there is no film to take a picture from afterwards.
+                evaluate: Without influence.
+
+            Raises:
+                InvalidValueError: The scene holds other shapes, the sensor is another one, or `develop` is False.
+            """
             if not develop:
                 raise InvalidValueError(message("develop", "True", develop, "take the picture that render() returns"))
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             with dr.suspend_grad():
-                seen = self._picture(Splats(scene), sensor)
-                return _develop(seen.picture, seen.view.size, alpha=self.alpha, linear=self.linear)
+                cached = self._picture(GaussianShapes(scene), sensor)
+                return _develop(cached.picture, cached.camera.size, alpha=self.alpha, linear=self.linear)
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
+            """Carry the gradient of a picture to the shapes' arrays, for the settings that are in force now.
+
+            Args:
+                scene: A Mitsuba scene whose shapes are `gaussians`.
+                params: Not needed: the shapes hold their arrays.
+                grad_in: TensorXf like the picture, dL/d(picture).
+                sensor: A perspective sensor, or its number in the scene.
+                seed: Without influence.
+                spp: Without influence.
+
+            Raises:
+                InvalidValueError: `grad_in` is not of the shape of the picture.
+            """
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            splats = Splats(scene)
-            seen = self._picture(splats, sensor)
-            grads = develop_backward(seen.picture, grad_in, alpha=self.alpha, linear=self.linear)
-            splats.backward(rasterize_backward(ELLIPSOIDS, seen.arrays, seen.picture, *grads))
+            shapes = GaussianShapes(scene)
+            cached = self._picture(shapes, sensor)
+            width, height = cached.camera.size
+            expected = (height, width, 4 if self.alpha else 3)
+            if grad_in.shape != expected:
+                do = "render again after a change of alpha or of the film"
+                raise InvalidValueError(message("gradient of the picture", f"shape {expected}", grad_in.shape, do))
+            grad_picture = develop_backward(cached.picture, grad_in, alpha=self.alpha, linear=self.linear)
+            shapes.backward(rasterize_backward(cached.picture, *grad_picture))
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
+            """Refused.
+
+            Args:
+                scene: Not looked at, like all others.
+                params: See `scene`.
+                sensor: See `scene`.
+                seed: See `scene`.
+                spp: See `scene`.
+
+            Raises:
+                InvalidValueError: Always: there is no forward mode.
+            """
             raise InvalidValueError(
                 message(
                     "splat_tile",
@@ -213,7 +205,8 @@ def integrator_class(variant: str) -> Any:
             )
 
         def to_string(self) -> str:
-            return f"SplatTile[background = {self.background}, near = {self.near}, alpha = {self.alpha}]"
+            values = ", ".join(f"{name} = {value}" for name, value in self._values.items())
+            return f"SplatTile[{values}]"
 
     _develop = develop
     return SplatTile

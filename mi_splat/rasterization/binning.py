@@ -20,7 +20,14 @@ _SLACK = 4e-3  # px; keeps rounding from dropping a pixel whose alpha is just ab
 
 
 def pixel_span(centre: Any, low: Any, high: Any, size: Any) -> tuple[Any, Any]:
-    """First and last pixel (Int32, inside the picture) whose centre lies in [centre + low, centre + high]."""
+    """First and last pixel (Int32, inside the picture) whose centre lies in [centre + low, centre + high].
+
+    Args:
+        centre: Float, pixels from the picture's edge.
+        low: Float, pixels.
+        high: Float, pixels.
+        size: Int32, the picture's width or height.
+    """
     first = dr.ceil(centre + low - (0.5 + _SLACK))
     last = dr.floor(centre + high - (0.5 - _SLACK))
     # Clip before the conversion: a float outside of Int32's range has no defined integer.
@@ -34,6 +41,12 @@ def tiles_of_row(splat: Splat, row: Any, height: Any, width: Any) -> tuple[Any, 
     The ellipse is (u0 dx + u1 dy)^2 + (v1 dy)^2 <= tau. Its right edge over dy is concave with its top at
     -(u1 / v1) sqrt(tau / (u1^2 + v1^2)), its left edge the mirror image, so clamping that dy to the row's band of
     pixel centres gives the exact extent of the band.
+
+    Args:
+        splat: One Gaussian a lane.
+        row: Int32, tile row.
+        height: Int32, of the picture in pixels.
+        width: Int32, of the picture in pixels.
     """
     tau = splat.level - CUTOFF
     first_y = mi.Float(row * TILE)
@@ -62,7 +75,15 @@ def tile_rows(splat: Splat, extent: Any, height: Any) -> tuple[Any, Any]:
 
 
 def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any) -> Any:
-    """UInt32 number of tiles that each Gaussian touches."""
+    """UInt32 number of tiles that each Gaussian touches.
+
+    Args:
+        splat: One Gaussian a lane.
+        extent: Vector2f, pixels: half the box around its ellipse, negative where there is none (see `project`).
+        visible: Bool; Gaussians without it touch no tile.
+        width: Int32, of the picture in pixels.
+        height: Int32, of the picture in pixels.
+    """
     first, last = tile_rows(splat, extent, height)
 
     def body(row: Any, total: Any) -> tuple[Any, Any]:

@@ -24,9 +24,9 @@ _PIXELS = range(TILE * TILE)
 class Record:
     """The nine numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre."""
 
-    def __init__(self, records: tuple[Any, Any], index: Any, origin: tuple[Any, Any]) -> None:
+    def __init__(self, records: tuple[Any, Any], index: Any, corner: tuple[Any, Any]) -> None:
         v = dr.gather(mi.ArrayXf, records[0], index, shape=(RECORD, dr.width(index)))
-        self.x, self.y = origin[0] - v[0], origin[1] - v[1]
+        self.x, self.y = corner[0] - v[0], corner[1] - v[1]
         self.u0, self.u1, self.v1, self.level = v[2], v[3], v[4], v[5]
         self.colour = (v[6], v[7], dr.gather(mi.Float, records[1], index))
 
@@ -45,50 +45,52 @@ class Record:
         return values
 
 
-def origin(tile: Any, columns: Any) -> tuple[Any, Any]:
+def first_pixel(tile: Any, columns: Any) -> tuple[Any, Any]:
     """Pixel coordinates of the centre of a tile's first pixel."""
     row = tile // columns
     return mi.Float((tile - row * columns) * TILE) + 0.5, mi.Float(row * TILE) + 0.5
 
 
-def blend(alpha: Any, transmittance: Any) -> tuple[Any, Any]:
+def blend_step(alpha: Any, transmittance: Any) -> tuple[Any, Any]:
     """Weight of a Gaussian at a pixel and the transmittance behind it (negative once the pixel has stopped)."""
     behind = dr.fma(-alpha, transmittance, transmittance)
     stop = behind < MIN_TRANSMITTANCE
     return dr.select(stop, 0.0, alpha * transmittance), dr.select(stop, -dr.abs(transmittance), behind)
 
 
-def alive(transmittances: list[Any]) -> Any:
-    """Whether any pixel of the tile still takes light."""
+def any_open(transmittances: list[Any]) -> Any:
+    """Whether any pixel of the tile has not stopped."""
     values = list(transmittances)
     while len(values) > 1:
         values = [dr.maximum(a, b) for a, b in zip(values[::2], values[1::2], strict=True)]
     return values[0] > 0.0
 
 
-def forward(records: tuple[Any, Any], gaussians: Any, span: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
+def blend_tile(
+    records: tuple[Any, Any], gaussians: Any, pair_range: tuple[Any, Any], corner: tuple[Any, Any]
+) -> tuple[Any, Any]:
     """Blend every tile.
 
     Args:
         records: The Gaussians' records.
         gaussians: UInt32, Gaussian of each pair in tile order.
-        span: First and one-past-last pair of the lane's tile.
-        place: `origin` of the lane's tile.
+        pair_range: First and one-past-last pair of the lane's tile.
+        corner: `first_pixel` of the lane's tile.
 
     Returns:
         A list of 3 x 16 colours (channel-major) without background, and a list of 16 transmittances.
     """
     start = (
-        mi.UInt32(span[0]),
+        mi.UInt32(pair_range[0]),
         [mi.Float(1) for _ in _PIXELS],
         [mi.Float(0) for _ in range(3 * TILE * TILE)],
     )
 
     def body(pair: Any, transmittances: list[Any], colours: list[Any]) -> tuple[Any, list[Any], list[Any]]:
-        record = Record(records, dr.gather(mi.UInt32, gaussians, pair), place)
+        record = Record(records, dr.gather(mi.UInt32, gaussians, pair), corner)
         behind, summed = [], list(colours)
         for p, alpha in enumerate(record.alphas()):
-            weight, left = blend(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
+            weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
             behind.append(left)
             for c in range(3):
                 k = c * TILE * TILE + p
@@ -97,43 +99,43 @@ def forward(records: tuple[Any, Any], gaussians: Any, span: tuple[Any, Any], pla
 
     _, transmittances, colours = dr.while_loop(
         start,
-        lambda pair, transmittances, _: (pair < span[1]) & alive(transmittances),
+        lambda pair, transmittances, _: (pair < pair_range[1]) & any_open(transmittances),
         body,
         label="blend",
     )
     return colours, [dr.abs(t) for t in transmittances]
 
 
-def backward(
+def blend_tile_backward(
     records: tuple[Any, Any],
     pairs: tuple[Any, Any],
-    span: tuple[Any, Any],
-    place: tuple[Any, Any],
+    pair_range: tuple[Any, Any],
+    corner: tuple[Any, Any],
     pixels: tuple[list[Any], list[Any], list[Any]],
     moments: tuple[Any, Any],
 ) -> None:
     """Walk every tile's list again and store each pair's share of the gradient in the pair's own row.
 
     For h = alpha dL/dalpha at a pixel and (dx, dy) from the Gaussian's centre, a row holds the sums over the tile of
-    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour; no two lanes write to one place, so the
+    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour; no two lanes write to one row, so the
     result does not depend on the order of execution.
 
     Args:
         records: The Gaussians' records.
         pairs: For each pair in tile order: its Gaussian, and its row (its place before the sort by tile).
-        span: First and one-past-last pair of the lane's tile.
-        place: `origin` of the lane's tile.
+        pair_range: First and one-past-last pair of the lane's tile.
+        corner: `first_pixel` of the lane's tile.
         pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), and the sum over everything that
             reaches the pixel of weight times dL/dweight, background included (16).
         moments: Two buffers, of 8 floats a row and of 1.
     """
-    grads, grad_alpha, remaining = pixels
-    start = (mi.UInt32(span[0]), [mi.Float(1) for _ in _PIXELS], list(remaining))
+    grad_colour, grad_opacity, weighted = pixels
+    start = (mi.UInt32(pair_range[0]), [mi.Float(1) for _ in _PIXELS], list(weighted))
     n = TILE * TILE
 
     def body(pair: Any, transmittances: list[Any], remaining: list[Any]) -> tuple[Any, list[Any], list[Any]]:
-        record = Record(records, dr.gather(mi.UInt32, pairs[0], pair), place)
-        behind, left, colour = [], [], [mi.Float(0)] * 3
+        record = Record(records, dr.gather(mi.UInt32, pairs[0], pair), corner)
+        behind, left, colour_sums = [], [], [mi.Float(0)] * 3
         rows = []
         alphas = record.alphas()
         for row in range(TILE):
@@ -141,12 +143,12 @@ def backward(
             for column in range(TILE):
                 p = row * TILE + column
                 alpha = dr.minimum(alphas[p], MAX_ALPHA)
-                weight, t = blend(alpha, transmittances[p])
-                gain = record.colour[0] * grads[p]
-                gain = dr.fma(record.colour[1], grads[n + p], gain)
-                gain = dr.fma(record.colour[2], grads[2 * n + p], gain)
-                if grad_alpha:
-                    gain = gain + grad_alpha[p]
+                weight, t = blend_step(alpha, transmittances[p])
+                gain = record.colour[0] * grad_colour[p]
+                gain = dr.fma(record.colour[1], grad_colour[n + p], gain)
+                gain = dr.fma(record.colour[2], grad_colour[2 * n + p], gain)
+                if grad_opacity:
+                    gain = gain + grad_opacity[p]
                 rest = dr.fma(-weight, gain, remaining[p])
                 # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha); zero where clamped, skipped or stopped
                 h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))
@@ -154,7 +156,7 @@ def backward(
                 dx = record.x + float(column)
                 m0, m1, m2 = m0 + h, dr.fma(h, dx, m1), dr.fma(h * dx, dx, m2)
                 for c in range(3):
-                    colour[c] = dr.fma(weight, grads[c * n + p], colour[c])
+                    colour_sums[c] = dr.fma(weight, grad_colour[c * n + p], colour_sums[c])
                 behind.append(t)
                 left.append(rest)
             rows.append((m0, m1, m2))
@@ -163,13 +165,13 @@ def backward(
             dy = record.y + float(row)
             s = [s[0] + m0, s[1] + m1, dr.fma(m0, dy, s[2]), s[3] + m2, dr.fma(m1, dy, s[4]), dr.fma(m0 * dy, dy, s[5])]
         index = dr.gather(mi.UInt32, pairs[1], pair)
-        dr.scatter(moments[0], mi.ArrayXf([*s, colour[0], colour[1]]), index)
-        dr.scatter(moments[1], colour[2], index)
+        dr.scatter(moments[0], mi.ArrayXf([*s, colour_sums[0], colour_sums[1]]), index)
+        dr.scatter(moments[1], colour_sums[2], index)
         return pair + 1, behind, left
 
     reached, _, _ = dr.while_loop(
         start,
-        lambda pair, transmittances, _: (pair < span[1]) & alive(transmittances),
+        lambda pair, transmittances, _: (pair < pair_range[1]) & any_open(transmittances),
         body,
         label="blend backward",
     )
@@ -180,4 +182,4 @@ def backward(
         dr.scatter(moments[1], mi.Float(0), index)
         return (pair + 1,)
 
-    dr.while_loop((reached,), lambda pair: pair < span[1], clear, label="hidden pairs")
+    dr.while_loop((reached,), lambda pair: pair < pair_range[1], clear, label="hidden pairs")

@@ -1,4 +1,4 @@
-"""From the rasteriser's flat picture to the tensor a caller asked for, and back for gradients."""
+"""From the rasteriser's flat picture to the image that a caller asked for, and back for gradients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.rasterization.pipeline import Picture
+from mi_splat.rasterization.picture import Picture
 
 
 def _linear(value: Any) -> Any:
@@ -15,12 +15,20 @@ def _linear(value: Any) -> Any:
     return dr.select(value <= 0.04045, value / 12.92, dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 2.4))
 
 
-def _linear_grad(value: Any) -> Any:
+def _linear_derivative(value: Any) -> Any:
+    """d(linear value) / d(sRGB value)."""
     return dr.select(value <= 0.04045, 1 / 12.92, 2.4 / 1.055 * dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 1.4))
 
 
 def develop(picture: Picture, size: tuple[int, int], *, alpha: bool, linear: bool) -> Any:
-    """The picture as a TensorXf (H, W, 3), or (H, W, 4) with `alpha`."""
+    """The picture as an image: TensorXf (H, W, 3), or (H, W, 4) with `alpha`.
+
+    Args:
+        picture: What `rasterize` returned.
+        size: Its width and height in pixels.
+        alpha: Append opacity as a fourth channel.
+        linear: Linear instead of sRGB values.
+    """
     width, height = size
     colour = _linear(picture.colour) if linear else picture.colour
     if not alpha:
@@ -32,14 +40,21 @@ def develop(picture: Picture, size: tuple[int, int], *, alpha: bool, linear: boo
     return mi.TensorXf(flat, (height, width, 4))
 
 
-def develop_backward(picture: Picture, grad_colour: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
-    """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(developed tensor)."""
-    flat = mi.Float(dr.detach(grad_colour.array))
-    grad_alpha: tuple[Any, ...] = ()
+def develop_backward(picture: Picture, grad_image: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
+    """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(image).
+
+    Args:
+        picture: What `develop` was given.
+        grad_image: TensorXf like the image that `develop` returned.
+        alpha: As `develop` was called.
+        linear: As `develop` was called.
+    """
+    flat = mi.Float(dr.detach(grad_image.array))
+    grad_opacity: tuple[Any, ...] = ()
     if alpha:
         pixel = dr.arange(mi.UInt32, len(picture.opacity))
         rgba = dr.gather(mi.ArrayXf, flat, pixel, shape=(4, len(picture.opacity)))
         flat = dr.empty(mi.Float, 3 * len(picture.opacity))
         dr.scatter(flat, mi.ArrayXf([rgba[0], rgba[1], rgba[2]]), pixel)
-        grad_alpha = (mi.Float(rgba[3]),)
-    return (flat * _linear_grad(picture.colour) if linear else flat, *grad_alpha)
+        grad_opacity = (mi.Float(rgba[3]),)
+    return (flat * _linear_derivative(picture.colour) if linear else flat, *grad_opacity)

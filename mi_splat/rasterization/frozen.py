@@ -1,4 +1,4 @@
-"""Frozen stages, and the arrays that they need to be made outside of them; README.md says why."""
+"""Frozen stages, and the memory that they may be given: made here, or checked here; README.md says why."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+
+_ALIGNMENT = 64  # bytes; all memory that Dr.Jit allocates itself starts at a multiple of it
 
 
 @functools.cache
@@ -30,6 +33,26 @@ def run(stage: Callable[..., Any], *arguments: Any) -> Any:
     finally:
         if collecting:
             gc.enable()
+
+
+def aligned(array: Any) -> Any:
+    """The array, evaluated, in memory for which a frozen function needs no recording of its own.
+
+    Dr.Jit borrows the memory of NumPy arrays and torch tensors without a copy. Where that memory does not start at a
+    multiple of 64 bytes, which is left to chance, kernels that read it are other ones: a second recording, and seconds
+    of compilation. So every array that may come from a user passes through here; one that is aligned is not copied.
+    """
+    dr.make_opaque(array)
+    if len(array) == 0 or dr.backend_v(array) != dr.JitBackend.LLVM or _address(array) % _ALIGNMENT == 0:
+        return array
+    copy = buffer(len(array), type(array))
+    dr.scatter(copy, array, dr.arange(mi.UInt32, len(array)))
+    dr.eval(copy)
+    return copy
+
+
+def _address(array: Any) -> int:
+    return int(np.from_dlpack(array).ctypes.data)
 
 
 def buffer(size: int, dtype: Any = None, value: float | None = None) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ class Pinhole:
     near: float
 
     def numbers(self) -> Any:
-        """The 22 floats of `KernelCamera` as one array of the current variant."""
+        """The 22 floats of `KernelCamera` as one array of the current variant, made anew."""
         pose = self.to_camera
         position = -pose[:3, :3].T @ pose[:3, 3]
         row = np.concatenate(
@@ -50,7 +51,12 @@ class Pinhole:
                 [self.near],
             ]
         )
-        return mi.Float(row.astype(np.float32))
+        # As a list: Dr.Jit copies that to memory of its own, where it would borrow a NumPy array's (see `aligned`).
+        return mi.Float(row.tolist())
+
+    def key(self) -> tuple[Any, ...]:
+        """Equal for two cameras that make the same picture."""
+        return self.to_camera.tobytes(), self.focal, self.principal, self.size, self.field, self.near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +74,6 @@ class KernelCamera:
 
 def unpack(numbers: Any) -> KernelCamera:
     """Read a `KernelCamera` out of the array that `Pinhole.numbers` made."""
-    import drjit as dr
-
     v = [dr.gather(mi.Float, numbers, mi.UInt32(i)) for i in range(22)]
     return KernelCamera(
         rotation=mi.Matrix3f(*v[0:9]),

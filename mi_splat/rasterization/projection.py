@@ -33,6 +33,20 @@ class Gaussians:
     opacity: Any  # Float
     sh: list[Any]  # K Color3f
 
+    def parts(self) -> list[Any]:
+        """All arrays in one list."""
+        return [self.mean, self.scale, *self.rotation, self.opacity, *self.sh]
+
+    def gradient(self) -> Gaussians:
+        """The gradients that a backward pass left in the arrays, in the same form."""
+        return Gaussians(
+            mean=dr.grad(self.mean),
+            scale=dr.grad(self.scale),
+            rotation=[dr.grad(q) for q in self.rotation],
+            opacity=dr.grad(self.opacity),
+            sh=[dr.grad(c) for c in self.sh],
+        )
+
 
 @dataclass(slots=True, eq=False)
 class Splat:
@@ -54,7 +68,7 @@ class Splat:
         return [*self.centre, self.u0, self.u1, self.v1, self.level, *self.colour]
 
 
-def rotation_columns(quaternion: Any) -> Any:
+def rotation_matrix(quaternion: Any) -> Any:
     """Matrix3f of the rotation of a quaternion (w, x, y, z) of any length but 0."""
     w, x, y, z = quaternion
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -65,17 +79,9 @@ def rotation_columns(quaternion: Any) -> Any:
     )  # fmt: skip
 
 
-def depth(gaussians_mean: Any, view: KernelCamera) -> Any:
-    """Camera-space depth of a world point."""
-    row = view.rotation
-    return (
-        row[2, 0] * gaussians_mean.x + row[2, 1] * gaussians_mean.y + row[2, 2] * gaussians_mean.z + view.translation.z
-    )
-
-
-def colour(gaussians: Gaussians, view: KernelCamera) -> Any:
+def colour(gaussians: Gaussians, camera: KernelCamera) -> Any:
     """max(0, 0.5 + SH) along the direction from the camera centre to the mean, Color3f in sRGB."""
-    direction = dr.normalize(mi.Vector3f(gaussians.mean - view.position))
+    direction = dr.normalize(mi.Vector3f(gaussians.mean - camera.position))
     basis = dr.sh_eval(direction, math.isqrt(len(gaussians.sh)) - 1)
     total = mi.Color3f(0.5)
     for factor, coefficient in zip(basis, gaussians.sh, strict=True):
@@ -83,34 +89,29 @@ def colour(gaussians: Gaussians, view: KernelCamera) -> Any:
     return dr.maximum(total, 0.0)
 
 
-def project(gaussians: Gaussians, view: KernelCamera) -> tuple[Splat, Any, Any]:
+def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any]:
     """Project every Gaussian.
 
     Returns:
         The splats, the half-widths (Vector2f, px) of the box outside of which alpha < 1/255 (negative where there is no
         such box), and the camera-space depths. Lanes with depth < near carry no meaning.
     """
-    local = view.rotation @ mi.Vector3f(gaussians.mean) + view.translation
+    local = camera.rotation @ mi.Vector3f(gaussians.mean) + camera.translation
     inverse = 1.0 / local.z
     tangent = mi.Vector2f(local.x * inverse, local.y * inverse)
-    centre = mi.Point2f(dr.fma(view.focal, tangent, view.principal))
+    centre = mi.Point2f(dr.fma(camera.focal, tangent, camera.principal))
 
     # Rows of J W R S, the 2 x 3 factor of the 2D covariance (EWA splatting, eq. 24 with the Jacobian of eq. 29).
-    tx = dr.clip(tangent.x, -view.guard.x, view.guard.x)
-    ty = dr.clip(tangent.y, -view.guard.y, view.guard.y)
-    jx, jy = view.focal.x * inverse, view.focal.y * inverse
-    r = view.rotation
+    tx = dr.clip(tangent.x, -camera.guard.x, camera.guard.x)
+    ty = dr.clip(tangent.y, -camera.guard.y, camera.guard.y)
+    jx, jy = camera.focal.x * inverse, camera.focal.y * inverse
+    r = camera.rotation
     row_x = mi.Vector3f(*[jx * (r[0, i] - tx * r[2, i]) for i in range(3)])
     row_y = mi.Vector3f(*[jy * (r[1, i] - ty * r[2, i]) for i in range(3)])
-    turn = rotation_columns(gaussians.rotation)
-    v0 = (
-        mi.Vector3f(*[dr.dot(row_x, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)])
-        * gaussians.scale
-    )
-    v1 = (
-        mi.Vector3f(*[dr.dot(row_y, mi.Vector3f(turn[0, i], turn[1, i], turn[2, i])) for i in range(3)])
-        * gaussians.scale
-    )
+    axes = rotation_matrix(gaussians.rotation)
+    columns = [mi.Vector3f(axes[0, i], axes[1, i], axes[2, i]) for i in range(3)]
+    v0 = mi.Vector3f(*[dr.dot(row_x, column) for column in columns]) * gaussians.scale
+    v1 = mi.Vector3f(*[dr.dot(row_y, column) for column in columns]) * gaussians.scale
 
     n0, n1 = dr.squared_norm(v0), dr.squared_norm(v1)
     xx, yy, xy = n0 + BLUR, n1 + BLUR, dr.dot(v0, v1)
@@ -123,7 +124,7 @@ def project(gaussians: Gaussians, view: KernelCamera) -> tuple[Splat, Any, Any]:
         u1=-u0 * xy / yy,
         v1=dr.sqrt(_HALF_LOG2_E / yy),
         level=dr.log2(gaussians.opacity),
-        colour=colour(gaussians, view),
+        colour=colour(gaussians, camera),
     )
     reach = dr.detach((splat.level - CUTOFF) / _HALF_LOG2_E)  # squared Mahalanobis radius where alpha = 1/255
     extent = dr.select(

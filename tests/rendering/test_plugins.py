@@ -76,7 +76,7 @@ def test_sampler_samples_and_seed_have_no_influence(tmp_path: Path) -> None:
     _, shapes = two_splats(tmp_path)
     loaded = mi.load_string(scene_xml(shapes))
     plain = np.array(mi.render(loaded))
-    loaded.integrator().forget()
+    loaded.integrator().clear_cache()
     assert np.array_equal(plain, np.array(mi.render(loaded, seed=7, spp=64)))
 
 
@@ -171,7 +171,7 @@ def test_an_update_is_seen_by_the_next_picture() -> None:
 
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])
-def test_a_sensor_that_moves_is_looked_at_again(name: str) -> None:
+def test_a_sensor_that_moves_is_read_again(name: str) -> None:
     scene = oracle.random_scene(60, degree=1, seed=4)
     loaded = dict_scene(scene)
     before = np.array(mi.render(loaded))

@@ -28,12 +28,21 @@ def camera(width: int, height: int, *, distance: float = 3.0, azimuth: float = 3
     )
 
 
-def agreement(scene: GaussianScene, view: Camera) -> tuple[float, float]:
-    """Share of pixels within 1/255 of the oracle, and the largest difference."""
+PICTURE_ERROR = 4e-6
+"""Largest difference from the oracle in any channel of any pixel; 2.3e-6 was the largest measured."""
+
+NEEDLE_ERROR = 1e-5
+"""The same for needles 5000 times as long as wide; 5.5e-6 was the largest measured."""
+
+GRADIENT_ERROR = 2e-5
+"""Largest relative difference of a gradient from the oracle's central difference; 3.5e-6 was the largest measured."""
+
+
+def largest_error(scene: GaussianScene, view: Camera) -> float:
+    """Largest difference from the oracle in any channel of any pixel."""
     picture = Renderer(RenderSettings(background=BACKGROUND))(scene, view).numpy()
     reference, _ = oracle.render(scene, view, background=BACKGROUND)
-    difference = np.abs(picture - reference).max(axis=2)
-    return float((difference <= 1 / 255).mean()), float(difference.max())
+    return float(np.abs(picture - reference).max())
 
 
 @pytest.mark.parametrize(
@@ -52,15 +61,13 @@ def agreement(scene: GaussianScene, view: Camera) -> tuple[float, float]:
 )
 def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], distance: float) -> None:
     scene = oracle.random_scene(count, degree=degree, seed=count + degree)
-    share, _ = agreement(scene, camera(*size, distance=distance, azimuth=37.0 * degree))
-    assert share >= 0.999
+    assert largest_error(scene, camera(*size, distance=distance, azimuth=37.0 * degree)) <= PICTURE_ERROR
 
 
 def test_a_dense_pile_stops_where_the_oracle_stops() -> None:
     scene = oracle.random_scene(400, degree=0, seed=3)
     scene = scene.replace(means=scene.means * 0.2, opacities=torch.full((400,), 0.999))
-    share, _ = agreement(scene, camera(48, 48))
-    assert share >= 0.999
+    assert largest_error(scene, camera(48, 48)) <= PICTURE_ERROR
 
 
 @pytest.mark.parametrize("angle", [0.0, 45.0, 89.0])
@@ -73,9 +80,7 @@ def test_needles_across_the_picture(angle: float) -> None:
         opacities=torch.tensor([1.0]),
         sh=torch.ones(1, 1, 3),
     )
-    share, largest = agreement(scene, camera(256, 192, azimuth=80.0))
-    assert share >= 0.999
-    assert largest < 2 / 255
+    assert largest_error(scene, camera(256, 192, azimuth=80.0)) <= NEEDLE_ERROR
 
 
 def test_alpha_output_is_the_oracles() -> None:
@@ -83,8 +88,8 @@ def test_alpha_output_is_the_oracles() -> None:
     picture = Renderer(RenderSettings(background=BACKGROUND, alpha=True))(scene, view).numpy()
     reference, opacity = oracle.render(scene, view, background=BACKGROUND)
     assert picture.shape == (30, 40, 4)
-    np.testing.assert_allclose(picture[..., 3], opacity, atol=1e-4)
-    np.testing.assert_allclose(picture[..., :3], reference, atol=1e-4)
+    np.testing.assert_allclose(picture[..., 3], opacity, rtol=0, atol=PICTURE_ERROR)
+    np.testing.assert_allclose(picture[..., :3], reference, rtol=0, atol=PICTURE_ERROR)
 
 
 def test_nothing_visible_is_background() -> None:
@@ -144,31 +149,23 @@ def numeric(scene: GaussianScene, view: Camera, name: str, entry: int, step: flo
     return (values[0] - values[1]) / (2 * step)
 
 
-@pytest.mark.parametrize(
-    ("name", "tolerance"),
-    [("means", 1e-2), ("scales", 1e-2), ("rotations", 1e-2), ("opacities", 1e-3), ("sh", 1e-3)],
-)
-def test_gradient_is_the_finite_difference(name: str, tolerance: float) -> None:
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_gradient_is_the_finite_difference(name: str) -> None:
     scene, view = smooth_scene(25, 2, seed=11), camera(37, 29)
     gradient = analytic(scene, view)[name].flatten()
     largest = torch.argsort(gradient.abs(), descending=True)[: len(gradient) // 3]
-    entries = largest[:: max(1, len(largest) // 8)].tolist()
-    errors = []
-    for entry in entries:
+    for entry in largest[:: max(1, len(largest) // 8)].tolist():
         # Moving a Gaussian moves the alpha = 1/255 edge across pixel centres, a jump that finite differences see and
-        # that has no derivative: a small step makes it rare, the median makes it harmless.
-        expected = numeric(scene, view, name, entry, 1e-6)
-        errors.append(abs(expected - float(gradient[entry])) / max(abs(expected), 1e-3))
-    assert np.median(errors) <= tolerance / 10
-    assert np.mean(np.array(errors) <= tolerance) >= 0.85
+        # that has no derivative. The step is so small that it does not happen here.
+        assert float(gradient[entry]) == pytest.approx(numeric(scene, view, name, entry, 1e-6), rel=GRADIENT_ERROR)
 
 
 def test_opacity_channel_has_its_gradient() -> None:
     scene, view = smooth_scene(15, 0, seed=2), camera(20, 16)
-    grad_colour = np.random.default_rng(1).normal(size=(16, 20))
+    factors = np.random.default_rng(1).normal(size=(16, 20))
     opacities = scene.opacities.clone().requires_grad_(True)
     picture = Renderer(RenderSettings(alpha=True))(scene.replace(opacities=opacities), view)
-    (picture[..., 3] * torch.from_numpy(grad_colour).float()).sum().backward()  # type: ignore[no-untyped-call]
+    (picture[..., 3] * torch.from_numpy(factors).float()).sum().backward()  # type: ignore[no-untyped-call]
     assert opacities.grad is not None
     entry = int(opacities.grad.abs().argmax())
     values = []
@@ -177,8 +174,8 @@ def test_opacity_channel_has_its_gradient() -> None:
         moved[entry] += step
         tensors = [tensor.double() for tensor in scene.tensors()]
         tensors[3] = moved
-        values.append(float((oracle.render(GaussianScene._trusted(*tensors), view)[1] * grad_colour).sum()))
-    assert float(opacities.grad[entry]) == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-3)
+        values.append(float((oracle.render(GaussianScene._trusted(*tensors), view)[1] * factors).sum()))
+    assert float(opacities.grad[entry]) == pytest.approx((values[0] - values[1]) / 2e-5, rel=GRADIENT_ERROR)
 
 
 def test_linear_values_have_their_gradient() -> None:

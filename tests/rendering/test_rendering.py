@@ -1,7 +1,8 @@
-"""Renderer as a torch function: batches, bad input, memory, and recordings that follow shapes and never values."""
+"""Renderer as a torch function: batches, bad input, sizes, and memory."""
 
 from __future__ import annotations
 
+import math
 import resource
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, save_splat
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import read_scene
 from tests import oracle
 
@@ -61,6 +62,29 @@ def test_an_unused_picture_of_a_batch_costs_no_gradient() -> None:
     torch.testing.assert_close(sh.grad, single.grad)
 
 
+def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> None:
+    """A shift of the principal point moves every centre on the screen by as many pixels."""
+    wide = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16)
+    scene = oracle.random_scene(40, degree=0, seed=1)
+    one = scene.select(torch.arange(40) == int(scene.opacities.argmax()))
+    away = one.replace(means=one.means + torch.tensor([1e3, 1e3, 0.0]))
+    factors = torch.randn(16, 64, 3, generator=torch.Generator().manual_seed(0))
+
+    def value(dx: float, dy: float) -> float:
+        view = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16, principal=(32.0 + dx, 8.0 + dy))
+        return float((torch.from_numpy(oracle.render(one, view)[0]) * factors).sum())
+
+    gradients = ScreenGradients()
+    both = merge(one, away)
+    sh = both.sh.clone().requires_grad_(True)
+    picture = Renderer(screen_gradients=gradients)(both.replace(sh=sh), wide)
+    (picture * factors).sum().backward()  # type: ignore[no-untyped-call]
+    step = 1e-5
+    x, y = ((value(dx, dy) - value(-dx, -dy)) / (2 * step) for dx, dy in ((step, 0.0), (0.0, step)))
+    assert gradients.lengths.tolist() == pytest.approx([math.hypot(32 * x, 8 * y), 0.0], rel=1e-4)
+    assert gradients.visible.tolist() == [1.0, 0.0]
+
+
 def test_works_without_grad() -> None:
     scene = oracle.random_scene(40, degree=0, seed=1)
     learnt = scene.replace(sh=scene.sh.clone().requires_grad_(True))
@@ -74,29 +98,6 @@ def test_float64_scenes_are_rendered_in_float32() -> None:
     scene = oracle.random_scene(40, degree=0, seed=1)
     double = GaussianScene(*(tensor.double() for tensor in scene.tensors()))
     torch.testing.assert_close(Renderer()(double, VIEW), Renderer()(scene, VIEW), atol=1e-5, rtol=0)
-
-
-def test_recordings_follow_shapes_never_values() -> None:
-    from mi_splat.rasterization import pipeline
-    from mi_splat.rasterization.frozen import frozen
-
-    frozen.cache_clear()  # which values Dr.Jit keeps out of a recording hangs on all calls before
-    render = Renderer()
-
-    def step(seed: int) -> None:
-        scene = oracle.random_scene(50, degree=1, seed=seed)
-        opacities = scene.opacities.clone().requires_grad_(True)
-        render(scene.replace(opacities=opacities), VIEW).sum().backward()  # type: ignore[no-untyped-call]
-
-    for seed in range(3):
-        step(seed)
-    stages = (pipeline._project, pipeline._emit, pipeline._blend, pipeline._blend_backward, pipeline._project_backward)
-    recordings = [frozen(render.variant, stage) for stage in stages]
-    before = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
-    for seed in range(3, 12):
-        step(seed)
-    after = [f.n_recordings for f in recordings]  # type: ignore[attr-defined]
-    assert after == before, [stage.__name__ for stage in stages]
 
 
 def test_sizes_may_change_in_any_order() -> None:
@@ -150,7 +151,7 @@ SCENE = """<scene version="3.0.0">
 </sensor></scene>"""
 
 
-def test_a_stage_is_its_file(tmp_path: Path) -> None:
+def test_a_scene_is_its_file(tmp_path: Path) -> None:
     first, second = oracle.random_scene(30, degree=2, seed=1), oracle.random_scene(20, degree=0, seed=2)
     save_splat(first, tmp_path / "a.ply")
     save_splat(second, tmp_path / "b.ply")
@@ -167,7 +168,7 @@ def test_a_stage_is_its_file(tmp_path: Path) -> None:
     torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
 
 
-def test_bad_stages_say_why(tmp_path: Path) -> None:
+def test_bad_scenes_say_why(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="no file"):
         read_scene(tmp_path / "none.xml")
     (tmp_path / "text.xml").write_text("not xml")

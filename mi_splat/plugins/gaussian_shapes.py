@@ -1,0 +1,95 @@
+"""The `gaussians` shapes of a Mitsuba scene as one set of arrays for the rasteriser, and gradients back to them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.errors import InvalidValueError, message
+
+_KEYS = ("data", "opacities", "sh_coeffs")
+
+
+class GaussianShapes:
+    """The `gaussians` shapes of a scene, in file order.
+
+    Attributes:
+        arrays: `data`, `opacities` and `sh_coeffs` of each shape, as `mi.traverse` shows them.
+        degrees: SH degree of each shape.
+
+    Raises:
+        InvalidValueError: The scene holds other shapes, or a shape's SH are not of degree 0 to 3.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        shapes = scene.shapes()
+        others = [s.id() or s.class_name() for s in shapes if not s.is_ellipsoids()]
+        if others:
+            raise InvalidValueError(
+                message("scene", "gaussians shapes only", f"also {', '.join(others)}", "render it without its meshes")
+            )
+        self.arrays = [self._arrays_of(shape) for shape in shapes]
+        self.degrees = [math.isqrt(len(sh) // (3 * len(opacities))) - 1 for _, opacities, sh in self.arrays]
+        for shape, (_, opacities, sh), degree in zip(shapes, self.arrays, self.degrees, strict=True):
+            if len(sh) != 3 * (degree + 1) ** 2 * len(opacities) or not 0 <= degree <= 3:
+                raise InvalidValueError(
+                    message(f"{shape.id()}.sh_coeffs", "SH of degree 0 to 3", len(sh), "check the splat's coefficients")
+                )
+
+    @staticmethod
+    def _arrays_of(shape: Any) -> tuple[Any, ...]:
+        params = mi.traverse(shape)
+        missing = [key for key in _KEYS if key not in params]
+        if missing:
+            raise InvalidValueError(
+                message(f'shape "{shape.id()}"', "a splat", f"no {', '.join(missing)}", 'use type="gaussians"')
+            )
+        return tuple(params[key] for key in _KEYS)
+
+    def detached(self) -> list[Any]:
+        """All arrays of all shapes, without their gradients."""
+        return [dr.detach(array) for arrays in self.arrays for array in arrays]
+
+    def joined(self) -> tuple[Any, ...]:
+        """Detached `data`, `opacities` and `sh_coeffs` of all shapes together, at the highest SH degree among them."""
+        if not self.arrays:
+            return tuple(mi.Float() for _ in _KEYS)
+        top = max(self.degrees)
+        parts = [
+            (dr.detach(data), dr.detach(opacities), _with_degree(dr.detach(sh), degree, top))
+            for (data, opacities, sh), degree in zip(self.arrays, self.degrees, strict=True)
+        ]
+        return parts[0] if len(parts) == 1 else tuple(dr.concat(arrays) for arrays in zip(*parts, strict=True))
+
+    def backward(self, gradients: tuple[Any, ...]) -> None:
+        """Hand each shape its rows of the gradient of `joined()`."""
+        top = max(self.degrees, default=0)
+        widths = (10, 1, 3 * (top + 1) ** 2)
+        row = 0
+        for arrays, degree in zip(self.arrays, self.degrees, strict=True):
+            count = len(arrays[1])
+            for array, gradient, width in zip(arrays, gradients, widths, strict=True):
+                if not dr.grad_enabled(array):
+                    continue
+                part = _slice(gradient, row * width, count * width) if len(self.arrays) > 1 else gradient
+                if len(part) != len(array):
+                    part = _with_degree(part, top, degree)
+                dr.backward_from(dr.detach(part) * array)
+            row += count
+
+
+def _slice(array: Any, start: int, count: int) -> Any:
+    return dr.gather(mi.Float, array, dr.arange(mi.UInt32, count) + start)
+
+
+def _with_degree(sh: Any, degree: int, target: int) -> Any:
+    """SH rows of another degree: missing coefficients are 0, surplus ones are cut."""
+    if degree == target:
+        return sh
+    old, new = 3 * (degree + 1) ** 2, 3 * (target + 1) ** 2
+    index = dr.arange(mi.UInt32, len(sh) // old * new)
+    column = index % new
+    return dr.gather(mi.Float, sh, index // new * old + column, column < old)

@@ -1,0 +1,167 @@
+"""Stages 5 to 7, from the gradient of a picture to that of the Gaussians; `pipeline.rasterize_backward` calls them.
+
+The same rules as for the stages in `forward` hold. The chain is picture, pixels in tile order, moments of each pair,
+2D splat, 3D Gaussian.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization import blending, pinhole
+from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.blending import RECORD
+from mi_splat.rasterization.layouts import Layout
+from mi_splat.rasterization.picture import PictureBuffers, tile_columns, tiled_index, width_and_height
+from mi_splat.rasterization.pinhole import KernelCamera
+from mi_splat.rasterization.projection import Gaussians, Splat, project
+
+_LN2 = math.log(2.0)
+
+
+def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], grad_tiles: tuple[Any, ...]) -> None:
+    """Stage 5: the gradient of the picture, tile after tile.
+
+    Args:
+        buffers: The finished picture.
+        grad_picture: Row-major dL/dcolour (3 a pixel) and, if that output is used, dL/dopacity (1 a pixel).
+        grad_tiles: Buffers for the same in tile order. The first has 4 floats a pixel: dL/dcolour, and the sum over
+            everything that reached the pixel, background included, of its weight times dL/dweight.
+    """
+    width, _ = width_and_height(buffers.size)
+    pixel = buffers.pixels
+    where = tiled_index(mi.Int32(pixel), width)
+    grad_colour = dr.gather(mi.ArrayXf, grad_picture[0], pixel, shape=(3, dr.width(pixel)))
+    value = dr.gather(mi.ArrayXf, buffers.colour, pixel, shape=(3, dr.width(pixel)))
+    weighted = grad_colour[0] * value[0] + grad_colour[1] * value[1] + grad_colour[2] * value[2]
+    if len(grad_picture) > 1:
+        grad_opacity = dr.gather(mi.Float, grad_picture[1], pixel)
+        weighted += grad_opacity * dr.gather(mi.Float, buffers.opacity, pixel)
+        dr.scatter(grad_tiles[1], grad_opacity, where)
+    dr.scatter(grad_tiles[0], mi.ArrayXf([*grad_colour, weighted]), where)
+    dr.eval(grad_tiles)
+
+
+def blend_backward(
+    records: tuple[Any, Any],
+    pairs: tuple[Any, Any],
+    pair_ranges: tuple[Any, Any],
+    buffers: PictureBuffers,
+    grad_tiles: tuple[Any, ...],
+    moments: tuple[Any, Any],
+) -> None:
+    """Stage 6: each pair's moments of the gradient, in the pair's own row.
+
+    Args:
+        records: The Gaussians' records.
+        pairs: In tile order: Gaussian, and row.
+        pair_ranges: First and one-past-last pair of each tile.
+        buffers: The picture; only its size and tiles are read.
+        grad_tiles: What stage 5 wrote.
+        moments: Two buffers, of 8 floats a row and of 1; filled.
+    """
+    width, _ = width_and_height(buffers.size)
+    tile = buffers.tiles
+    n = TILE * TILE
+    v = dr.gather(mi.ArrayXf, grad_tiles[0], tile, shape=(4 * n, dr.width(tile)))
+    grad_colour = [v[4 * p + channel] for channel in range(3) for p in range(n)]
+    weighted = [v[4 * p + 3] for p in range(n)]
+    with_opacity = len(grad_tiles) > 1
+    grad_opacity = list(dr.gather(mi.ArrayXf, grad_tiles[1], tile, shape=(n, dr.width(tile)))) if with_opacity else []
+    blending.blend_tile_backward(
+        records,
+        pairs,
+        pair_ranges,
+        blending.first_pixel(mi.Int32(tile), tile_columns(width)),
+        (grad_colour, grad_opacity, weighted),
+        moments,
+    )
+    dr.eval(moments)
+
+
+def project_backward(
+    layout: Layout,
+    terms: int,
+    arrays: tuple[Any, ...],
+    camera_numbers: Any,
+    rows: tuple[Any, Any, Any],
+    moments: tuple[Any, Any],
+    gradients: tuple[Any, ...],
+    screen: Any | None,
+) -> None:
+    """Stage 7: sum every Gaussian's moments and take them back through the projection.
+
+    Args:
+        layout: What lies where in `arrays` and `gradients`.
+        terms: SH coefficients a Gaussian and channel.
+        arrays: The Gaussians.
+        camera_numbers: `Pinhole.numbers`.
+        rows: Gaussians in depth order, and their first and one-past-last rows.
+        moments: What stage 6 wrote.
+        gradients: Buffers like `arrays`; filled.
+        screen: Buffer of three floats a Gaussian, or None; filled with dL/d(centre on the screen) in pixels, and 1
+            where the Gaussian touches a tile.
+    """
+    index, first, last = rows
+    visible = last > first
+    camera = pinhole.unpack(camera_numbers)
+    gaussians = _with_invisible_ones_harmless(layout.read(arrays, index, terms), visible, camera)
+    dr.enable_grad(gaussians.parts())
+    splat, _, _ = project(gaussians, camera)
+    grad_splat = _splat_gradient(splat, _sum_rows(first, last, moments))
+    if screen is not None:
+        touching = dr.select(visible, mi.Float(1), mi.Float(0))
+        dr.scatter(screen, mi.ArrayXf([grad_splat[0], grad_splat[1], touching]), index)
+    product = mi.Float(0)  # its derivative by the Gaussians is the vector-Jacobian product that we are after
+    for component, grad_component in zip(splat.components(), grad_splat, strict=True):
+        product += component * grad_component
+    dr.backward(product)
+    layout.write(gradients, index, gaussians.gradient())
+    dr.eval(gradients, screen)
+
+
+def _sum_rows(first: Any, last: Any, moments: tuple[Any, Any]) -> list[Any]:
+    """Add the rows of each Gaussian in their fixed order: nine Floats a lane."""
+
+    def body(row: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
+        m = dr.gather(mi.ArrayXf, moments[0], row, shape=(RECORD, dr.width(row)))
+        ninth = dr.gather(mi.Float, moments[1], row)
+        return row + 1, [s + v for s, v in zip(sums, [*m, ninth], strict=True)]
+
+    zeros = [mi.Float(0) for _ in range(RECORD + 1)]
+    _, sums = dr.while_loop((mi.UInt32(first), zeros), lambda row, _: row < last, body, label="sum of moments")
+    return list(sums)
+
+
+def _splat_gradient(splat: Splat, sums: list[Any]) -> list[Any]:
+    """dL/d(components of a splat) from the moments of h = alpha dL/dalpha: dL/d(log2 alpha) is h ln 2."""
+    h, hx, hy, hxx, hxy, hyy = (_LN2 * s for s in sums[:6])
+    u0, u1, v1 = (dr.detach(v) for v in (splat.u0, splat.u1, splat.v1))
+    along = u0 * hx + u1 * hy
+    return [
+        2.0 * u0 * along,
+        2.0 * (u1 * along + v1 * v1 * hy),
+        -2.0 * (u0 * hxx + u1 * hxy),
+        -2.0 * (u0 * hxy + u1 * hyy),
+        -2.0 * v1 * hyy,
+        h,
+        *sums[6:9],
+    ]
+
+
+def _with_invisible_ones_harmless(gaussians: Gaussians, visible: Any, camera: KernelCamera) -> Gaussians:
+    """Invisible lanes moved in front of the camera, so that no infinity of theirs meets the zero of their gradient."""
+    rotation = camera.rotation
+    ahead = camera.position + mi.Vector3f(rotation[2, 0], rotation[2, 1], rotation[2, 2])
+    one = mi.Float(1.0)
+    return Gaussians(
+        mean=dr.select(visible, gaussians.mean, mi.Point3f(ahead)),
+        scale=dr.select(visible, gaussians.scale, mi.Vector3f(1.0)),
+        rotation=[dr.select(visible, q, one) for q in gaussians.rotation],
+        opacity=dr.select(visible, gaussians.opacity, one),
+        sh=gaussians.sh,
+    )

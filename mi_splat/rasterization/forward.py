@@ -1,0 +1,126 @@
+"""Stages 1 to 4, from Gaussians to a picture; `pipeline.rasterize` calls them in this order.
+
+Each stage is recorded once by `frozen.run` and replayed. README.md says what a stage may and may not do for a replay to
+stay right when sizes change.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization import binning, blending, pinhole
+from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.blending import RECORD
+from mi_splat.rasterization.layouts import Layout
+from mi_splat.rasterization.picture import PictureBuffers, tile_columns, tiled_index, width_and_height
+from mi_splat.rasterization.projection import Splat, project
+
+NO_TILE = 0xFFFFFFFF
+"""Sorts behind every tile and every depth."""
+
+
+def project_gaussians(
+    layout: Layout,
+    terms: int,
+    arrays: tuple[Any, ...],
+    index: Any,
+    buffers: PictureBuffers,
+    camera_numbers: Any,
+    records: tuple[Any, Any],
+) -> tuple[Any, Any]:
+    """Stage 1: project every Gaussian and count the tiles that it touches.
+
+    Args:
+        layout: What lies where in `arrays`.
+        terms: SH coefficients a Gaussian and channel.
+        arrays: The Gaussians.
+        index: UInt32, number of the lane's Gaussian: 0, 1, 2, ...
+        buffers: The picture; only its size is read.
+        camera_numbers: `Pinhole.numbers`.
+        records: Two buffers, of 8 floats a Gaussian and of 1, to be filled with its record.
+
+    Returns:
+        UInt32 keys that sort the Gaussians by depth, those without a tile last, and the UInt32 number of tiles of each.
+    """
+    camera = pinhole.unpack(camera_numbers)
+    splat, extent, depth = project(layout.read(arrays, index, terms), camera)
+    visible = (depth >= camera.near) & (extent.x >= 0.0)
+    visible &= dr.isfinite(splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y)
+    width, height = width_and_height(buffers.size)
+    count = binning.count_tiles(splat, extent, visible, width, height)
+    components = splat.components()
+    dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), index)
+    dr.scatter(records[1], components[RECORD], index)
+    # Depths that count are positive, and positive floats sort like their bits.
+    return dr.select(count > 0, dr.reinterpret_array(mi.UInt32, depth), NO_TILE), count
+
+
+def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
+    """Stage 2: first and one-past-last row of the Gaussians in depth order, and the number of rows in all."""
+    counts = dr.gather(mi.UInt32, count, depth_order)
+    first = dr.prefix_sum(counts)
+    return first, first + counts, dr.sum(counts)
+
+
+def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: tuple[Any, Any]) -> None:
+    """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far.
+
+    Args:
+        records: The first of the two arrays of records.
+        depth_order: UInt32, Gaussians from near to far.
+        first: UInt32, first row of each of them.
+        last: UInt32, one-past-last row of each of them.
+        size: `PictureBuffers.size`.
+        pairs: Two buffers of one UInt32 a row, for tiles and Gaussians.
+    """
+    v = dr.gather(mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order)))
+    splat = Splat(mi.Point2f(v[0], v[1]), v[2], v[3], v[4], v[5], mi.Color3f(0))
+    binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), *pairs)
+
+
+def blend_tiles(
+    records: tuple[Any, Any],
+    pairs: tuple[Any, Any],
+    rows: Any,
+    total: Any,
+    buffers: PictureBuffers,
+    canvas: Any,
+) -> tuple[Any, Any, Any]:
+    """Stage 4: blend every tile, then lay the tiles out as a row-major picture over the background.
+
+    Args:
+        records: The Gaussians' records.
+        pairs: Tiles and Gaussians, as `write_pairs` left them.
+        rows: UInt32, row of each pair in tile order.
+        total: UInt32, number of pairs.
+        buffers: The picture; filled.
+        canvas: Buffer of colour and transmittance, 4 floats a pixel, tile after tile.
+
+    Returns:
+        UInt32 Gaussian of each pair in tile order, and first and one-past-last pair of each tile.
+    """
+    gaussians, keys = dr.gather(mi.UInt32, pairs[1], rows), dr.gather(mi.UInt32, pairs[0], rows)
+    dr.eval(gaussians, keys)
+    tile = buffers.tiles
+    start = binning.lower_bound(keys, total, tile)
+    stop = binning.lower_bound(keys, total, tile + 1)
+    dr.eval(start, stop)
+    width, _ = width_and_height(buffers.size)
+    corner = blending.first_pixel(mi.Int32(tile), tile_columns(width))
+    colours, transmittances = blending.blend_tile(records, gaussians, (start, stop), corner)
+    n = TILE * TILE
+    values = [v for p in range(n) for v in (colours[p], colours[n + p], colours[2 * n + p], transmittances[p])]
+    dr.scatter(canvas, mi.ArrayXf(values), tile)
+    dr.eval(canvas)
+
+    pixel = buffers.pixels
+    where = tiled_index(mi.Int32(pixel), width)
+    value = dr.gather(mi.ArrayXf, canvas, where, shape=(4, dr.width(where)))
+    rgb = [dr.fma(value[3], dr.gather(mi.Float, buffers.background, mi.UInt32(c)), value[c]) for c in range(3)]
+    dr.scatter(buffers.colour, mi.ArrayXf(rgb), pixel)
+    dr.scatter(buffers.opacity, 1.0 - value[3], pixel)
+    dr.eval(buffers.colour, buffers.opacity)
+    return gaussians, start, stop

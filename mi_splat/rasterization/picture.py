@@ -1,0 +1,95 @@
+"""What passes between the stages: the buffers of a picture, the finished picture, and what its derivative needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.frozen import buffer, numbers
+from mi_splat.rasterization.layouts import Layout
+
+
+@dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
+class PictureBuffers:
+    """The picture that is made: its size, its tiles, and the arrays that it is written to."""
+
+    size: Any  # Int32, width and height
+    tiles: Any  # UInt32, 0, 1, 2, ...
+    pixels: Any  # UInt32, 0, 1, 2, ...
+    background: Any  # Float, 3 values
+    colour: Any  # Float, row-major, 3 a pixel
+    opacity: Any  # Float, row-major
+
+
+@dataclass(frozen=True, eq=False)
+class BackwardState:
+    """What the backward pass needs of the forward pass; pairs and rows are explained in README.md."""
+
+    buffers: PictureBuffers
+    camera: Any  # `Pinhole.numbers`
+    records: tuple[Any, Any]
+    depth_order: Any  # UInt32, Gaussians from near to far
+    row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian, in depth order
+    pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
+    pair_ranges: tuple[Any, Any]  # first and one-past-last pair of each tile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What the forward pass returns and the backward pass takes.
+
+    Attributes:
+        colour: Float, height x width x 3 values, row-major, background blended in.
+        opacity: Float, height x width values of 1 - transmittance.
+        layout: What lies where in `arrays`.
+        arrays: The Gaussians, as the stages read them.
+        state: The stages' results, or None where nothing is visible.
+    """
+
+    colour: Any
+    opacity: Any
+    layout: Layout
+    arrays: tuple[Any, ...]
+    state: BackwardState | None
+
+
+def new_buffers(size: tuple[int, int], background: tuple[float, float, float]) -> PictureBuffers:
+    """Buffers for a picture of (width, height) pixels."""
+    width, height = size
+    pixels = width * height
+    return PictureBuffers(
+        size=mi.Int32([width, height]),
+        tiles=numbers(mi.variant(), -(-width // TILE) * -(-height // TILE)),
+        pixels=numbers(mi.variant(), pixels),
+        background=mi.Float(background),
+        colour=buffer(3 * pixels),
+        opacity=buffer(pixels, value=0.0),
+    )
+
+
+def sh_terms(arrays: tuple[Any, ...]) -> int:
+    """SH coefficients a Gaussian and channel: in every layout the last array holds SH, the one before it opacities."""
+    return len(arrays[-1]) // (3 * len(arrays[-2]))
+
+
+def width_and_height(size: Any) -> tuple[Any, Any]:
+    """Int32 width and height inside a kernel, read from `PictureBuffers.size`."""
+    # At least 1: the idle lanes of the last packet read 0, and an integer division by that stops the process.
+    width, height = (dr.gather(mi.Int32, size, mi.UInt32(i)) for i in range(2))
+    return dr.maximum(width, 1), dr.maximum(height, 1)
+
+
+def tile_columns(width: Any) -> Any:
+    """Tiles beside each other in a picture of this width."""
+    return (width + (TILE - 1)) // TILE
+
+
+def tiled_index(pixel: Any, width: Any) -> Any:
+    """Where a row-major pixel (Int32) lies in a buffer that holds the tiles one after another, 16 pixels each."""
+    x, y = pixel % width, pixel // width
+    tile = (y // TILE) * tile_columns(width) + x // TILE
+    return mi.UInt32(tile * TILE * TILE + (y % TILE) * TILE + x % TILE)

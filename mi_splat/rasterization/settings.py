@@ -1,0 +1,30 @@
+"""The two settings of a picture that can be wrong, checked with the same words wherever they are given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mi_splat.errors import InvalidValueError, message
+
+
+def checked_near(value: float) -> float:
+    """The distance, if it can be a near plane.
+
+    Raises:
+        InvalidValueError: It is not a positive finite number.
+    """
+    if not (math.isfinite(value) and value > 0):
+        raise InvalidValueError(message("near", "a positive distance", value, "pass world units, such as 0.2"))
+    return value
+
+
+def checked_background(value: Sequence[float]) -> tuple[float, float, float]:
+    """The colour, if it can be a background.
+
+    Raises:
+        InvalidValueError: It does not have three finite channels.
+    """
+    if len(value) != 3 or not all(math.isfinite(v) for v in value):
+        raise InvalidValueError(message("background", "three finite numbers", value, "pass an sRGB colour"))
+    return value[0], value[1], value[2]

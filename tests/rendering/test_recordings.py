@@ -1,0 +1,143 @@
+"""What makes Dr.Jit record a stage again: new shapes do, values and the place of borrowed memory do not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from mi_splat import variant
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from tests import oracle
+from tests.rendering.test_plugins import dict_scene
+
+variant.use()
+
+import drjit as dr  # noqa: E402
+import mitsuba as mi  # noqa: E402
+
+from mi_splat.plugins.shape import ellipsoid_arrays  # noqa: E402
+from mi_splat.rasterization import backward, forward, pinhole  # noqa: E402
+from mi_splat.rasterization.frozen import aligned, frozen  # noqa: E402
+
+STAGES = (
+    *(forward.project_gaussians, forward.allot_rows, forward.write_pairs, forward.blend_tiles),
+    *(backward.gradient_to_tiles, backward.blend_backward, backward.project_backward),
+)
+VIEW = Camera(
+    to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
+)
+KEYS = ("data", "opacities", "sh_coeffs")
+
+
+def misaligned(values: Any, offset: int = 4) -> NDArray[np.float32]:
+    """The same numbers in memory that starts `offset` bytes after a multiple of 64."""
+    values = np.asarray(values, dtype=np.float32)
+    room = np.zeros(values.nbytes + 128, dtype=np.uint8)
+    start = -room.ctypes.data % 64 + offset
+    view = room[start : start + values.nbytes].view(np.float32).reshape(values.shape)
+    view[...] = values
+    return view
+
+
+def address(array: Any) -> int:
+    return int(np.from_dlpack(array).ctypes.data)
+
+
+def recordings() -> list[int]:
+    return [frozen(mi.variant(), stage).n_recordings for stage in STAGES]  # type: ignore[attr-defined]
+
+
+@pytest.fixture(autouse=True)
+def _no_recordings() -> None:
+    frozen.cache_clear()  # which values Dr.Jit keeps out of a recording hangs on all calls before
+
+
+def test_recordings_follow_shapes_never_values() -> None:
+    render = Renderer()
+
+    def step(seed: int) -> None:
+        scene = oracle.random_scene(50, degree=1, seed=seed)
+        opacities = scene.opacities.clone().requires_grad_(True)
+        render(scene.replace(opacities=opacities), VIEW).sum().backward()  # type: ignore[no-untyped-call]
+
+    for seed in range(12):
+        step(seed)
+    assert recordings() == [1] * len(STAGES)
+
+
+def test_aligned_copies_only_what_is_not() -> None:
+    values = np.arange(100, dtype=np.float32)
+    for offset in range(4, 64, 4):
+        copy = aligned(mi.Float(misaligned(values, offset)))
+        assert address(copy) % 64 == 0
+        assert np.array_equal(copy.numpy(), values)
+    plain = mi.Float(misaligned(values, 0))
+    assert address(plain) % 64 == 0
+    assert aligned(plain).index == plain.index
+    integers = aligned(mi.UInt32(misaligned(values, 8).view(np.uint32)))
+    assert isinstance(integers, mi.UInt32)
+    assert np.array_equal(integers.numpy(), values.view(np.uint32))
+    assert len(aligned(mi.Float())) == 0
+    assert address(aligned(dr.zeros(mi.Float, 5))) % 64 == 0
+
+
+def test_a_cameras_numbers_are_aligned() -> None:
+    camera = pinhole.from_camera(VIEW, near=0.2)
+    made = [camera.numbers() for _ in range(20)]  # all at once, so that they lie in different places
+    assert [address(numbers) % 64 for numbers in made] == [0] * 20
+
+
+def test_a_shapes_arrays_are_aligned() -> None:
+    scene = oracle.random_scene(51, degree=1, seed=0)
+    scene = GaussianScene(*(torch.from_numpy(misaligned(tensor.numpy())) for tensor in scene.tensors()))
+    assert [address(tensor.array) % 64 for tensor in ellipsoid_arrays(scene).values()] == [0, 0, 0]
+    params = mi.traverse(dict_scene(scene))
+    assert [address(params[f"splat.{key}"]) % 64 for key in KEYS] == [0, 0, 0]
+
+
+def test_torch_tensors_need_not_be_aligned() -> None:
+    scene, render = oracle.random_scene(50, degree=1, seed=0), Renderer(RenderSettings(alpha=True))
+    weights = np.random.default_rng(0).normal(size=(29, 37, 4))
+
+    def step(offset: int) -> tuple[torch.Tensor, ...]:
+        tensors = [torch.from_numpy(misaligned(t.numpy(), offset)).requires_grad_(True) for t in scene.tensors()]
+        picture = render(GaussianScene(*tensors), VIEW)
+        picture.backward(torch.from_numpy(misaligned(weights, offset)))  # type: ignore[no-untyped-call]
+        return (picture.detach(), *(t.grad for t in tensors if t.grad is not None))
+
+    plain = step(0)
+    before = recordings()
+    assert before == [1] * len(STAGES)
+    for offset in (4, 16, 32):
+        assert all(torch.equal(a, b) for a, b in zip(step(offset), plain, strict=True))
+    assert recordings() == before
+
+
+def test_parameters_of_a_scene_need_not_be_aligned() -> None:
+    loaded = dict_scene(oracle.random_scene(60, degree=1, seed=1))
+    integrator, params = loaded.integrator(), mi.traverse(loaded)
+    values = {key: params[f"splat.{key}"].numpy().copy() for key in KEYS}
+    shape = mi.render(loaded).shape
+    weights = np.random.default_rng(0).normal(size=shape)
+
+    def step(offset: int) -> list[NDArray[np.float32]]:
+        for key in KEYS:
+            params[f"splat.{key}"] = mi.Float(misaligned(values[key], offset))
+            dr.enable_grad(params[f"splat.{key}"])
+        params.update()
+        picture = mi.render(loaded, params)
+        integrator.render_backward(loaded, params, mi.TensorXf(misaligned(weights, offset)))
+        return [picture.numpy(), *(dr.grad(params[f"splat.{key}"]).numpy() for key in KEYS)]
+
+    plain = step(0)
+    before = recordings()
+    assert before == [1] * len(STAGES)
+    for offset in (4, 16, 32):
+        assert all(np.array_equal(a, b) for a, b in zip(step(offset), plain, strict=True))
+    assert recordings() == before

@@ -1,0 +1,132 @@
+"""The numbers of the specification one by one, with scenes so small that the right value follows by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from mi_splat.cameras import Camera
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+
+VIEW = Camera(to_world=torch.eye(4, dtype=torch.float64), focal=8.0, width=8, height=8, principal=(4.5, 4.5))
+"""Looks along +z; the axis meets the centre of pixel (4, 4)."""
+
+WHITE = 0.5 / 0.28209479177387814
+"""SH coefficient of degree 0 that adds 0.5 to a colour."""
+
+
+def blobs(depths: list[float], opacities: list[float], *, scale: float = 0.5) -> GaussianScene:
+    """White balls on the axis of the camera."""
+    count = len(depths)
+    return GaussianScene(
+        means=torch.tensor([[0.0, 0.0, depth] for depth in depths]),
+        scales=torch.full((count, 3), scale),
+        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+        opacities=torch.tensor(opacities),
+        sh=torch.full((count, 1, 3), WHITE),
+    )
+
+
+def centre(scene: GaussianScene, *, near: float = 0.2) -> float:
+    """Value of the pixel on the axis in front of black."""
+    return float(Renderer(RenderSettings(near=near))(scene, VIEW)[4, 4, 0])
+
+
+def test_a_mean_on_the_near_plane_is_seen() -> None:
+    scene = blobs([0.5], [0.5])
+    assert centre(scene, near=0.5) == pytest.approx(0.5, abs=1e-6)
+    assert centre(scene, near=0.50001) == 0.0
+    assert centre(blobs([-1.0], [0.5])) == 0.0
+
+
+def test_alpha_is_at_most_099() -> None:
+    assert centre(blobs([1.0], [1.0])) == pytest.approx(0.99, abs=1e-6)
+    assert centre(blobs([1.0], [0.98])) == pytest.approx(0.98, abs=1e-6)
+
+
+def test_alpha_at_its_bound_has_no_gradient() -> None:
+    for opacity, moves in ((1.0, False), (0.98, True)):
+        opacities = torch.tensor([opacity], requires_grad=True)
+        scene = blobs([1.0], [opacity], scale=50.0).replace(opacities=opacities)  # the same alpha in every pixel
+        Renderer()(scene, VIEW).sum().backward()  # type: ignore[no-untyped-call]
+        assert opacities.grad is not None
+        assert float(opacities.grad) == pytest.approx(3 * 64 if moves else 0.0, rel=1e-3)
+
+
+def test_alpha_under_1_255_contributes_nothing() -> None:
+    assert centre(blobs([1.0], [1.0001 / 255])) == pytest.approx(1 / 255, rel=2e-4)
+    assert centre(blobs([1.0], [0.9999 / 255])) == 0.0
+
+
+def test_a_pixel_stops_before_its_transmittance_is_under_1e_4() -> None:
+    last = 1 - 1.01e-2  # 0.01 is left in front of it, 1.01e-4 behind it
+    assert centre(blobs([1.0, 2.0], [0.99, last])) == pytest.approx(1 - 1.01e-4, abs=1e-6)
+    last = 1 - 0.99e-2  # 0.99e-4 behind it: it is not taken
+    assert centre(blobs([1.0, 2.0], [0.99, last])) == pytest.approx(0.99, abs=1e-6)
+
+
+def test_a_stopped_pixel_stays_stopped() -> None:
+    """Even for what is so faint that it would not bring the transmittance under 1e-4."""
+    assert centre(blobs([1.0, 2.0, 3.0], [0.99, 0.99999, 0.1])) == pytest.approx(0.99, abs=1e-6)
+
+
+def test_what_lies_behind_the_stop_has_no_gradient() -> None:
+    values = [0.98, 0.97, 0.98, 0.5]  # the third would leave 1.2e-5
+    opacities = torch.tensor(values, requires_grad=True)
+    scene = blobs([1.0, 2.0, 3.0, 4.0], values, scale=100.0).replace(opacities=opacities)
+    Renderer(RenderSettings(background=(0.25, 0.25, 0.25)))(scene, VIEW).sum().backward()  # type: ignore[no-untyped-call]
+    assert opacities.grad is not None
+    # In each of 64 pixels of three channels white takes the place of what is behind it.
+    first, second = 1 - (0.97 + 0.03 * 0.25), 0.02 * (1 - 0.25)
+    assert opacities.grad.tolist() == pytest.approx([192 * first, 192 * second, 0.0, 0.0], rel=2e-3)
+
+
+def test_a_point_is_blurred_by_a_variance_of_03() -> None:
+    picture = Renderer()(blobs([1.0], [0.8], scale=1e-6), VIEW)[..., 0]
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        expected = 0.8 * math.exp(-0.5 * (dx * dx + dy * dy) / 0.3)
+        assert float(picture[4 + dy, 4 + dx]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_colour_is_clamped_at_0_only() -> None:
+    scene = blobs([1.0], [0.5])
+    assert centre(scene.replace(sh=-2 * scene.sh)) == 0.0
+    assert centre(scene.replace(sh=3 * scene.sh)) == pytest.approx(0.5 * 2.0, abs=1e-6)
+
+
+def test_a_gaussian_beyond_the_range_of_floats_is_left_out() -> None:
+    scene = blobs([1.0, 2.0], [0.5, 0.5])
+    scales = scene.scales.clone()
+    scales[0] = 1e30  # its covariance is infinite
+    opacities = scene.opacities.clone().requires_grad_(True)
+    picture = Renderer()(scene.replace(scales=scales, opacities=opacities), VIEW)
+    assert torch.equal(picture.detach(), Renderer()(blobs([2.0], [0.5]), VIEW))
+    picture.sum().backward()  # type: ignore[no-untyped-call]
+    assert opacities.grad is not None
+    assert opacities.grad[0] == 0
+    assert torch.isfinite(opacities.grad).all()
+
+
+def test_equal_depths_keep_the_files_order() -> None:
+    scene = blobs([1.0, 1.0], [0.5, 0.5])
+    sh = scene.sh.clone()
+    sh[0] = -scene.sh[0]  # black in front of white
+    assert centre(scene.replace(sh=sh)) == pytest.approx(0.25, abs=1e-6)
+    assert centre(scene.replace(sh=sh.flip(0))) == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.03, 0.04, 0.042, 0.06, 0.5])
+def test_linear_values_are_those_of_iec_61966(value: float) -> None:
+    opacities = torch.tensor([value], requires_grad=True)
+    scene = blobs([1.0], [value], scale=1000.0).replace(opacities=opacities)  # every pixel has this value
+    picture = Renderer(RenderSettings(linear=True))(scene, VIEW)
+    dark = value <= 0.04045
+    linear = value / 12.92 if dark else ((value + 0.055) / 1.055) ** 2.4
+    derivative = 1 / 12.92 if dark else 2.4 / 1.055 * ((value + 0.055) / 1.055) ** 1.4
+    assert picture.flatten().tolist() == pytest.approx([linear] * 192, rel=1e-4)
+    picture.sum().backward()  # type: ignore[no-untyped-call]
+    assert opacities.grad is not None
+    assert float(opacities.grad) == pytest.approx(192 * derivative, rel=1e-4)
