@@ -282,7 +282,7 @@ def refine(
 
     def current() -> GaussianScene:
         parts = {name: value for name, value in values.items() if name != "offset"}
-        return GaussianScene._trusted(*activate({**parts, "means": start["means"] + values["offset"] * unit}))
+        return GaussianScene.unchecked(*activate({**parts, "means": start["means"] + values["offset"] * unit}))
 
     for step in range(config.steps):
         if not order:

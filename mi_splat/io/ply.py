@@ -88,7 +88,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
         def store(first: int, rows: Rows) -> None:
             last = first + len(rows)
-            if not pack(GaussianScene._trusted(*(value[first:last] for value in tensors)), rows):
+            if not pack(GaussianScene.unchecked(*(value[first:last] for value in tensors)), rows):
                 found = f"others between rows {first} and {last - 1}"
                 raise InvalidValueError(message("scene", "values that are finite in float32", found, "remove them"))
             with lock:
@@ -158,7 +158,7 @@ def _read(file: io.FileIO, header: Header, element: Element, path: str) -> tuple
             wrong[first] = (first + bad, describe(rows[bad[0]], rest))
 
     read_rows(file, header, element, path, take)
-    scene = GaussianScene._trusted(*tensors)
+    scene = GaussianScene.unchecked(*tensors)
     if not wrong:
         return scene, np.empty(0, np.int64), ""
     return scene, np.concatenate([wrong[first][0] for first in sorted(wrong)]), wrong[min(wrong)][1]

@@ -81,7 +81,7 @@ class TrainState:
         """The splat as it is now, differentiable, with the SH that is trained so far."""
         p = self.parameters
         rest = p["rest"][:, : (self.active + 1) ** 2 - 1]
-        return GaussianScene._trusted(
+        return GaussianScene.unchecked(
             p["means"],
             p["scales"].exp(),
             F.normalize(p["rotations"], dim=1),

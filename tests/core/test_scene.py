@@ -284,7 +284,7 @@ def test_transform_is_differentiable() -> None:
     similarity = Similarity(turn(3), torch.ones(3, dtype=torch.float64), 0.5)
 
     def move(*leaves: Tensor) -> tuple[Tensor, ...]:
-        return GaussianScene._trusted(*leaves).transform(similarity).tensors()
+        return GaussianScene.unchecked(*leaves).transform(similarity).tensors()
 
     leaves = [value.clone().requires_grad_() for value in scene.tensors()]
     assert torch.autograd.gradcheck(move, leaves)
@@ -309,8 +309,8 @@ def test_similarity_refuses_what_is_none(change: dict[str, Any], words: str) -> 
         Similarity(**{"rotation": torch.eye(3), "translation": torch.zeros(3), **change})
 
 
-def test_trusted_scenes_are_not_checked() -> None:
-    scene = GaussianScene._trusted(*(torch.full((2,), float("nan")) for _ in ATTRIBUTES))
+def test_unchecked_scenes_are_not_checked() -> None:
+    scene = GaussianScene.unchecked(*(torch.full((2,), float("nan")) for _ in ATTRIBUTES))
     assert torch.isnan(scene.means).all()
 
 
