@@ -50,6 +50,9 @@ COMMANDS = {
         "cloak",
         "poison training pictures, train on them, and measure who sees what (CLOAK)",
     ),
+    "example-scenes": Command(
+        "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
+    ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "attacks.cli",
