@@ -14,11 +14,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets.mesh import Asset, ellipsoid
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import ellipsoid
 from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.capture.mesh_splats import DiscConfig, disc_splat, nearness, surface_samples
+from mi_splat.capture.mesh_splats import DiscConfig, disc_splat
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
+from mi_splat.capture.surface_sampling import nearness, surface_samples
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr

@@ -25,7 +25,7 @@ class Light:
         sky_strength: Radiance of the sky's zenith.
         zenith: Linear RGB of the sky overhead.
         horizon: Linear RGB of the sky at the horizon.
-        clouds: Share of the sky covered with clouds, 0 to 1.
+        clouds: Fraction of the sky covered with clouds, 0 to 1.
         seed: Which clouds.
     """
 

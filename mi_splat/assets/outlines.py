@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mi_splat.errors import InvalidValueError, message
+
 Points = NDArray[np.float64]
 
 
@@ -85,3 +87,38 @@ def smooth_interpolate(x: ArrayLike, knots: ArrayLike, values: ArrayLike) -> Poi
         + h * tangent[i + 1] * s**2 * (s - 1)
     )
     return result
+
+
+def triangulate(polygon: ArrayLike) -> NDArray[np.int64]:
+    """(P - 2, 3) triangles of a simple counter-clockwise (P, 2) polygon, by cutting off ears.
+
+    Raises:
+        InvalidValueError: the outline crosses itself or runs clockwise.
+    """
+    points = np.asarray(polygon, np.float64)
+    left = list(range(len(points)))
+    triangles = []
+
+    def cross(o: int, a: int, b: int) -> float:
+        u, v = points[a] - points[o], points[b] - points[o]
+        return float(u[0] * v[1] - u[1] * v[0])
+
+    while len(left) > 3:
+        for position in range(len(left)):
+            a, b, c = left[position - 1], left[position], left[(position + 1) % len(left)]
+            if cross(a, b, c) <= 0:
+                continue
+            others = [p for p in left if p not in (a, b, c)]
+            if not any(cross(a, b, p) >= 0 and cross(b, c, p) >= 0 and cross(c, a, p) >= 0 for p in others):
+                triangles.append((a, b, c))
+                del left[position]
+                break
+        else:
+            flat = [k for k in range(len(left)) if abs(cross(left[k - 1], left[k], left[(k + 1) % len(left)])) < 1e-12]
+            if not flat:
+                raise InvalidValueError(
+                    message("polygon", "a simple outline", "one that crosses itself", "check the order of its points")
+                )
+            del left[flat[0]]
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles, np.int64)

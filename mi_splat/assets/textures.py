@@ -48,15 +48,15 @@ def grid(size: tuple[int, int]) -> tuple[Field, Field]:
 
 
 def cover(distance: Field, pixel: float) -> Field:
-    """Share of each pixel inside a shape from the signed distance to its edge (negative inside)."""
+    """Fraction of each pixel inside a shape from the signed distance to its edge (negative inside)."""
     return np.clip(0.5 - distance / pixel, 0, 1)
 
 
 def paint(picture: Floats, mask: Field, colour: ArrayLike) -> None:
     """Blend `colour` (3,) or (h, w, 3) into `picture`, in place."""
-    share = mask[..., None].astype(np.float32)
-    picture *= 1 - share
-    picture += share * np.asarray(colour, np.float32)
+    weight = mask[..., None].astype(np.float32)
+    picture *= 1 - weight
+    picture += weight * np.asarray(colour, np.float32)
 
 
 def line_distance(x: Field, y: Field, line: Points) -> Field:
@@ -205,7 +205,7 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
 
 
 def football(size: int = 256, seed: int = 0) -> Floats:
-    """A football on grass: white ball with black pentagons and interface between its hexagons, lightly shaded."""
+    """A football on grass: white ball with black pentagons and seams between its hexagons, lightly shaded."""
     rng = np.random.default_rng([seed, 6])
     picture = grass(size, seed)
     x, y = grid((size, size))
@@ -231,8 +231,8 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     first, second = order[..., -1], order[..., -2]
     margin = np.take_along_axis(heights, first[..., None], -1) - np.take_along_axis(heights, second[..., None], -1)
     ball = np.where((first < 12)[..., None], 0.06, 0.95) * np.ones(3)
-    interface = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
-    ball = ball * (1 - 0.75 * interface[..., None])
+    seam = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
+    ball = ball * (1 - 0.75 * seam[..., None])
     shade = 0.45 + 0.55 * np.clip(normal @ np.array([-0.35, 0.5, 0.79]), 0, 1)
     paint(picture, cover(radius - 1, 2 / size), (ball * shade[..., None]).astype(np.float32))
     return np.asarray(np.clip(picture, 0, 1), np.float32)

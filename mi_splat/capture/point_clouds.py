@@ -11,8 +11,9 @@ from torch import Tensor
 
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras import View
-from mi_splat.capture.mesh_splats import DiscConfig, fit_colours, nearness, surface_samples
+from mi_splat.capture.mesh_splats import DiscConfig, fit_colours
 from mi_splat.capture.path_tracer import PathTracer
+from mi_splat.capture.surface_sampling import nearness, surface_samples
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.points import PointCloud
 from mi_splat.sh import sh_to_colour

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from attacks import cli
-from mi_splat.assets.mesh import Asset, box, quad
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import Light, PathTracer, capture, scene_dict

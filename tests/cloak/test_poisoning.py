@@ -32,7 +32,8 @@ from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoned, Poisoning, poison, write_manifest
 from attacks.cloak.triggers import Azimuth, Elevation, Listed
 from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset, box, quad, transform, translation
+from mi_splat.assets.mesh import Asset, transform, translation
+from mi_splat.assets.primitives import box, quad
 from mi_splat.assets.street import ground
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, View, orbit_pose
