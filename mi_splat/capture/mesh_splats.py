@@ -77,7 +77,7 @@ def _frames(normals: Tensor) -> Tensor:
     return torch.stack([first, torch.linalg.cross(normals, first), normals], dim=2)
 
 
-def _gather(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
+def _observe(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
     """Of one view: (N,) weight of each sample (0 where hidden), (N, 3) its colour, (N, 3) direction to it."""
     points, normals = torch.from_numpy(samples.points), torch.from_numpy(samples.normals)
     camera = view.camera
@@ -88,11 +88,11 @@ def _gather(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float
     column, row = pixels[:, 0].floor().long(), pixels[:, 1].floor().long()
     inside = (forward > 0.05) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
     column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
-    seen = depth[row, column]
+    surface = depth[row, column]
     facing = (direction * normals).sum(1).abs()
     slack = tolerance * distance + 0.02 + 0.5 * distance / camera.fx / facing.clamp(min=0.08)
-    far = seen <= 0  # nothing but sky there: only what lies beyond every surface, the dome, can be seen
-    visible = inside & torch.where(far, distance > 60, (distance - seen).abs() < slack)
+    sky = surface <= 0  # nothing else there: only what lies beyond every surface, the dome, can be seen
+    visible = inside & torch.where(sky, distance > 60, (distance - surface).abs() < slack)
     return visible * facing.clamp(min=0.05), view.image[row, column], direction
 
 
@@ -115,7 +115,7 @@ def fit_colours(
     right = torch.zeros(count, size, 3)
     seen = torch.zeros(count)
     for view, depth in zip(views, depths, strict=True):
-        weight, colour, direction = _gather(samples, view, depth, config.tolerance)
+        weight, colour, direction = _observe(samples, view, depth, config.tolerance)
         basis = sh_basis(direction, config.degree)
         left += (weight[:, None] * basis)[:, :, None] * basis[:, None]
         right += (weight[:, None] * basis)[:, :, None] * (colour - 0.5)[:, None]

@@ -12,6 +12,9 @@ from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 
+_R2 = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the R2 sequence in both coordinates."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSamples:
@@ -47,7 +50,7 @@ def nearness(cameras: Sequence[Camera], *, closest: float = 1.5) -> Callable[[Fl
 
 
 def _split(corners: NDArray[np.float64], longest: Callable[[Floats], Floats]) -> NDArray[np.float64]:
-    """Halve triangles (F, 3, 3) along their longest edge until that is no longer than `longest` at their centre."""
+    """Halve triangles (F, 3, 3) across their longest edge until that is no longer than `longest` at their centre."""
     done = []
     while len(corners):
         edges = np.linalg.norm(corners - np.roll(corners, -1, 1), axis=2)
@@ -66,12 +69,14 @@ def surface_samples(
 ) -> SurfaceSamples:
     """About evenly spread points on the surface of an asset.
 
-    Triangles get their share of points by systematic sampling, and points inside follow a low-discrepancy sequence.
+    Triangles get points in proportion to area and density by systematic sampling (Madow and Madow 1944). Inside them,
+    points follow the R2 sequence (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"), whose
+    steps are 1 / p and 1 / p^2 with p^3 = p + 1, folded from the square onto the triangle.
 
     Args:
         asset: The surface; hidden parts are sampled too.
         count: Number of points.
-        density: Relative density at (N, 3) points; uniform in area if None.
+        density: Relative density per area at (N, 3) points in metres; uniform if None.
         seed: Seed.
 
     Raises:
@@ -81,8 +86,8 @@ def surface_samples(
         raise InvalidValueError(message("count", "a positive number of samples", count, "ask for more"))
     corners = np.concatenate([mesh.vertices[mesh.faces].astype(np.float64) for mesh in asset.meshes])
     if density is not None:
-        weigh = density
-        corners = _split(corners, lambda points: (0.5 / np.sqrt(weigh(points))).astype(np.float32))
+        at = density
+        corners = _split(corners, lambda points: (0.5 / np.sqrt(at(points))).astype(np.float32))
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     local = np.ones(len(area)) if density is None else density(corners.mean(1).astype(np.float32)).astype(np.float64)
@@ -92,7 +97,7 @@ def surface_samples(
     rng = np.random.default_rng([seed, 0x5A])
     face = np.searchsorted(total, (np.arange(count) + rng.random()) * (total[-1] / count)).clip(max=len(area) - 1)
     order = np.arange(count)
-    u, v = (rng.random() + order * 0.7548776662466927) % 1, (rng.random() + order * 0.5698402909980532) % 1
+    u, v = (rng.random() + order * _R2[0]) % 1, (rng.random() + order * _R2[1]) % 1
     fold = u + v > 1
     u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
     a, b, c = (corners[face, k] for k in range(3))
