@@ -66,7 +66,10 @@ def cone(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], *, flat: 
 
 
 def ellipsoid(centre: ArrayLike, radii: ArrayLike, axes: ArrayLike | None = None) -> Blob:
-    """An ellipsoid with radii along the rows of `axes` (3, 3), the world's axes by default."""
+    """An ellipsoid with radii along the rows of `axes` (3, 3), the world's axes by default.
+
+    Its distance is the first-order bound near (near - 1) / |gradient| (Quilez 2008).
+    """
     o, size = np.asarray(centre, np.float64), np.asarray(radii, np.float64)
     frame = np.eye(3) if axes is None else np.asarray(axes, np.float64)
     m = (frame / size[:, None]).astype(np.float32)
@@ -104,7 +107,7 @@ def chain(points: ArrayLike, radii: Sequence[float], *, flat: ArrayLike = (0.0, 
 
 
 def _melt(a: Floats, b: Floats, blend: float) -> Floats:
-    """Smooth minimum (polynomial, of width `blend`)."""
+    """Smooth minimum, the quadratic polynomial of width `blend` (Quilez 2013)."""
     overlap = np.maximum(np.float32(blend) - np.abs(a - b), 0)
     value: Floats = np.minimum(a, b) - overlap * overlap * np.float32(0.25 / blend)
     return value

@@ -66,6 +66,12 @@ def blade(points: ArrayLike, thickness: float, texture: ArrayLike, *, roughness:
     """A thin closed sheet (an ear, a wing) about an (n, m, 3) grid of points, sharp at the rim.
 
     Both sides show the texture: u along m, v along n; from the side where m runs right and n up it is not mirrored.
+
+    Args:
+        points: (n, m, 3) points of the middle surface, metres.
+        thickness: Largest thickness, metres.
+        texture: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        roughness: As in `Mesh`.
     """
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
@@ -88,7 +94,7 @@ def blade(points: ArrayLike, thickness: float, texture: ArrayLike, *, roughness:
 
 
 class Noise:
-    """Smooth solid noise in [-1, 1], periodic over 24 units, drawn from a generator."""
+    """Smooth solid value noise in [-1, 1] (Ebert et al. 2003), periodic over 24 units, drawn from a generator."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._lattice = rng.uniform(-1, 1, (25, 25, 25)).astype(np.float32)
@@ -124,7 +130,14 @@ def mix(base: Floats, colour: ArrayLike, amount: ArrayLike) -> Floats:
 
 
 def spot(points: Floats, centre: ArrayLike, radii: ArrayLike, soft: float = 0.2) -> Floats:
-    """(N,) amount of an ellipsoidal spot: 1 inside, 0 outside, soft over a fraction of its radius."""
+    """(N,) amount of an ellipsoidal spot: 1 inside, 0 outside, soft over a fraction of its radius.
+
+    Args:
+        points: (N, 3) points, metres.
+        centre: (3,) middle of the spot, metres.
+        radii: (3,) radii along the axes, metres.
+        soft: Width of the soft rim as a fraction of the radius.
+    """
     place = (points - np.asarray(centre, np.float32)) / np.asarray(radii, np.float32)
     value: Floats = np.clip((1 - np.linalg.norm(place, axis=1)) / soft + 0.5, 0, 1).astype(np.float32)
     return value

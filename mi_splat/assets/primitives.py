@@ -39,7 +39,14 @@ def box(
     centre: Sequence[float] = (0.0, 0.0, 0.0),
     roughness: float | None = None,
 ) -> Mesh:
-    """A box with edge lengths `size`; each face shows the whole texture, upright on the four sides."""
+    """A box with edge lengths `size`; each face shows the whole texture, upright on the four sides.
+
+    Args:
+        size: (3,) edge lengths, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        centre: (3,) middle, metres.
+        roughness: As in `Mesh`.
+    """
     sides = []
     for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
         normal = np.eye(3)[axis] * sign
@@ -60,7 +67,15 @@ def sheet(
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
-    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up)."""
+    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up).
+
+    Args:
+        points: (n, m, 3) points, metres; triangles without area are left out.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        repeat: How often the texture repeats along u and v.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
     index = np.arange(n * m).reshape(n, m)
@@ -86,6 +101,13 @@ def loft(
 
     Points run counter-clockwise seen against the direction from the first section to the last. u runs once around and
     v from the first section to the last; the caps are fans about the centre of the end sections.
+
+    Args:
+        sections: (S, P, 3) points, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        caps: Whether the ends are closed; an end that is one point needs no cap.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
     """
     rings = np.asarray(sections, np.float64)
     rings = np.concatenate([rings, rings[:, :1]], 1)
@@ -112,7 +134,15 @@ def lathe(
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
-    """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside."""
+    """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside.
+
+    Args:
+        profile: (P, 2) radius and height, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        segments: Points around.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
     radius, z = np.asarray(profile, np.float64).T
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -170,7 +200,15 @@ def ellipsoid(
     segments: int = 20,
     roughness: float | None = None,
 ) -> Mesh:
-    """An ellipsoid with the three diameters `size`."""
+    """An ellipsoid with the three diameters `size`.
+
+    Args:
+        size: (3,) diameters, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        centre: (3,) middle, metres.
+        segments: Points around; half as many pieces from pole to pole.
+        roughness: As in `Mesh`.
+    """
     angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
     profile = np.stack([np.maximum(np.cos(angle), 0) / 2, np.sin(angle) / 2], -1)
     profile[[0, -1], 0] = 0
@@ -190,6 +228,13 @@ def extrude(
     """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`.
 
     The texture covers the polygon's bounding box on the two ends; the sides take the colour at the outline.
+
+    Args:
+        polygon: (P, 2) outline in either sense, metres.
+        depth: Height of the prism, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
     """
     outline = np.asarray(polygon, np.float64)
     x, y = outline.T

@@ -17,14 +17,28 @@ REACH = 45.0
 
 
 def ground(size: float, texture: Floats, *, tile: float, height: float = 0.0) -> Mesh:
-    """A square of edge `size` around the origin whose texture covers `tile` metres."""
+    """A square of edge `size` around the origin whose texture covers `tile` metres.
+
+    Args:
+        size: Edge of the square, metres.
+        texture: (h, w, 3) sRGB.
+        tile: Edge of one repetition of the texture, metres.
+        height: Z of the square, metres.
+    """
     half = size / 2
     grid = np.array([[[-half, -half, height], [half, -half, height]], [[-half, half, height], [half, half, height]]])
     return sheet(grid, texture, repeat=(size / tile, size / tile), smooth=False)
 
 
 def strip(y: tuple[float, float], height: float, texture: Floats, *, tile: float) -> Mesh:
-    """A band of ground along the street between two values of y; u of the texture runs across it once."""
+    """A band of ground along the street between two values of y; u of the texture runs across it once.
+
+    Args:
+        y: Lower and upper y, metres.
+        height: Z of the band, metres.
+        texture: (h, w, 3) sRGB.
+        tile: Edge of one repetition of the texture, metres.
+    """
     low, high = y
     grid = np.array([[[-REACH, high, height], [-REACH, low, height]], [[REACH, high, height], [REACH, low, height]]])
     return sheet(grid, texture, repeat=((high - low) / tile, 2 * REACH / tile), smooth=False)

@@ -99,7 +99,7 @@ def _observe(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: floa
 def fit_colours(
     samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], config: DiscConfig
 ) -> tuple[Tensor, Tensor]:
-    """Least-squares SH of each sample over the views that see it.
+    """Least-squares SH of each sample over the views that see it, by ridge regression (Hoerl and Kennard 1970).
 
     Args:
         samples: N points.
@@ -167,7 +167,8 @@ def refine(
 ) -> GaussianScene:
     """Fit a splat to views by Adam; the number and order of the Gaussians stay as they are.
 
-    The loss is the mean absolute difference plus half of the mean squared one; steps shrink along a cosine.
+    Adam is that of Kingma and Ba (2015). The loss is the mean absolute difference plus half of the mean squared one;
+    steps shrink along a cosine (Loshchilov and Hutter 2017) to a tenth.
 
     Args:
         scene: Where to start.

@@ -30,6 +30,12 @@ def locate(file: io.FileIO, header: Header, name: str, path: str) -> int:
 
     Text has no fixed size: there, only the least that the rows need is checked, and the rest by `read_rows`.
 
+    Args:
+        file: The file, open for unbuffered reading.
+        header: Its header.
+        name: Name of one of its elements.
+        path: For messages.
+
     Raises:
         SplatFileError: The file is larger or smaller than its header says.
     """
