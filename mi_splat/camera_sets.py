@@ -75,7 +75,8 @@ def hemisphere(
 ) -> list[Camera]:
     """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
-    They stand on a Fibonacci lattice (Swinbank and Purser 2006): heights in equal steps, azimuths in golden angles. A cap straight above the target is the band from its lowest elevation to 90 degrees.
+    They stand on a Fibonacci lattice (Swinbank and Purser 2006): heights in equal steps, azimuths in golden angles. A
+    cap straight above the target is the band from its lowest elevation to 90 degrees.
 
     Args:
         target: (3,) point that all cameras look at.

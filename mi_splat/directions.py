@@ -75,8 +75,8 @@ def azimuth_gap(direction: Direction, azimuth: float) -> float:
 def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> float:
     """Depth within an angle of an azimuth. The edge is two half great circles, from pole to pole.
 
-    To a half great circle the shortest way runs across it, or, from where it has no foot on that half, to a pole. Across
-    it is a right spherical triangle, in which sin(distance) = sin(azimuth difference) cos(elevation) (Napier's rules).
+    To a half great circle the shortest way runs across it, or, from where it has no foot on that half, to a pole.
+    Across it, Napier's rules for right spherical triangles give sin(distance) = sin(azimuth difference) cos(elevation).
 
     Args:
         direction: Of the camera.
