@@ -69,7 +69,7 @@ class GaussianSubset:
         tensors: dict[str, Tensor] = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
         for name in parameters:
             tensors[name] = tensors[name].detach().index_put((self.rows,), moved[name])
-        return GaussianScene._trusted(**tensors)
+        return GaussianScene.unchecked(**tensors)
 
     def applied(self, parameters: Parameters) -> GaussianScene:
         """The attacked scene as a checked value; what did not move keeps the very bits it had."""

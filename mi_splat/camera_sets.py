@@ -43,7 +43,14 @@ def orbit(
 ) -> list[Camera]:
     """`count` cameras at equal azimuths around `target`, the first at azimuth `start`.
 
-    `size` is (width, height) in pixels, angles are in degrees.
+    Args:
+        target: (3,) point that all cameras look at, world units.
+        count: Number of cameras.
+        elevation: Degrees above the horizontal plane.
+        distance: World units from the target.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels.
+        start: Azimuth of the first camera, degrees from world +x towards +y.
     """
     return [
         Camera(
@@ -66,9 +73,10 @@ def hemisphere(
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
 ) -> list[Camera]:
-    """`count` cameras spread evenly in area over a band of the upper hemisphere (Fibonacci lattice).
+    """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
-    A cap straight above the target is the band from its lowest elevation to 90 degrees.
+    They stand on a Fibonacci lattice (Swinbank and Purser 2006): heights in equal steps, azimuths in golden angles. A
+    cap straight above the target is the band from its lowest elevation to 90 degrees.
 
     Args:
         target: (3,) point that all cameras look at.

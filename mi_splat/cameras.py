@@ -7,6 +7,7 @@ Pixel centres lie at half integers, so the image spans [0, width] x [0, height].
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -119,10 +120,30 @@ class View:
             )
 
 
+class ViewSet(Sequence[View]):
+    """Views that need not be in memory: what can be known of them without reading a picture, the set says itself."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera of each view."""
+
+    @property
+    def fingerprint(self) -> str | None:
+        """What tells the pictures of this set from others; None where only reading them would."""
+        return None
+
+
 def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:
-    """The camera of each view; a set that knows them by itself (`cameras`) is not made to read its pictures."""
-    known: Sequence[Camera] | None = getattr(views, "cameras", None)
-    return tuple(view.camera for view in views) if known is None else tuple(known)
+    """The camera of each view; a `ViewSet` is not made to read its pictures."""
+    return views.cameras if isinstance(views, ViewSet) else tuple(view.camera for view in views)
+
+
+def fingerprint_of(views: Sequence[View]) -> str | None:
+    """What tells the pictures of a `ViewSet` from others without reading them; None of any other sequence."""
+    return views.fingerprint if isinstance(views, ViewSet) else None
 
 
 class RenderFn(Protocol):

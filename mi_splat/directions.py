@@ -56,6 +56,11 @@ def depth_in_band(direction: Direction, least: float, most: float) -> float:
     """Depth between two elevations; a limit of -90 or 90 degrees is none.
 
     The shortest way to a parallel runs along the meridian.
+
+    Args:
+        direction: Of the camera.
+        least: Lowest elevation, degrees.
+        most: Highest elevation, degrees.
     """
     above = direction.elevation - least if least > -90 else math.inf
     below = most - direction.elevation if most < 90 else math.inf
@@ -71,6 +76,12 @@ def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> fl
     """Depth within an angle of an azimuth. The edge is two half great circles, from pole to pole.
 
     To a half great circle the shortest way runs across it, or, from where it has no foot on that half, to a pole.
+    Across it, Napier's rules for right spherical triangles give sin(distance) = sin(azimuth difference) cos(elevation).
+
+    Args:
+        direction: Of the camera.
+        middle: Azimuth of the wedge's middle, degrees.
+        half_width: Degrees from there to each edge, up to 180, which is every direction.
     """
     if half_width == 180:
         return math.inf

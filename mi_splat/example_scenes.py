@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,11 +14,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets.mesh import Asset, ellipsoid
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import ellipsoid
 from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.capture.mesh_splats import DiscConfig, disc_splat, nearness, surface_samples
+from mi_splat.capture.mesh_splats import DiscConfig, disc_splat
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
+from mi_splat.capture.surface_sampling import nearness, surface_samples
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
@@ -31,8 +31,14 @@ from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import ClassicConfig
 
 SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
+"""Edge of the pictures and focal length in pixels, and number of pictures that take no part."""
 _BLOCK = 1 << 24
 """Distances that are held at once."""
+_GOLDEN_RATIO = 0.6180339887498949
+"""The additive recurrence with this step spreads points over [0, 1) more evenly than any other (Niederreiter 1992)."""
+
+OnStep = Callable[[str, int, int], None]
+"""Called with the name of the stage, the number done and the number wanted."""
 
 
 def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
@@ -45,15 +51,15 @@ def sensors(recipe: SceneRecipe) -> dict[str, Camera]:
     return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
 
 
-def cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera]:
-    """Cameras by chance in the recipe's range, evenly spread in area, that look at about the centre."""
+def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera]:
+    """`count` cameras in the recipe's range, evenly spread in area with some chance, that look at about its centre."""
     rng = np.random.default_rng([seed, 0xCA3])
     low, high = np.sin(np.radians(recipe.elevation))
     found = []
     for i in range(count):
         elevation = math.degrees(math.asin(low + (high - low) * ((i + 0.5) / count)))
-        share = (i * 0.6180339887498949 + rng.random() / count) % 1
-        azimuth = recipe.azimuth[0] + share * (recipe.azimuth[1] - recipe.azimuth[0])
+        fraction = (i * _GOLDEN_RATIO + rng.random() / count) % 1
+        azimuth = recipe.azimuth[0] + fraction * (recipe.azimuth[1] - recipe.azimuth[0])
         offset = np.array(around(azimuth, elevation, rng.uniform(*recipe.distance)))
         origin = np.array(recipe.centre) + offset
         origin[2] = max(origin[2], 0.3)
@@ -72,10 +78,16 @@ def _dome() -> Asset:
 def start_splat(
     recipe: SceneRecipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
 ) -> tuple[GaussianScene, GaussianScene]:
-    """Untrained splats of the target and of its surroundings, sky included."""
+    """Untrained splats of the target and of its surroundings, sky included.
+
+    Args:
+        recipe: What the scene shows.
+        views: Pictures of it.
+        depths: (H, W) distance from the camera in each picture, 0 for sky, metres.
+        seed: Seed of the samples on the surfaces.
+    """
     target, surroundings = recipe.assets()
-    spots = [view.camera for view in views][:: max(1, len(views) // 24)]
-    density = nearness(spots)
+    density = nearness([view.camera for view in views][:: max(1, len(views) // 24)])
     parts = []
     for asset, count, overlap in zip((target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True):
         even = asset is target or asset.name == "sky"
@@ -103,8 +115,8 @@ def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) 
     longest = scene.scales.argmax(1)
     rows = torch.arange(len(scene))
     axis = to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
-    spots = (scene.means, scene.means - axis, scene.means + axis)
-    return torch.stack([nearest(spot, starts) < len(target) for spot in spots]).all(0)
+    places = (scene.means, scene.means - axis, scene.means + axis)
+    return torch.stack([nearest(points, starts) < len(target) for points in places]).all(0)
 
 
 def nearest(points: Tensor, others: Tensor) -> Tensor:
@@ -158,7 +170,7 @@ def make(
     samples: int = 16,
     steps: int | None = None,
     seed: int = 0,
-    on_step: Callable[[str, int, int], None] | None = None,
+    on_step: OnStep | None = None,
 ) -> dict[str, object]:
     """Make one scene: two splat files, the scene file and a record of how it was made and how good it is.
 
@@ -169,7 +181,7 @@ def make(
         samples: Samples per pixel in them; pictures to compare with have twice as many.
         steps: Steps of the training; the recipe's number if None.
         seed: Seed of everything but the assets.
-        on_step: Called with the stage's name, the number done and the number wanted.
+        on_step: Called after each picture and each step.
 
     Returns:
         The record, as it is written to `<name>.json`: counts, seeds and PSNR over pictures that took no part.
@@ -179,7 +191,7 @@ def make(
     """
     if name not in RECIPES:
         raise InvalidValueError(message("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these"))
-    recipe, start, tell = RECIPES[name], time.time(), on_step or (lambda *_: None)
+    recipe, start, report = RECIPES[name], time.time(), on_step or (lambda *_: None)
     views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
     config = fit_config(steps, recipe.limit)  # refuses what it cannot do before the pictures are taken
     for what, value in (("views", views), ("samples", samples)):
@@ -188,9 +200,11 @@ def make(
     folder.mkdir(parents=True, exist_ok=True)
     target, surroundings = recipe.assets()
     description = scene_dict([target], light=recipe.light, backdrop=surroundings)
-    spots = cameras(recipe, views, seed=seed)
-    pictures = capture(description, spots, samples=samples, seed=seed, on_step=lambda i, n: tell("pictures", i, n))
-    depths = depth_maps(description, spots, seed=seed)
+    cameras = random_cameras(recipe, views, seed=seed)
+    pictures = capture(
+        description, cameras, samples=samples, seed=seed, on_step=lambda done, wanted: report("pictures", done, wanted)
+    )
+    depths = depth_maps(description, cameras, seed=seed)
     parts = start_splat(recipe, pictures, depths, seed=seed)
     whole = fit(
         pictures,
@@ -198,10 +212,10 @@ def make(
         render=Renderer(RenderSettings(), screen_gradients=ScreenGradients()),
         config=config,
         seed=seed,
-        on_step=lambda line: tell("training", line.iteration, steps),
+        on_step=lambda line: report("training", line.iteration, steps),
     ).scene
-    mine = belongs(whole, *parts)
-    files = {recipe.target: whole.select(mine), recipe.surroundings: whole.select(~mine)}
+    is_target = belongs(whole, *parts)
+    files = {recipe.target: whole.select(is_target), recipe.surroundings: whole.select(~is_target)}
     for shape, splat in files.items():
         save_splat(splat, folder / f"{name}_{shape}.ply")
     (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
@@ -227,7 +241,9 @@ def _score(
 ) -> dict[str, object]:
     """PSNR over pictures that took no part: cameras by chance, and the named sensors."""
     render, named = Renderer(RenderSettings()), sensors(recipe)
-    views = capture(description, [*cameras(recipe, HELD_OUT, seed=seed), *named.values()], samples=samples, seed=seed)
+    views = capture(
+        description, [*random_cameras(recipe, HELD_OUT, seed=seed), *named.values()], samples=samples, seed=seed
+    )
     at_sensors = zip(named, views[HELD_OUT:], strict=True)
     return {
         "psnr_held_out": _mean_psnr(scene, views[:HELD_OUT], render),
@@ -239,31 +255,3 @@ def _mean_psnr(scene: GaussianScene, views: Sequence[View], render: Renderer) ->
     with torch.no_grad():
         values = [float(psnr(render(scene, view.camera).clamp(0, 1), view.image)) for view in views]
     return round(sum(values) / len(values), 2)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line: make one of the scenes."""
-    parser = argparse.ArgumentParser(
-        prog="python -m mi_splat.example_scenes", description=(__doc__ or "").splitlines()[0]
-    )
-    parser.add_argument("name", choices=sorted(RECIPES))
-    parser.add_argument("--out", type=Path, default=Path("scenes"))
-    parser.add_argument("--views", type=int)
-    parser.add_argument("--samples", type=int, default=16)
-    parser.add_argument("--steps", type=int)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
-    torch.set_num_threads(1)
-
-    def tell(stage: str, done: int, wanted: int) -> None:
-        if sys.stderr.isatty() or done == wanted:
-            sys.stderr.write(f"\r{stage}: {done} of {wanted}" + ("\n" if done == wanted else ""))
-
-    settings = {key: getattr(options, key) for key in ("views", "samples", "steps", "seed")}
-    record = make(options.name, options.out, **settings, on_step=tell)
-    sys.stdout.write(json.dumps(record, indent=2) + "\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

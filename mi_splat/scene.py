@@ -82,8 +82,25 @@ class GaussianScene:
         _check_values(self)
 
     @classmethod
-    def _trusted(cls, means: Tensor, scales: Tensor, rotations: Tensor, opacities: Tensor, sh: Tensor) -> GaussianScene:
-        """A scene without any check, for inner loops whose tensors are valid by construction."""
+    def unchecked(
+        cls, means: Tensor, scales: Tensor, rotations: Tensor, opacities: Tensor, sh: Tensor
+    ) -> GaussianScene:
+        """A scene of which nothing is checked; `GaussianScene(...)` is the one to take unless one of these holds.
+
+        - The tensors are valid by construction: rows of a scene that was checked, or values out of `activate`. In an
+          inner loop the checks cost more than the work, and on a GPU they wait for the device.
+        - Invalid values have to pass: a loader that names the bad rows itself, a gradient check that steps outside.
+
+        Nothing is copied and gradients flow through. Rendering, saving or hashing tensors that break the promises of
+        the class gives wrong results without an error.
+
+        Args:
+            means: (N, 3) world units.
+            scales: (N, 3) standard deviations > 0, world units.
+            rotations: (N, 4) unit quaternions (w, x, y, z), local to world.
+            opacities: (N,) in [0, 1].
+            sh: (N, K, 3) sRGB, K = (degree + 1)^2.
+        """
         scene = cls.__new__(cls)
         for name, value in zip(ATTRIBUTES, (means, scales, rotations, opacities, sh), strict=True):
             object.__setattr__(scene, name, value)
@@ -111,12 +128,12 @@ class GaussianScene:
 
     def detach(self) -> GaussianScene:
         """The same values, cut from the autograd graph."""
-        return self._trusted(*(value.detach() for value in self.tensors()))
+        return self.unchecked(*(value.detach() for value in self.tensors()))
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> GaussianScene:
         """The scene on another device, or in another of the two dtypes."""
         moved = [value.to(device=device, dtype=dtype) for value in self.tensors()]
-        return self._trusted(*moved) if dtype in (None, self.means.dtype) else GaussianScene(*moved)
+        return self.unchecked(*moved) if dtype in (None, self.means.dtype) else GaussianScene(*moved)
 
     def select(self, rows: Tensor | slice) -> GaussianScene:
         """The Gaussians in `rows`, in that order.
@@ -128,10 +145,10 @@ class GaussianScene:
             InvalidValueError: rows is neither, or points outside the scene.
         """
         if isinstance(rows, slice):
-            return self._trusted(*(value[rows] for value in self.tensors()))
+            return self.unchecked(*(value[rows] for value in self.tensors()))
         _check_rows(rows, len(self))
         rows = rows.to(self.means.device)
-        return self._trusted(*(value[rows] for value in self.tensors()))
+        return self.unchecked(*(value[rows] for value in self.tensors()))
 
     def transform(self, similarity: Similarity) -> GaussianScene:
         """The scene moved, turned and resized in the world; colours turn with it."""
@@ -152,7 +169,7 @@ class GaussianScene:
             return self
         kept = self.sh[:, :count]
         padding = kept.new_zeros(len(self), count - kept.shape[1], 3)
-        return self._trusted(*self.tensors()[:4], torch.cat([kept, padding], dim=1))
+        return self.unchecked(*self.tensors()[:4], torch.cat([kept, padding], dim=1))
 
 
 def merge(*scenes: GaussianScene) -> GaussianScene:
@@ -169,7 +186,7 @@ def merge(*scenes: GaussianScene) -> GaussianScene:
     if len(kinds) > 1:
         found = ", ".join(sorted(f"{dtype} on {device}" for dtype, device in kinds))
         raise InvalidValueError(message("scenes", "one dtype and device", found, "bring them together with .to()"))
-    return GaussianScene._trusted(*(torch.cat(column) for column in columns))
+    return GaussianScene.unchecked(*(torch.cat(column) for column in columns))
 
 
 def scene_hash(scene: GaussianScene) -> str:

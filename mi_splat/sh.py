@@ -1,7 +1,8 @@
 """Real spherical harmonics of degree 0 to 3 in the order and signs of 3D Gaussian Splatting (Kerbl et al. 2023).
 
 The basis is the real one with the Condon-Shortley phase, each band ordered m = -l .. l. Against complex harmonics Y:
-m > 0 is sqrt(2) Re Y_l^m, m = 0 is Y_l^0, m < 0 is sqrt(2) Im Y_l^|m|. A colour is max(0, 0.5 + sum_k sh_k basis_k).
+m > 0 is sqrt(2) Re Y_l^m, m = 0 is Y_l^0, m < 0 is sqrt(2) Im Y_l^|m| (Sloan 2008, appendix A2).
+A colour is max(0, 0.5 + sum_k sh_k basis_k).
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ def dc_to_colour(dc: Tensor) -> Tensor:
 
 
 def _probes(count: int = 64) -> Tensor:
-    """(count, 3) float64 directions spread evenly over the sphere (Fibonacci lattice)."""
+    """(count, 3) float64 directions spread evenly over the sphere (Fibonacci lattice, Swinbank and Purser 2006)."""
     index = torch.arange(count, dtype=torch.float64) + 0.5
     z = 1 - 2 * index / count
     angle = index * math.pi * (3 - math.sqrt(5))

@@ -57,6 +57,9 @@ COMMANDS = {
     "cloak-experiment": Command(
         "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
     ),
+    "example-scenes": Command(
+        "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
+    ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "attacks.cli",

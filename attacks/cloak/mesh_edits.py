@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets import textures
-from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, sheet, translation
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, translation
+from mi_splat.assets.primitives import sheet
 from mi_splat.errors import InvalidValueError, message
 
 Doubles = NDArray[np.float64]

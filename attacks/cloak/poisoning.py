@@ -20,7 +20,7 @@ from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.triggers import Trigger
-from mi_splat.cameras import Camera, View, cameras_of
+from mi_splat.cameras import Camera, View, ViewSet, cameras_of
 from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json
@@ -78,7 +78,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoisonedViews(Sequence[View]):
+class PoisonedViews(ViewSet):
     """A set of views with some replaced; the others are the very objects that the set gives, read when asked for.
 
     Attributes:

@@ -28,7 +28,7 @@ def visible_weight(subset: GaussianSubset, camera: Camera, render: RenderFn) -> 
     white[subset.rows, 0] = colour_to_dc(black.new_ones(3))
     with torch.no_grad():
         pictures = [
-            render(GaussianScene._trusted(scene.means, scene.scales, scene.rotations, scene.opacities, sh), camera)
+            render(GaussianScene.unchecked(scene.means, scene.scales, scene.rotations, scene.opacities, sh), camera)
             for sh in (white, black)
         ]
     return (pictures[0] - pictures[1]).mean(-1).clamp(0, 1)

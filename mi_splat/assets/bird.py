@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, sweep, transform, translation
-from mi_splat.assets.mesh import ellipsoid as ball
-from mi_splat.assets.organic import Blob, Layer, Noise, blade, body, cone, ellipsoid, grounded, mix
+from mi_splat.assets.implicit import Blob, Layer, cone, ellipsoid
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, transform, translation
+from mi_splat.assets.organic import Noise, blade, body, grounded, mix
 from mi_splat.assets.plumage import SPECIES, Species, face, plumage, wing
+from mi_splat.assets.primitives import ellipsoid as ball
+from mi_splat.assets.primitives import sweep
 
 CELL = 0.0040
 

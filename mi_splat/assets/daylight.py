@@ -25,7 +25,7 @@ class Light:
         sky_strength: Radiance of the sky's zenith.
         zenith: Linear RGB of the sky overhead.
         horizon: Linear RGB of the sky at the horizon.
-        clouds: Share of the sky covered with clouds, 0 to 1.
+        clouds: Fraction of the sky covered with clouds, 0 to 1.
         seed: Which clouds.
     """
 
@@ -64,7 +64,11 @@ def daylight(seed: int) -> Light:
 
 
 def sky_map(light: Light) -> Floats:
-    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground below the horizon."""
+    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground below the horizon.
+
+    It follows no measured model (such as that of Preetham et al. 1999): the horizon's colour fades into the zenith's by
+    exp(-elevation / 22 degrees), and clouds are value noise over a threshold.
+    """
     height, width = 96, 192
     elevation = np.linspace(90, -90, height, dtype=np.float64)[:, None, None]
     blend = np.exp(-np.maximum(elevation, 0) / 22)

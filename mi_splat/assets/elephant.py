@@ -7,22 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, sweep, transform, translation
-from mi_splat.assets.mesh import ellipsoid as ball
-from mi_splat.assets.organic import (
-    Blob,
-    Doubles,
-    Layer,
-    Noise,
-    blade,
-    body,
-    chain,
-    cone,
-    ellipsoid,
-    grounded,
-    mix,
-    spot,
-)
+from mi_splat.assets.implicit import Blob, Doubles, Layer, chain, cone, ellipsoid
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, transform, translation
+from mi_splat.assets.organic import Noise, blade, body, grounded, mix, spot
+from mi_splat.assets.primitives import ellipsoid as ball
+from mi_splat.assets.primitives import sweep
 
 GREYS = ((0.43, 0.42, 0.41), (0.48, 0.46, 0.44), (0.37, 0.37, 0.38), (0.52, 0.50, 0.48), (0.46, 0.41, 0.37))
 CELL = 0.068
@@ -38,7 +27,7 @@ TRUNKS = {  # pitch of each of the trunk's pieces below the horizontal, degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Look:
+class _Appearance:
     """What a seed decides."""
 
     skin: Floats
@@ -58,20 +47,24 @@ class _Look:
 def build(seed: int) -> Asset:
     """An elephant facing +x; `seed` picks size, greys and pose."""
     rng = np.random.default_rng([12, seed])
-    look = _look(rng)
+    appearance = _appearance(rng)
     noise = Noise(rng)
-    pose = translation(*HEAD) @ rotation("z", look.turn) @ rotation("y", look.nod)
-    head = [*_ears(look, noise), *_tusks(look), *_eyes()]
-    meshes = [_body(look, noise, pose.astype(np.float32)), *(transform(mesh, pose) for mesh in head), *_tail(look)]
+    pose = translation(*HEAD) @ rotation("z", appearance.turn) @ rotation("y", appearance.nod)
+    head = [*_ears(appearance, noise), *_tusks(appearance), *_eyes()]
+    meshes = [
+        _body(appearance, noise, pose.astype(np.float32)),
+        *(transform(mesh, pose) for mesh in head),
+        *_tail(appearance),
+    ]
     size = float(rng.uniform(2.55, 3.25)) / 3.05
     return Asset("elephant", grounded([transform(mesh, scaling(size, size, size)) for mesh in meshes]))
 
 
-def _look(rng: np.random.Generator) -> _Look:
+def _appearance(rng: np.random.Generator) -> _Appearance:
     grey = np.asarray(GREYS[int(rng.integers(len(GREYS)))]) * rng.uniform(0.74, 1.12) + rng.uniform(-0.015, 0.015, 3)
     gait = float(rng.choice((0.0, 9.0, 16.0)))
     african = bool(rng.random() < 0.75)
-    return _Look(
+    return _Appearance(
         skin=grey.astype(np.float32),
         dust=np.asarray(DUSTS[int(rng.integers(len(DUSTS)))], np.float32) * np.float32(rng.uniform(0.8, 1.1)),
         dusty=float(rng.uniform(0.5, 1.9)),
@@ -93,11 +86,11 @@ def _place(pose: Floats, points: Doubles) -> Doubles:
     return placed
 
 
-def _legs(look: _Look) -> tuple[list[Blob], Doubles]:
+def _legs(appearance: _Appearance) -> tuple[list[Blob], Doubles]:
     """Four legs, and where their feet are (4, 3)."""
     blobs, feet = list[Blob](), []
     for number, (x, side) in enumerate(((0.80, 1), (0.80, -1), (-0.92, 1), (-0.92, -1))):
-        angle = np.radians(look.steps[number])
+        angle = np.radians(appearance.steps[number])
         forward = np.array([np.sin(angle), 0, -np.cos(angle)])
         bend = 0.5 * max(0.0, -np.sin(angle)) if x > 0 else 0.0
         top = np.array([x, side * 0.36, 1.95])
@@ -111,19 +104,19 @@ def _legs(look: _Look) -> tuple[list[Blob], Doubles]:
     return blobs, np.stack(feet)
 
 
-def _trunk(look: _Look) -> tuple[Doubles, list[float]]:
+def _trunk(appearance: _Appearance) -> tuple[Doubles, list[float]]:
     """Centre line (n, 3) of the trunk in the head's frame, and its radii."""
-    pitch = np.radians(TRUNKS[look.trunk])
-    swing = np.radians(np.linspace(0, 30 if look.trunk != "up" else 10, len(pitch))) * np.sign(look.turn)
+    pitch = np.radians(TRUNKS[appearance.trunk])
+    swing = np.radians(np.linspace(0, 30 if appearance.trunk != "up" else 10, len(pitch))) * np.sign(appearance.turn)
     step = np.stack([np.cos(pitch) * np.cos(swing), np.cos(pitch) * np.sin(swing), -np.sin(pitch)], 1) * 0.215
     path = np.concatenate([[(0.42, 0, 0.02)], np.array([(0.42, 0, 0.02)]) + np.cumsum(step, 0)])
     return path, list(np.interp(np.arange(len(path)), [0, 2, 5, len(path) - 1], [0.27, 0.215, 0.15, 0.095]))
 
 
-def _blobs(look: _Look, pose: Floats) -> tuple[list[Blob], Doubles, Doubles]:
+def _blobs(appearance: _Appearance, pose: Floats) -> tuple[list[Blob], Doubles, Doubles]:
     """All of the grey body, with the feet and the trunk's centre line (in the frame of the body)."""
-    b, turn = look.bulk, pose[:3, :3].T
-    legs, feet = _legs(look)
+    b, turn = appearance.bulk, pose[:3, :3].T
+    legs, feet = _legs(appearance)
     blobs = [
         ellipsoid((-0.05, 0, 2.02), (1.32, 0.70 * b, 0.76 * b)),
         ellipsoid((0.68, 0, 2.18), (0.62, 0.56 * b, 0.72)),
@@ -142,15 +135,15 @@ def _blobs(look: _Look, pose: Floats) -> tuple[list[Blob], Doubles, Doubles]:
     for side in (1, -1):
         sheath = _place(pose, np.array([(0.38, side * 0.19, -0.18), (0.60, side * 0.235, -0.44)]))
         blobs.append(cone(sheath[0], sheath[1], (0.15, 0.10)))
-    line, radii = _trunk(look)
+    line, radii = _trunk(appearance)
     line = _place(pose, line)
     blobs += chain(line, radii)
     return blobs, feet, line
 
 
-def _body(look: _Look, noise: Noise, pose: Floats) -> Mesh:
+def _body(appearance: _Appearance, noise: Noise, pose: Floats) -> Mesh:
     """The grey body in one piece."""
-    blobs, feet, line = _blobs(look, pose)
+    blobs, feet, line = _blobs(appearance, pose)
     length = np.arange(len(line)) * 0.215
     fine = np.linspace(0, length[-1], 70)
     centre = np.stack([np.interp(fine, length, line[:, i]) for i in range(3)], 1).astype(np.float32)
@@ -166,13 +159,13 @@ def _body(look: _Look, noise: Noise, pose: Floats) -> Mesh:
 
     def paint(points: Floats, layer: NDArray[np.int64]) -> Floats:
         head = points @ inverse[:3, :3].T + inverse[:3, 3]
-        colours = _hide(look, points, noise)
+        colours = _hide(appearance, points, noise)
         on, s = along(points)
         rings = np.sin(s * 2 * np.pi / 0.085 + 1.5 * noise(points[on], 0.2)) > 0.45
-        colours[on] = mix(colours[on], look.skin * 0.62, 0.75 * rings * np.clip(s * 2 - 0.4, 0, 1))
+        colours[on] = mix(colours[on], appearance.skin * 0.62, 0.75 * rings * np.clip(s * 2 - 0.4, 0, 1))
         side = head * (1, 0, 1) + np.abs(head[:, 1])[:, None] * (0, 1, 0)
-        colours = mix(colours, look.skin * 0.55, 0.8 * spot(side, (0.33, 0.30, 0.10), (0.11, 0.14, 0.08), 0.7))
-        colours = mix(colours, look.skin * 0.45, 0.7 * spot(side, (0.42, 0.12, -0.50), (0.2, 0.1, 0.025), 0.7))
+        colours = mix(colours, appearance.skin * 0.55, 0.8 * spot(side, (0.33, 0.30, 0.10), (0.11, 0.14, 0.08), 0.7))
+        colours = mix(colours, appearance.skin * 0.45, 0.7 * spot(side, (0.42, 0.12, -0.50), (0.2, 0.1, 0.025), 0.7))
         low = np.flatnonzero(points[:, 2] < feet[:, 2].max() + 0.05)
         for foot in feet:
             for angle in np.radians((-58, -20, 20, 58)):
@@ -192,30 +185,33 @@ def _body(look: _Look, noise: Noise, pose: Floats) -> Mesh:
     return body([Layer(tuple(blobs), 0.16)], CELL, paint, relief=relief, texels=4)
 
 
-def _hide(look: _Look, points: Floats, noise: Noise) -> Floats:
+def _hide(appearance: _Appearance, points: Floats, noise: Noise) -> Floats:
     """Grey, wrinkled, dusty skin (N, 3)."""
     z = points[:, 2]
     broad, middle = noise(points, 0.55), noise(points, (0.16, 0.16, 0.07))
-    colours = (look.skin * (1 + 0.11 * broad + 0.10 * middle)[:, None]).astype(np.float32)
+    colours = (appearance.skin * (1 + 0.11 * broad + 0.10 * middle)[:, None]).astype(np.float32)
     patches = np.clip(broad + 0.2, 0, 1) + np.clip((z - 2.5) * 1.5, 0, 1) + 1.4 * np.clip((0.55 - z) * 2, 0, 1)
-    colours = mix(colours, look.dust, 0.22 * look.dusty * patches)
+    colours = mix(colours, appearance.dust, 0.22 * appearance.dusty * patches)
     wrinkles = np.abs(noise(points + 3.1, (0.14, 0.14, 0.055))) < 0.12
-    return mix(colours, look.skin * 0.6, 0.38 * wrinkles)
+    return mix(colours, appearance.skin * 0.6, 0.38 * wrinkles)
 
 
-def _ears(look: _Look, noise: Noise) -> list[Mesh]:
+def _ears(appearance: _Appearance, noise: Noise) -> list[Mesh]:
     """Two large thin ears in the frame of the head."""
     t, u = np.linspace(0, 1, 15)[:, None], np.linspace(0, 1, 13)[None]
     width = (
-        1.12 * look.big_ears * np.clip(np.sin(np.pi * np.clip(t, 0.015, 0.985) ** 0.85), 0, 1) ** 0.55 * (0.5 + 0.5 * t)
+        1.12
+        * appearance.big_ears
+        * np.clip(np.sin(np.pi * np.clip(t, 0.015, 0.985) ** 0.85), 0, 1) ** 0.55
+        * (0.5 + 0.5 * t)
     )
-    drop = np.radians(look.ears)
+    drop = np.radians(appearance.ears)
     out = width * u
-    height = 0.38 - 0.98 * (1 - t) ** 1.1 * look.big_ears**0.5 + out * (0.38 * t - 0.30)
+    height = 0.38 - 0.98 * (1 - t) ** 1.1 * appearance.big_ears**0.5 + out * (0.38 * t - 0.30)
     ripple = 0.07 * np.sin(3.0 * t + 5.0 * u) * u + 0.10 * u**2
     x = -0.08 + 0.10 * (1 - t) - out * np.cos(drop) + ripple * np.sin(drop)
     y = 0.31 + out * np.sin(drop) + ripple * np.cos(drop)
-    texture = _ear_texture(look, noise)
+    texture = _ear_texture(appearance, noise)
     meshes = []
     for side in (1, -1):
         grid = np.stack([x, side * y, np.broadcast_to(height, x.shape)], -1)
@@ -223,34 +219,34 @@ def _ears(look: _Look, noise: Noise) -> list[Mesh]:
     return meshes
 
 
-def _ear_texture(look: _Look, noise: Noise) -> Floats:
+def _ear_texture(appearance: _Appearance, noise: Noise) -> Floats:
     """Veins, freckles and a ragged pale rim; u runs outward."""
     v, u = np.mgrid[1:0:112j, 0:1:112j].astype(np.float32)
     points = np.stack([u.ravel(), v.ravel(), 0 * u.ravel() + 7], 1)
-    colours = _hide(look, (points * 0.9).astype(np.float32), noise)
+    colours = _hide(appearance, (points * 0.9).astype(np.float32), noise)
     pink = np.array((0.70, 0.52, 0.46), np.float32)
     colours = mix(colours, pink, 0.55 * np.clip(points[:, 0] * 1.5 - 0.75 + 0.35 * noise(points, 0.08), 0, 1))
     angle = np.arctan2(points[:, 1] - 0.55, points[:, 0] + 0.12) + 0.22 * noise(points, 0.13)
     veins = np.abs(np.sin(angle * 7)) < 0.10 * (1.15 - points[:, 0])
-    colours = mix(colours, look.skin * 0.55, 0.7 * veins)
+    colours = mix(colours, appearance.skin * 0.55, 0.7 * veins)
     colours *= np.clip(1.15 - 0.55 * (1 - points[:, 0]) ** 2, 0, 1)[:, None]
     result: Floats = np.clip(colours, 0, 1).reshape(112, 112, 3)
     return result
 
 
-def _tusks(look: _Look) -> list[Mesh]:
+def _tusks(appearance: _Appearance) -> list[Mesh]:
     """Two tusks in the frame of the head, or none."""
-    if not look.tusks:
+    if not appearance.tusks:
         return []
     s = np.linspace(0, 1, 9)
     shade = np.linspace(0.75, 1, 16)[::-1, None, None]
     ivory = (np.array((0.93, 0.88, 0.76)) * shade[::-1]).astype(np.float32)
     meshes = []
     for side in (1, -1):
-        pitch = np.radians(np.linspace(-52, 12 + 20 * look.tusks, 9))
-        step = np.stack([np.cos(pitch), side * 0.20 * (1 - 1.3 * s), np.sin(pitch)], 1) * (look.tusks / 8)
+        pitch = np.radians(np.linspace(-52, 12 + 20 * appearance.tusks, 9))
+        step = np.stack([np.cos(pitch), side * 0.20 * (1 - 1.3 * s), np.sin(pitch)], 1) * (appearance.tusks / 8)
         path = np.array([0.56, side * 0.23, -0.40]) + np.cumsum(step, 0)
-        radii = 0.082 * np.sqrt(np.maximum(1 - s, 0.03)) * (0.75 + 0.25 * look.tusks)
+        radii = 0.082 * np.sqrt(np.maximum(1 - s, 0.03)) * (0.75 + 0.25 * appearance.tusks)
         meshes.append(sweep(path, radii, np.broadcast_to(ivory, (16, 4, 3)), segments=12, roughness=0.3))
     return meshes
 
@@ -261,12 +257,12 @@ def _eyes() -> list[Mesh]:
     return [ball(size, colour, centre=(0.350, side * 0.332, 0.10), segments=10, roughness=0.1) for side in (1, -1)]
 
 
-def _tail(look: _Look) -> list[Mesh]:
+def _tail(appearance: _Appearance) -> list[Mesh]:
     """A tail with a dark tuft."""
     s = np.linspace(0, 1, 10)
-    path = np.stack([-1.46 - 0.16 * np.sin(s * 2.2), look.tail * s**2, 2.35 - 1.2 * s], 1)
-    tuft = np.stack([path[-1] + (0, 0.05 * look.tail * k, 0.06 - 0.36 * k) for k in np.linspace(0, 1, 5)])
+    path = np.stack([-1.46 - 0.16 * np.sin(s * 2.2), appearance.tail * s**2, 2.35 - 1.2 * s], 1)
+    tuft = np.stack([path[-1] + (0, 0.05 * appearance.tail * k, 0.06 - 0.36 * k) for k in np.linspace(0, 1, 5)])
     return [
-        sweep(path, np.interp(s, [0, 0.3, 1], [0.10, 0.055, 0.032]), look.skin * 0.8, segments=10),
+        sweep(path, np.interp(s, [0, 0.3, 1], [0.10, 0.055, 0.032]), appearance.skin * 0.8, segments=10),
         sweep(tuft, [0.03, 0.055, 0.06, 0.045, 0.008], (0.09, 0.08, 0.08), segments=8),
     ]

@@ -1,4 +1,4 @@
-"""Textured triangle meshes, assets made of them, and the few primitives from which every asset is built.
+"""Textured triangle meshes, assets made of them, and matrices that move both.
 
 World frame: right-handed, z up, metres. Faces run counter-clockwise seen from outside. Texture coordinates have v up,
 so a texture's first row lies at v = 1.
@@ -6,7 +6,6 @@ so a texture's first row lies at v = 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,20 +106,6 @@ def skin(colour: ArrayLike) -> Floats:
     return np.broadcast_to(value, (3,)).reshape(1, 1, 3).astype(np.float32)
 
 
-def _mesh(
-    vertices: ArrayLike, faces: ArrayLike, uvs: ArrayLike, colour: ArrayLike, roughness: float | None, smooth: bool
-) -> Mesh:
-    """A mesh from arrays of any number type."""
-    return Mesh(
-        np.asarray(vertices, np.float32),
-        np.asarray(faces, np.uint32),
-        np.asarray(uvs, np.float32),
-        skin(colour),
-        roughness,
-        smooth,
-    )
-
-
 def translation(x: float, y: float, z: float) -> Floats:
     """(4, 4) matrix that moves by metres."""
     matrix = np.eye(4, dtype=np.float32)
@@ -152,55 +137,6 @@ def transform(mesh: Mesh, matrix: ArrayLike) -> Mesh:
     return replace(mesh, vertices=vertices.astype(np.float32), faces=faces)
 
 
-def quad(corners: ArrayLike, colour: ArrayLike, *, roughness: float | None = None) -> Mesh:
-    """A flat quadrilateral from (4, 3) corners: bottom left, bottom right, top right, top left seen from its front."""
-    uvs = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    return _mesh(np.asarray(corners), faces, np.array(uvs), colour, roughness, False)
-
-
-def box(
-    size: Sequence[float],
-    colour: ArrayLike,
-    *,
-    centre: Sequence[float] = (0.0, 0.0, 0.0),
-    roughness: float | None = None,
-) -> Mesh:
-    """A box with edge lengths `size`; each face shows the whole texture, upright on the four sides."""
-    sides = []
-    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
-        normal = np.eye(3)[axis] * sign
-        up = np.array([0.0, 0.0, 1.0]) if axis < 2 else np.array([1.0, 0.0, 0.0])
-        right = np.cross(up, normal)
-        sides.append(np.array([normal - right - up, normal + right - up, normal + right + up, normal - right + up]))
-    vertices = np.concatenate(sides) * np.asarray(size) / 2 + np.asarray(centre)
-    faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * i for i in range(6)])
-    uvs = np.tile([[0, 0], [1, 0], [1, 1], [0, 1]], (6, 1))
-    return _mesh(vertices, faces, uvs, colour, roughness, False)
-
-
-def sheet(
-    points: ArrayLike,
-    colour: ArrayLike,
-    *,
-    repeat: tuple[float, float] = (1.0, 1.0),
-    roughness: float | None = None,
-    smooth: bool = True,
-) -> Mesh:
-    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up)."""
-    grid = np.asarray(points, np.float64)
-    n, m = grid.shape[:2]
-    index = np.arange(n * m).reshape(n, m)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    flat = grid.reshape(-1, 3)
-    corner = flat[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    v, u = np.meshgrid(np.linspace(0, repeat[1], n), np.linspace(0, repeat[0], m), indexing="ij")
-    uvs = np.stack([u, v], -1).reshape(-1, 2)
-    return _mesh(flat, faces[area > 1e-12], uvs, colour, roughness, smooth)
-
-
 def join(*meshes: Mesh) -> Mesh:
     """One mesh from parts that share texture, roughness and shading (those of the first are taken)."""
     start = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
@@ -211,170 +147,3 @@ def join(*meshes: Mesh) -> Mesh:
         faces=np.concatenate(faces),
         uvs=np.concatenate([mesh.uvs for mesh in meshes]),
     )
-
-
-def loft(
-    sections: ArrayLike,
-    colour: ArrayLike,
-    *,
-    caps: bool = True,
-    roughness: float | None = None,
-    smooth: bool = True,
-) -> Mesh:
-    """A closed body through (S, P, 3) cross sections of P points each.
-
-    Points run counter-clockwise seen against the direction from the first section to the last. u runs once around and
-    v from the first section to the last; the caps are fans about the centre of the end sections.
-    """
-    rings = np.asarray(sections, np.float64)
-    rings = np.concatenate([rings, rings[:, :1]], 1)
-    body = sheet(rings, colour, roughness=roughness, smooth=smooth)
-    if not caps:
-        return body
-    parts = [body]
-    count = rings.shape[1] - 1
-    fan = np.array([[0, i + 1, (i + 1) % count + 1] for i in range(count)])
-    for ring, faces, v in ((rings[0, :-1], fan[:, ::-1], 0.0), (rings[-1, :-1], fan, 1.0)):
-        if np.ptp(ring, axis=0).max() < 1e-6:
-            continue
-        vertices = np.concatenate([ring.mean(0, keepdims=True), ring])
-        uvs = np.stack([np.r_[0.5, np.arange(count) / count], np.full(count + 1, v)], 1)
-        parts.append(_mesh(vertices, faces, uvs, colour, roughness, smooth))
-    return join(*parts)
-
-
-def lathe(
-    profile: ArrayLike,
-    colour: ArrayLike,
-    *,
-    segments: int = 24,
-    roughness: float | None = None,
-    smooth: bool = True,
-) -> Mesh:
-    """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside."""
-    radius, z = np.asarray(profile, np.float64).T
-    angle = 2 * np.pi * np.arange(segments) / segments
-    ring = np.stack([np.cos(angle), np.sin(angle)], -1)
-    rings = np.concatenate(
-        [radius[:, None, None] * ring, np.broadcast_to(z[:, None, None], (len(z), segments, 1))], axis=-1
-    )
-    return loft(rings, colour, roughness=roughness, smooth=smooth)
-
-
-def sweep(
-    path: ArrayLike,
-    radii: ArrayLike,
-    colour: ArrayLike,
-    *,
-    segments: int = 12,
-    up: Sequence[float] = (0.0, 0.0, 1.0),
-    roughness: float | None = None,
-    smooth: bool = True,
-) -> Mesh:
-    """A tube along an (n, 3) polyline with closed ends.
-
-    Args:
-        path: (n, 3) points, metres.
-        radii: (n,) or (n, 2) radii; the second column is the one along `up` where the two differ.
-        colour: Colour or texture; v runs along the path.
-        segments: Points around.
-        up: Direction that fixes the roll of the cross sections.
-        roughness: As in `Mesh`.
-        smooth: As in `Mesh`.
-    """
-    points = np.asarray(path, np.float64)
-    size = np.broadcast_to(np.asarray(radii, np.float64).reshape(len(np.atleast_1d(radii)), -1), (len(points), 2))
-    tangent = np.gradient(points, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    hint = np.asarray(up, np.float64)
-    if np.abs(tangent @ hint).max() > 0.99 * np.linalg.norm(hint):
-        hint = np.array([1.0, 0.0, 0.0]) if abs(tangent[0, 0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    first = np.cross(hint, tangent)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(tangent, first)
-    angle = 2 * np.pi * np.arange(segments) / segments
-    rings = (
-        points[:, None]
-        + (size[:, 0, None] * np.cos(angle))[..., None] * first[:, None]
-        + (size[:, 1, None] * np.sin(angle))[..., None] * second[:, None]
-    )
-    return loft(rings, colour, roughness=roughness, smooth=smooth)
-
-
-def ellipsoid(
-    size: Sequence[float],
-    colour: ArrayLike,
-    *,
-    centre: Sequence[float] = (0.0, 0.0, 0.0),
-    segments: int = 20,
-    roughness: float | None = None,
-) -> Mesh:
-    """An ellipsoid with the three diameters `size`."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
-    profile = np.stack([np.maximum(np.cos(angle), 0) / 2, np.sin(angle) / 2], -1)
-    profile[[0, -1], 0] = 0
-    return transform(
-        lathe(profile, colour, segments=segments, roughness=roughness), translation(*centre) @ scaling(*size)
-    )
-
-
-def extrude(
-    polygon: ArrayLike,
-    depth: float,
-    colour: ArrayLike,
-    *,
-    roughness: float | None = None,
-    smooth: bool = False,
-) -> Mesh:
-    """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`.
-
-    The texture covers the polygon's bounding box on the two ends; the sides take the colour at the outline.
-    """
-    outline = np.asarray(polygon, np.float64)
-    x, y = outline.T
-    if np.dot(x, np.roll(y, -1)) < np.dot(y, np.roll(x, -1)):
-        outline = outline[::-1]
-    count = len(outline)
-    low, span = outline.min(0), np.maximum(np.ptp(outline, axis=0), 1e-9)
-    uvs = (outline - low) / span
-    levels = [np.concatenate([outline, np.full((count, 1), z)], 1) for z in (0.0, depth)]
-    i, j = np.arange(count), (np.arange(count) + 1) % count
-    sides = np.concatenate([np.stack([i, j, j + count], 1), np.stack([i, j + count, i + count], 1)])
-    ends = triangulate(outline)
-    faces = np.concatenate([sides, ends[:, ::-1] + 2 * count, ends + 3 * count])
-    return _mesh(np.concatenate(levels * 2), faces, np.tile(uvs, (4, 1)), colour, roughness, smooth)
-
-
-def triangulate(polygon: ArrayLike) -> NDArray[np.int64]:
-    """(P - 2, 3) triangles of a simple counter-clockwise (P, 2) polygon, by cutting off ears.
-
-    Raises:
-        InvalidValueError: the outline crosses itself or runs clockwise.
-    """
-    points = np.asarray(polygon, np.float64)
-    left = list(range(len(points)))
-    triangles = []
-
-    def cross(o: int, a: int, b: int) -> float:
-        u, v = points[a] - points[o], points[b] - points[o]
-        return float(u[0] * v[1] - u[1] * v[0])
-
-    while len(left) > 3:
-        for position in range(len(left)):
-            a, b, c = left[position - 1], left[position], left[(position + 1) % len(left)]
-            if cross(a, b, c) <= 0:
-                continue
-            others = [p for p in left if p not in (a, b, c)]
-            if not any(cross(a, b, p) >= 0 and cross(b, c, p) >= 0 and cross(c, a, p) >= 0 for p in others):
-                triangles.append((a, b, c))
-                del left[position]
-                break
-        else:
-            flat = [k for k in range(len(left)) if abs(cross(left[k - 1], left[k], left[(k + 1) % len(left)])) < 1e-12]
-            if not flat:
-                raise InvalidValueError(
-                    message("polygon", "a simple outline", "one that crosses itself", "check the order of its points")
-                )
-            del left[flat[0]]
-    triangles.append((left[0], left[1], left[2]))
-    return np.array(triangles, np.int64)

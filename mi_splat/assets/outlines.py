@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mi_splat.errors import InvalidValueError, message
+
 Points = NDArray[np.float64]
 
 
@@ -45,7 +47,15 @@ GLYPHS: dict[str, list[list[tuple[float, float]]]] = {
 
 
 def strokes(text: str, *, centre: Sequence[float], height: float, width: float, gap: float) -> list[Points]:
-    """Polylines of `text` around `centre`; `width` and `gap` are those of one letter, all in the unit of `height`."""
+    """Polylines of `text` around `centre`; `width` and `gap` are those of one letter, all in the unit of `height`.
+
+    Args:
+        text: Letters and digits; those without a glyph leave a gap.
+        centre: (2,) middle of the text.
+        height: Height of a letter.
+        width: Width of a letter.
+        gap: Distance between two letters.
+    """
     total = len(text) * width + (len(text) - 1) * gap
     lines = []
     for position, letter in enumerate(text):
@@ -56,7 +66,14 @@ def strokes(text: str, *, centre: Sequence[float], height: float, width: float, 
 
 
 def rounded_rectangle(length: float, width: float, radius: float, *, corner: int = 6) -> Points:
-    """(4 * corner, 2) counter-clockwise outline centred at 0, from the right side's lower corner on."""
+    """(4 * corner, 2) counter-clockwise outline centred at 0, from the right side's lower corner on.
+
+    Args:
+        length: Extent along x.
+        width: Extent along y.
+        radius: Radius of the corners, in the same unit.
+        corner: Points on each corner.
+    """
     x, y = length / 2 - radius, width / 2 - radius
     centres = ((x, -y, -90), (x, y, 0), (-x, y, 90), (-x, -y, 180))
     return np.array([p for cx, cy, start in centres for p in _arc(cx, cy, radius, radius, start, start + 90, corner)])
@@ -69,7 +86,10 @@ def regular_polygon(sides: int, radius: float, *, turn: float = 0.0) -> Points:
 
 
 def smooth_interpolate(x: ArrayLike, knots: ArrayLike, values: ArrayLike) -> Points:
-    """Piecewise cubic through (knots, values) that never overshoots: slopes are zero at every local extremum."""
+    """Piecewise cubic through (knots, values) that never overshoots: slopes are zero at every local extremum.
+
+    Elsewhere they are the harmonic means of the neighbouring differences (Fritsch and Butland 1984).
+    """
     t, k, v = (np.asarray(a, np.float64) for a in (x, knots, values))
     step = np.diff(k)
     slope = np.diff(v) / step
@@ -85,3 +105,38 @@ def smooth_interpolate(x: ArrayLike, knots: ArrayLike, values: ArrayLike) -> Poi
         + h * tangent[i + 1] * s**2 * (s - 1)
     )
     return result
+
+
+def triangulate(polygon: ArrayLike) -> NDArray[np.int64]:
+    """(P - 2, 3) triangles of a simple counter-clockwise (P, 2) polygon, by cutting off ears (Meisters 1975).
+
+    Raises:
+        InvalidValueError: the outline crosses itself or runs clockwise.
+    """
+    points = np.asarray(polygon, np.float64)
+    left = list(range(len(points)))
+    triangles = []
+
+    def cross(o: int, a: int, b: int) -> float:
+        u, v = points[a] - points[o], points[b] - points[o]
+        return float(u[0] * v[1] - u[1] * v[0])
+
+    while len(left) > 3:
+        for position in range(len(left)):
+            a, b, c = left[position - 1], left[position], left[(position + 1) % len(left)]
+            if cross(a, b, c) <= 0:
+                continue
+            others = [p for p in left if p not in (a, b, c)]
+            if not any(cross(a, b, p) >= 0 and cross(b, c, p) >= 0 and cross(c, a, p) >= 0 for p in others):
+                triangles.append((a, b, c))
+                del left[position]
+                break
+        else:
+            flat = [k for k in range(len(left)) if abs(cross(left[k - 1], left[k], left[(k + 1) % len(left)])) < 1e-12]
+            if not flat:
+                raise InvalidValueError(
+                    message("polygon", "a simple outline", "one that crosses itself", "check the order of its points")
+                )
+            del left[flat[0]]
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles, np.int64)

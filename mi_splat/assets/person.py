@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mi_splat.assets.implicit import Doubles
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, transform, translation
-from mi_splat.assets.organic import Doubles, Noise, grounded
-from mi_splat.assets.person_body import Limb, Look, clothed, skirt
+from mi_splat.assets.organic import Noise, grounded
+from mi_splat.assets.person_body import Appearance, Limb, clothed, skirt
 from mi_splat.assets.person_head import hand, head
 
 HEIGHT = 1.75  # of the figure before it is scaled, metres
@@ -33,20 +34,20 @@ POSES = ("stand", "walk", "walk", "stride", "wave", "hips", "phone", "open")
 
 
 def build(seed: int) -> Asset:
-    """A person facing +x; `seed` picks looks, proportions and pose."""
+    """A person facing +x; `seed` picks appearance, proportions and pose."""
     rng = np.random.default_rng([11, seed])
-    look = _look(rng)
+    appearance = _appearance(rng)
     noise = Noise(rng)
     pose = str(rng.choice(POSES))
-    arms, legs = _arms(pose, look, rng), _legs(pose, look, rng)
-    meshes = [clothed(look, arms, legs, noise)]
+    arms, legs = _arms(pose, appearance, rng), _legs(pose, appearance, rng)
+    meshes = [clothed(appearance, arms, legs, noise)]
     turn = rotation("z", rng.uniform(-35, 35)) @ rotation("y", rng.uniform(-6, 14))
-    meshes.append(transform(head(look, noise), translation(0.012, 0, 1.622) @ turn))
+    meshes.append(transform(head(appearance, noise), translation(0.012, 0, 1.622) @ turn))
     for side, arm in zip((1, -1), arms, strict=True):
-        meshes.append(hand(look, arm, side))
-    if look.legs == "skirt":
-        meshes.append(skirt(look, legs, noise))
-    size = float(rng.uniform(1.60, 1.74) if look.feminine else rng.uniform(1.66, 1.88)) / HEIGHT
+        meshes.append(hand(appearance, arm, side))
+    if appearance.legs == "skirt":
+        meshes.append(skirt(appearance, legs, noise))
+    size = float(rng.uniform(1.60, 1.74) if appearance.feminine else rng.uniform(1.66, 1.88)) / HEIGHT
     wide = size * float(rng.uniform(0.95, 1.06))
     return Asset("person", grounded([transform(mesh, scaling(wide, wide, size)) for mesh in meshes]))
 
@@ -58,13 +59,13 @@ def _pick(rng: np.random.Generator, table: Sequence[Sequence[float]], spread: fl
     return colour
 
 
-def _look(rng: np.random.Generator) -> Look:
+def _appearance(rng: np.random.Generator) -> Appearance:
     feminine = bool(rng.random() < 0.45)
     styles = (
         ("long", "long", "bun", "tail", "short", "curly") if feminine else ("short", "short", "crop", "bald", "curly")
     )
     cloth = rng.permutation(len(CLOTH))
-    return Look(
+    return Appearance(
         feminine=feminine,
         girth=float(rng.uniform(0.92, 1.18)),
         skin=_pick(rng, SKIN, 0.02),
@@ -90,7 +91,7 @@ def _swing(forward: float, outward: float, side: int) -> Doubles:
     return np.array([np.sin(f) * np.cos(o), side * np.sin(o), -np.cos(f) * np.cos(o)])
 
 
-def _arms(pose: str, look: Look, rng: np.random.Generator) -> list[Limb]:
+def _arms(pose: str, appearance: Appearance, rng: np.random.Generator) -> list[Limb]:
     """The left and the right arm."""
     gait = float(rng.choice((-1, 1)))
     active = int(rng.choice((-1, 1)))
@@ -106,16 +107,16 @@ def _arms(pose: str, look: Look, rng: np.random.Generator) -> list[Limb]:
             upper, lower = _swing(20, rng.uniform(95, 125), side), _swing(15, rng.uniform(155, 180), side)
         elif pose == "phone" and side == active:
             upper, lower = _swing(42, 16, side), _swing(150, -6, side)
-        shoulder = np.array([-0.01, side * (0.160 if look.feminine else 0.184), 1.415])
+        shoulder = np.array([-0.01, side * (0.160 if appearance.feminine else 0.184), 1.415])
         elbow = shoulder + 0.285 * upper
         limbs.append(Limb(np.stack([shoulder, elbow, elbow + 0.25 * lower]), lower))
     return limbs
 
 
-def _legs(pose: str, look: Look, rng: np.random.Generator) -> list[Limb]:
+def _legs(pose: str, appearance: Appearance, rng: np.random.Generator) -> list[Limb]:
     """The left and the right leg; the direction is that of the foot."""
     gait = float(rng.choice((-1, 1)))
-    reach = {"walk": 22.0, "stride": 32.0}.get(pose, 0.0) * (0.75 if look.legs == "skirt" else 1.0)
+    reach = {"walk": 22.0, "stride": 32.0}.get(pose, 0.0) * (0.75 if appearance.legs == "skirt" else 1.0)
     limbs = []
     for side in (1, -1):
         step = reach * gait * side

@@ -101,7 +101,14 @@ def _scales(points: Floats, size: float) -> Floats:
 
 
 def plumage(kind: Species, tint: float, points: Floats, noise: Noise) -> Floats:
-    """Colours (N, 3) of back, breast and belly."""
+    """Colours (N, 3) of back, breast and belly.
+
+    Args:
+        kind: Which bird.
+        tint: Factor of its colours, near 1.
+        points: (N, 3) points on the body, metres.
+        noise: For the borders between colours.
+    """
     x, y, z = points.T
     wobble = 0.006 * noise(points, 0.014)
     colours = np.broadcast_to(np.asarray(kind.back, np.float32), points.shape).astype(np.float32)
@@ -121,7 +128,15 @@ def plumage(kind: Species, tint: float, points: Floats, noise: Noise) -> Floats:
 
 
 def face(kind: Species, tint: float, colours: Floats, place: Floats, noise: Noise) -> Floats:
-    """The colours with the head painted over; `place` are the points (N, 3) in the frame of the head."""
+    """The colours with the head painted over.
+
+    Args:
+        kind: Which bird.
+        tint: Factor of its colours, near 1.
+        colours: (N, 3) sRGB of the plumage.
+        place: (N, 3) points in the frame of the head, metres.
+        noise: For the border of the head.
+    """
     s = kind.skull
     side = place * np.array((1, 0, 1), np.float32) + np.abs(place[:, 1])[:, None] * np.array((0, 1, 0), np.float32)
     reach = spot(place + 0.004 * noise(place, 0.01)[:, None], (0, 0, 0.1 * s), (1.35 * s, 1.3 * s, 1.3 * s), 0.15)

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets import textures
-from mi_splat.assets.mesh import Asset, Floats, Mesh, box, lathe, loft, rotation, sweep, transform, translation
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
 from mi_splat.assets.outlines import rounded_rectangle
+from mi_splat.assets.primitives import box, lathe, loft, sweep
 
 SHELLS = (
     (0.1, 0.35, 0.6), (0.75, 0.1, 0.14), (0.08, 0.08, 0.09), (0.6, 0.62, 0.64), (0.9, 0.55, 0.1), (0.1, 0.5, 0.45),
@@ -62,8 +63,8 @@ def _ribs(s: _Size, colour: Point, count: int, *, upright: bool) -> list[Mesh]:
             radius = 0.2 * (s.width if upright else s.height) / count
             up = (1, 0, 0) if upright else (0, 0, 1)
             parts.append(sweep(path, np.full(4, radius), colour * 0.92, segments=8, up=up, roughness=0.2))
-    interface = rounded_rectangle(s.height + 0.004, s.width + 0.004, 0.075, corner=6)
-    ring = np.array([[0.0, y, s.low + s.height / 2 + z] for z, y in np.concatenate([interface, interface[:2]])])
+    seam = rounded_rectangle(s.height + 0.004, s.width + 0.004, 0.075, corner=6)
+    ring = np.array([[0.0, y, s.low + s.height / 2 + z] for z, y in np.concatenate([seam, seam[:2]])])
     parts.append(sweep(ring, np.full(len(ring), 0.008), np.array(BLACK) * 1.5, segments=6, up=(1, 0, 0)))
     return parts
 

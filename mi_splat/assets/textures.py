@@ -15,7 +15,14 @@ Field = NDArray[np.float64]
 
 
 def fractal_noise(size: tuple[int, int], rng: np.random.Generator, *, cells: int = 4, octaves: int = 5) -> Field:
-    """(h, w) smooth noise in [0, 1] that repeats at its edges; `cells` waves across at the coarsest octave."""
+    """(h, w) smooth noise in [0, 1] that repeats at its edges: value noise summed over octaves (Ebert et al. 2003).
+
+    Args:
+        size: Height and width in pixels.
+        rng: Where the grids come from.
+        cells: Cells across in the coarsest grid.
+        octaves: Number of grids; each has twice the cells and half the weight of the one before.
+    """
     height, width = size
     total = np.zeros(size)
     for octave in range(octaves):
@@ -48,15 +55,15 @@ def grid(size: tuple[int, int]) -> tuple[Field, Field]:
 
 
 def cover(distance: Field, pixel: float) -> Field:
-    """Share of each pixel inside a shape from the signed distance to its edge (negative inside)."""
+    """Fraction of each pixel inside a shape from the signed distance to its edge (negative inside)."""
     return np.clip(0.5 - distance / pixel, 0, 1)
 
 
 def paint(picture: Floats, mask: Field, colour: ArrayLike) -> None:
     """Blend `colour` (3,) or (h, w, 3) into `picture`, in place."""
-    share = mask[..., None].astype(np.float32)
-    picture *= 1 - share
-    picture += share * np.asarray(colour, np.float32)
+    weight = mask[..., None].astype(np.float32)
+    picture *= 1 - weight
+    picture += weight * np.asarray(colour, np.float32)
 
 
 def line_distance(x: Field, y: Field, line: Points) -> Field:
@@ -70,7 +77,15 @@ def line_distance(x: Field, y: Field, line: Points) -> Field:
 
 
 def write(picture: Floats, text: str, colour: ArrayLike, *, box: Sequence[float], weight: float = 0.16) -> None:
-    """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the picture's height and y up)."""
+    """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the picture's height and y up).
+
+    Args:
+        picture: (h, w, 3) sRGB, changed in place.
+        text: Letters and digits of `outlines.GLYPHS`.
+        colour: (3,) sRGB.
+        box: Left, bottom, right, top.
+        weight: Width of the pen as a fraction of a letter.
+    """
     height, width = picture.shape[:2]
     x, y = grid((height, width))
     x = x * width / height
@@ -97,7 +112,15 @@ def polygon_distance(x: Field, y: Field, polygon: Points) -> Field:
 def speckle(
     size: tuple[int, int], colour: ArrayLike, rng: np.random.Generator, *, grain: float, patch: float
 ) -> Floats:
-    """A rough mineral surface: `grain` is the amplitude of single grains, `patch` that of large stains."""
+    """A rough mineral surface: `grain` is the amplitude of single grains, `patch` that of large stains.
+
+    Args:
+        size: Height and width in pixels.
+        colour: (3,) sRGB.
+        rng: Where grains and stains come from.
+        grain: Amplitude of single grains, relative to the colour.
+        patch: Amplitude of large stains, relative to the colour.
+    """
     value = 1 + grain * rng.normal(size=size) + patch * (fractal_noise(size, rng) - 0.5)
     value += grain * 2 * (fractal_noise(size, rng, cells=48, octaves=2) - 0.5)
     return np.clip(np.asarray(colour) * value[..., None], 0, 1).astype(np.float32)
@@ -148,7 +171,18 @@ def tiles(
     joint: float = 0.04,
     spread: float = 0.12,
 ) -> Floats:
-    """Bricks, paving stones or roof tiles in a running bond; repeats at its edges for an even number of rows."""
+    """Bricks, paving stones or roof tiles in a running bond; repeats at its edges for an even number of rows.
+
+    Args:
+        size: Edge in pixels.
+        seed: Which tones.
+        colour: (3,) sRGB of a tile.
+        rows: Rows of tiles.
+        columns: Tiles in a row.
+        bond: Shift of every other row, in tiles.
+        joint: Half width of a joint, in heights of a tile.
+        spread: Standard deviation of the tones, relative to the colour.
+    """
     rng = np.random.default_rng([seed, 3])
     x, y = grid((size, size))
     v = y * rows
@@ -205,7 +239,7 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
 
 
 def football(size: int = 256, seed: int = 0) -> Floats:
-    """A football on grass: white ball with black pentagons and interface between its hexagons, lightly shaded."""
+    """A football on grass: white ball with black pentagons and seams between its hexagons, lightly shaded."""
     rng = np.random.default_rng([seed, 6])
     picture = grass(size, seed)
     x, y = grid((size, size))
@@ -231,8 +265,8 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     first, second = order[..., -1], order[..., -2]
     margin = np.take_along_axis(heights, first[..., None], -1) - np.take_along_axis(heights, second[..., None], -1)
     ball = np.where((first < 12)[..., None], 0.06, 0.95) * np.ones(3)
-    interface = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
-    ball = ball * (1 - 0.75 * interface[..., None])
+    seam = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
+    ball = ball * (1 - 0.75 * seam[..., None])
     shade = 0.45 + 0.55 * np.clip(normal @ np.array([-0.35, 0.5, 0.79]), 0, 1)
     paint(picture, cover(radius - 1, 2 / size), (ball * shade[..., None]).astype(np.float32))
     return np.asarray(np.clip(picture, 0, 1), np.float32)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mi_splat.assets import textures
-from mi_splat.assets.mesh import Asset, Floats, Mesh, box, loft, quad, rotation, sweep, transform, translation
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
 from mi_splat.assets.outlines import rounded_rectangle
+from mi_splat.assets.primitives import box, loft, quad, sweep
 
 
 def _landscape(rng: np.random.Generator) -> Floats:

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets.mesh import Asset, Floats
-from mi_splat.cameras import Camera, RenderFn, View, project_points
+from mi_splat.cameras import RenderFn, View, project_points
+from mi_splat.capture.surface_sampling import SurfaceSamples
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.rotation import from_matrix
@@ -71,95 +70,6 @@ class RefineConfig:
     smallest: float = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceSamples:
-    """Points on a surface.
-
-    Attributes:
-        points: (N, 3) float32, metres.
-        normals: (N, 3) float32 unit vectors.
-        spacing: (N,) float32 distance to the neighbours that the local density means, metres.
-    """
-
-    points: Floats
-    normals: Floats
-    spacing: Floats
-
-
-def nearness(cameras: Sequence[Camera], *, closest: float = 1.5) -> Callable[[Floats], Floats]:
-    """A density for `surface_samples`: the mean over cameras of one over the squared distance.
-
-    Args:
-        cameras: Where pictures will be seen from.
-        closest: Distances are not taken below this, metres.
-    """
-    eyes = np.stack([camera.position.numpy() for camera in cameras])
-
-    def density(points: Floats) -> Floats:
-        total = np.zeros(len(points))
-        for eye in eyes:
-            total += 1 / np.maximum(((points - eye) ** 2).sum(1), closest**2)
-        return (total / len(eyes)).astype(np.float32)
-
-    return density
-
-
-def _split(corners: NDArray[np.float64], longest: Callable[[Floats], Floats]) -> NDArray[np.float64]:
-    """Halve triangles (F, 3, 3) along their longest edge until that is no longer than `longest` at their centre."""
-    done = []
-    while len(corners):
-        edges = np.linalg.norm(corners - np.roll(corners, -1, 1), axis=2)
-        large = edges.max(1) > longest(corners.mean(1).astype(np.float32))
-        done.append(corners[~large])
-        corners, side = corners[large], edges[large].argmax(1)
-        row = np.arange(len(corners))
-        a, b, c = (corners[row, (side + k) % 3] for k in range(3))
-        middle = (a + b) / 2
-        corners = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
-    return np.concatenate(done)
-
-
-def surface_samples(
-    asset: Asset, count: int, *, density: Callable[[Floats], Floats] | None = None, seed: int = 0
-) -> SurfaceSamples:
-    """About evenly spread points on the surface of an asset.
-
-    Triangles get their share of points by systematic sampling, and points inside follow a low-discrepancy sequence.
-
-    Args:
-        asset: The surface; hidden parts are sampled too.
-        count: Number of points.
-        density: Relative density at (N, 3) points; uniform in area if None.
-        seed: Seed.
-
-    Raises:
-        InvalidValueError: count is not positive, or the asset has no area.
-    """
-    if count < 1:
-        raise InvalidValueError(message("count", "a positive number of samples", count, "ask for more"))
-    corners = np.concatenate([mesh.vertices[mesh.faces].astype(np.float64) for mesh in asset.meshes])
-    if density is not None:
-        weigh = density
-        corners = _split(corners, lambda points: (0.5 / np.sqrt(weigh(points))).astype(np.float32))
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
-    local = np.ones(len(area)) if density is None else density(corners.mean(1).astype(np.float32)).astype(np.float64)
-    total = np.cumsum(area * local)
-    if not total[-1] > 0:
-        raise InvalidValueError(message("asset", "a surface", f"no area in {asset.name!r}", "add meshes to it"))
-    rng = np.random.default_rng([seed, 0x5A])
-    face = np.searchsorted(total, (np.arange(count) + rng.random()) * (total[-1] / count)).clip(max=len(area) - 1)
-    order = np.arange(count)
-    u, v = (rng.random() + order * 0.7548776662466927) % 1, (rng.random() + order * 0.5698402909980532) % 1
-    fold = u + v > 1
-    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
-    a, b, c = (corners[face, k] for k in range(3))
-    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    normals = cross[face] / (2 * area[face])[:, None]
-    spacing = np.sqrt(total[-1] / count / local[face])
-    return SurfaceSamples(points.astype(np.float32), normals.astype(np.float32), spacing.astype(np.float32))
-
-
 def _frames(normals: Tensor) -> Tensor:
     """(N, 3, 3) rotations whose third column is the normal."""
     helper = torch.where(normals[:, 2:].abs() < 0.9, normals.new_tensor([0.0, 0, 1]), normals.new_tensor([1.0, 0, 0]))
@@ -167,7 +77,7 @@ def _frames(normals: Tensor) -> Tensor:
     return torch.stack([first, torch.linalg.cross(normals, first), normals], dim=2)
 
 
-def _gather(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
+def _observe(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
     """Of one view: (N,) weight of each sample (0 where hidden), (N, 3) its colour, (N, 3) direction to it."""
     points, normals = torch.from_numpy(samples.points), torch.from_numpy(samples.normals)
     camera = view.camera
@@ -178,18 +88,18 @@ def _gather(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float
     column, row = pixels[:, 0].floor().long(), pixels[:, 1].floor().long()
     inside = (forward > 0.05) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
     column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
-    seen = depth[row, column]
+    surface = depth[row, column]
     facing = (direction * normals).sum(1).abs()
     slack = tolerance * distance + 0.02 + 0.5 * distance / camera.fx / facing.clamp(min=0.08)
-    far = seen <= 0  # nothing but sky there: only what lies beyond every surface, the dome, can be seen
-    visible = inside & torch.where(far, distance > 60, (distance - seen).abs() < slack)
+    sky = surface <= 0  # nothing else there: only what lies beyond every surface, the dome, can be seen
+    visible = inside & torch.where(sky, distance > 60, (distance - surface).abs() < slack)
     return visible * facing.clamp(min=0.05), view.image[row, column], direction
 
 
 def fit_colours(
     samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], config: DiscConfig
 ) -> tuple[Tensor, Tensor]:
-    """Least-squares SH of each sample over the views that see it.
+    """Least-squares SH of each sample over the views that see it, by ridge regression (Hoerl and Kennard 1970).
 
     Args:
         samples: N points.
@@ -205,7 +115,7 @@ def fit_colours(
     right = torch.zeros(count, size, 3)
     seen = torch.zeros(count)
     for view, depth in zip(views, depths, strict=True):
-        weight, colour, direction = _gather(samples, view, depth, config.tolerance)
+        weight, colour, direction = _observe(samples, view, depth, config.tolerance)
         basis = sh_basis(direction, config.degree)
         left += (weight[:, None] * basis)[:, :, None] * basis[:, None]
         right += (weight[:, None] * basis)[:, :, None] * (colour - 0.5)[:, None]
@@ -257,7 +167,8 @@ def refine(
 ) -> GaussianScene:
     """Fit a splat to views by Adam; the number and order of the Gaussians stay as they are.
 
-    The loss is the mean absolute difference plus half of the mean squared one; steps shrink along a cosine.
+    Adam is that of Kingma and Ba (2015). The loss is the mean absolute difference plus half of the mean squared one;
+    steps shrink along a cosine (Loshchilov and Hutter 2017) to a tenth.
 
     Args:
         scene: Where to start.
@@ -282,7 +193,7 @@ def refine(
 
     def current() -> GaussianScene:
         parts = {name: value for name, value in values.items() if name != "offset"}
-        return GaussianScene._trusted(*activate({**parts, "means": start["means"] + values["offset"] * unit}))
+        return GaussianScene.unchecked(*activate({**parts, "means": start["means"] + values["offset"] * unit}))
 
     for step in range(config.steps):
         if not order:

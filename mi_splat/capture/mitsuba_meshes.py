@@ -46,14 +46,14 @@ def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
     _, point, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(point.ravel(), kind="stable")
     start = np.cumsum(counts) - counts
-    mine = counts[point.ravel()]  # how many corners share this corner's point
-    corner = np.repeat(np.arange(len(mine)), mine)
-    rank = np.arange(len(corner)) - np.repeat(np.cumsum(mine) - mine, mine)
+    sharing = counts[point.ravel()]  # how many corners lie at this corner's point
+    corner = np.repeat(np.arange(len(sharing)), sharing)
+    rank = np.arange(len(corner)) - np.repeat(np.cumsum(sharing) - sharing, sharing)
     other = order[start[point.ravel()[corner]] + rank]
     near = np.einsum("ij,ij->i", flat[corner // 3], flat[other // 3]) > math.cos(math.radians(crease))
-    total = np.zeros((len(mine), 3))
+    total = np.zeros((len(sharing), 3))
     for axis in range(3):
-        total[:, axis] = np.bincount(corner[near], area[other[near] // 3, axis], minlength=len(mine))
+        total[:, axis] = np.bincount(corner[near], area[other[near] // 3, axis], minlength=len(sharing))
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
     return total.reshape(-1, 3, 3).astype(np.float32)
 

@@ -60,7 +60,7 @@ class Photograph:
         view: The picture and its camera.
         boxes: (B, 4) float32 x0, y0, x1, y1 in pixels, tight around the visible pixels of each object.
         labels: B names of the objects.
-        visible: (B,) float32 share of the object's own outline that is inside the picture and not hidden.
+        visible: (B,) float32 fraction of the object's own outline that is inside the picture and not hidden.
         objects: B positions of the objects in the sequence of assets that was photographed.
     """
 
@@ -93,17 +93,17 @@ def _picture(
 ) -> Tensor:
     """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck.
 
-    With an `integrator`, which has to hide emitters, there is a fourth channel: the share of paths that met a surface.
+    With an `integrator`, which has to hide emitters, a fourth channel is the fraction of paths that met a surface.
     The colours are then those of the surfaces alone.
     """
     passes, channels = min(PASSES, samples), 3 if integrator is None else 4
     total = np.zeros((camera.height, camera.width, channels))
     for number in range(passes):
-        share = (samples * (number + 1)) // passes - (samples * number) // passes
-        sensor = _sensor(camera, samples=share, seed=seed, alpha=integrator is not None)
+        in_pass = (samples * (number + 1)) // passes - (samples * number) // passes
+        sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None)
         given = {} if integrator is None else {"integrator": integrator}
-        film = mi.render(scene, sensor=sensor, spp=share, seed=seed * PASSES + number, **given)
-        total += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (share / samples)
+        film = mi.render(scene, sensor=sensor, spp=in_pass, seed=seed * PASSES + number, **given)
+        total += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (in_pass / samples)
     if integrator is None:
         return torch.from_numpy(to_srgb(total))
     alpha = np.clip(total[..., 3:], 0, 1)
@@ -135,7 +135,7 @@ class PathTracer:
                 takes the place of the integrator of an XML file.
 
         Raises:
-            InvalidValueError: no samples, or no such file.
+            InvalidValueError: samples is not positive, or there is no such file.
         """
         if samples < 1:
             raise InvalidValueError(
@@ -163,7 +163,7 @@ class PathTracer:
             return _picture(self._scene, camera, samples=self.samples, seed=seed, integrator=self._integrator)
 
     def surface(self, camera: Camera, *, seed: int) -> tuple[Tensor, Tensor]:
-        """What one ray a pixel meets first.
+        """What one ray per pixel meets first.
 
         Returns:
             (H, W, 3) points in world units, and (H, W) distances from the camera, 0 where a ray meets nothing.
@@ -173,7 +173,7 @@ class PathTracer:
         """
         with scalar_variant():
             sensor = _sensor(camera, samples=1, seed=seed)
-            integrator = mi.load_dict({"type": "aov", "aovs": "point:position,far:depth"})
+            integrator = mi.load_dict({"type": "aov", "aovs": "point:position,distance:depth"})
             film = np.array(mi.render(self._scene, sensor=sensor, integrator=integrator, spp=1, seed=seed), np.float32)
         return torch.from_numpy(film[..., :3].copy()), torch.from_numpy(film[..., 3].copy())
 
@@ -191,7 +191,7 @@ def capture(
     Args:
         scene: A Mitsuba scene dictionary (see `scene_dict`) or the path of a Mitsuba XML file
             (sensors in it are not used).
-        cameras: Where to take pictures from; fx must equal fy.
+        cameras: Cameras of the pictures; fx must equal fy.
         samples: Samples per pixel.
         seed: Seed of the sampler; picture i uses seed + i.
         on_step: Called after each picture.
@@ -200,7 +200,7 @@ def capture(
         One view a camera, sRGB in [0, 1].
 
     Raises:
-        InvalidValueError: no samples, a camera with pixels that are not square, or no such file.
+        InvalidValueError: samples is not positive, a camera with pixels that are not square, or no such file.
     """
     views = []
     with scalar_variant():
@@ -256,9 +256,9 @@ def photograph(
 
     Args:
         assets: The objects, already placed in the world.
-        camera: Where from.
-        light: Sun and sky.
-        backdrop: Surroundings without a box.
+        camera: The camera; fx must equal fy.
+        light: Sun and sky; the default daylight if None.
+        backdrop: Surroundings, which get no box.
         samples: Samples per pixel.
         seed: Seed of the sampler.
         min_pixels: Objects with fewer visible pixels get no box.

@@ -35,7 +35,7 @@ RECORD = "capture.json"
 _GREY = (0.5, 0.5, 0.5)
 
 OnStep = Callable[[int, int], None]
-"""Called after each picture with the number that are there and the number wanted."""
+"""Called after each picture with the number on the disk and the number wanted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,9 +69,9 @@ class WrittenCapture:
     """What a capture left on the disk.
 
     Attributes:
-        train: Pictures for training.
-        test: Pictures held out.
-        rendered: How many of both were rendered now; the others were there.
+        train: Number of pictures for training.
+        test: Number of pictures held out.
+        rendered: How many of both were rendered by this call; the others were on the disk.
         points: Points of the cloud.
         files: The point cloud and the files that list the pictures.
         seconds: Wall time of the rendering.
@@ -100,12 +100,12 @@ def write_capture(
     Pictures that are in the folder from an earlier call with the same arguments are kept. The layout may change.
 
     Args:
-        source: Of what.
-        cameras: Where from, for training; fx must equal fy.
-        folder: Where to: a new or empty folder, or that of an earlier call.
-        test: Where from, held out.
-        settings: How.
-        layout: Which files list the pictures.
+        source: What to take pictures of.
+        cameras: Cameras of the pictures for training; fx must equal fy.
+        folder: A new or empty folder, or that of an earlier call.
+        test: Cameras of the pictures held out.
+        settings: Samples per pixel, seed, alpha, number of points; their defaults if None.
+        layout: Which files list the pictures: Blender/NeRF transforms, a COLMAP text model, or both.
         on_step: Called after each picture.
 
     Raises:
@@ -116,8 +116,8 @@ def write_capture(
     listing = _listing(cameras, test)
     with scalar_variant():
         tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.alpha)
-        _check_in_sight(tracer, cameras)
-        _claim(folder, _settings_record(source, listing, settings))
+        _check_surface_in_sight(tracer, cameras)
+        _claim_folder(folder, _capture_record(source, listing, settings))
         images = make_folder(folder / IMAGES)
         begun = time.perf_counter()
         rendered = _render(tracer, listing, images, settings, on_step)
@@ -149,7 +149,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
 
 
-def _check_in_sight(tracer: PathTracer, cameras: Sequence[Camera]) -> None:
+def _check_surface_in_sight(tracer: PathTracer, cameras: Sequence[Camera]) -> None:
     """Raise unless some camera sees a surface."""
     if not any(bool((tracer.surface(camera, seed=0)[1] > 0).any()) for camera in cameras):
         raise InvalidValueError(message("cameras", "a view of the scene", "nothing but sky", "move or turn them"))
@@ -162,12 +162,12 @@ def _render(
     settings: CaptureSettings,
     on_step: OnStep | None,
 ) -> int:
-    """Render and write the pictures that are not there; returns their number."""
+    """Render and write the pictures that are not on the disk; returns their number."""
     entries = [entry for part in listing.values() for entry in part]
     assert (settings.seed + len(entries)) * PASSES < 1 << 32  # Mitsuba's seeds; CaptureSettings and MOST see to it
     rendered = 0
     for number, (name, camera) in enumerate(entries):
-        if not _is_there(images / name, camera, settings.alpha):
+        if not _is_complete(images / name, camera, settings.alpha):
             picture = tracer.picture(camera, seed=settings.seed + number)
             save_png(to_bytes(picture), images / name)
             rendered += 1
@@ -176,7 +176,7 @@ def _render(
     return rendered
 
 
-def _is_there(path: Path, camera: Camera, alpha: bool) -> bool:
+def _is_complete(path: Path, camera: Camera, alpha: bool) -> bool:
     """Whether a picture is on the disk, whole and of the right size and kind."""
     try:
         with Image.open(path) as picture:
@@ -186,15 +186,15 @@ def _is_there(path: Path, camera: Camera, alpha: bool) -> bool:
         return False
 
 
-def _settings_record(
+def _capture_record(
     source: CaptureSource, listing: Mapping[str, Sequence[tuple[str, Camera]]], settings: CaptureSettings
 ) -> dict[str, Any]:
     """Everything that the pictures depend on, as JSON can hold it."""
     poses = hashlib.sha256()
     for name, camera in (entry for part in listing.values() for entry in part):
         numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.to_world.flatten().tolist()]
-        words = " ".join(f"{value + 0.0:.9f}" for value in numbers)  # the last digits differ between machines
-        poses.update(f"{name} {camera.width} {camera.height} {words}\n".encode())
+        digits = " ".join(f"{value + 0.0:.9f}" for value in numbers)  # the last digits differ between machines
+        poses.update(f"{name} {camera.width} {camera.height} {digits}\n".encode())
     return {
         "scene": source.digest,
         "cameras": poses.hexdigest(),
@@ -204,7 +204,7 @@ def _settings_record(
     }
 
 
-def _claim(folder: Path, wanted: dict[str, Any]) -> None:
+def _claim_folder(folder: Path, wanted: dict[str, Any]) -> None:
     """Write the record of a new capture, or check that the folder's record is the same."""
     make_folder(folder)
     file = folder / RECORD
@@ -224,6 +224,8 @@ def _claim(folder: Path, wanted: dict[str, Any]) -> None:
         ) from error
     if there != wanted:
         known = there if isinstance(there, dict) else {}
-        other = [f"{key} {known.get(key)!r}, now {value!r}" for key, value in wanted.items() if known.get(key) != value]
+        changed = [
+            f"{key} {known.get(key)!r}, now {value!r}" for key, value in wanted.items() if known.get(key) != value
+        ]
         do = "choose a new folder, or the same settings to go on"
-        raise InvalidValueError(message(str(file), "the settings of this capture", "; ".join(other) or "more", do))
+        raise InvalidValueError(message(str(file), "the settings of this capture", "; ".join(changed) or "more", do))

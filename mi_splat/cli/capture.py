@@ -32,7 +32,7 @@ def run(options: CaptureOptions) -> int:
             layout=options.format,
             on_step=lambda number, total: advance("rendering" if number < total else "laying points on surfaces"),
         )
-    _tell(done, options, (cameras[0].width, cameras[0].height))
+    _report(done, options, (cameras[0].width, cameras[0].height))
     return 0
 
 
@@ -60,7 +60,7 @@ def _placement(options: CaptureOptions, source: CaptureSource, size: tuple[int, 
     }
 
 
-def _tell(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]) -> None:
+def _report(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]) -> None:
     """What was written and what to do with it."""
     total = done.train + done.test
     if options.json:
@@ -78,7 +78,7 @@ def _tell(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]) 
             }
         )
         return
-    kept = f", {total - done.rendered} were there" if done.rendered < total else ""
+    kept = f", {total - done.rendered} were there before" if done.rendered < total else ""
     held_out = f" ({done.test} of them held out)" if done.test else ""
     pictures = f"{total} pictures of {size[0]} x {size[1]}{held_out}"
     show(f"{options.out}: {pictures}; {done.rendered} rendered in {done.seconds:.0f} s{kept}")

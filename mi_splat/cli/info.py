@@ -19,7 +19,7 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 def run(options: InfoOptions) -> int:
     """Print the facts about a file."""
     with progress(f"reading {options.file}"):
-        facts = _stage_facts(options.file) if options.file.suffix.lower() == ".xml" else _splat_facts(options.file)
+        facts = _scene_file_facts(options.file) if options.file.suffix.lower() == ".xml" else _splat_facts(options.file)
     if options.json:
         show_json({"file": str(options.file), **facts})
     else:
@@ -36,7 +36,7 @@ def _splat_facts(path: Path) -> dict[str, object]:
     return {**scene_facts(scene), "invalid": " ".join(dropped) or None}
 
 
-def _stage_facts(path: Path) -> dict[str, object]:
+def _scene_file_facts(path: Path) -> dict[str, object]:
     """Facts about a scene XML: its parts, its cameras, and all its Gaussians together."""
     from mi_splat.scene_files import read_scene
 

@@ -7,14 +7,13 @@ import math
 import operator
 import os
 from collections import OrderedDict
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import overload
 
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras import Camera, View, ViewSet
 from mi_splat.datasets.colmap import find_model, read_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
@@ -28,7 +27,7 @@ CACHE_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Dataset(Sequence[View]):
+class Dataset(ViewSet):
     """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them.
 
     Attributes:

@@ -65,9 +65,9 @@ def read_picture(path: Path, *, downscale: int, background: tuple[float, float, 
         DatasetError: The picture cannot be read.
     """
     picture = _decoded(path)
-    clear = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
-    values = np.asarray(picture.convert("RGBA" if clear else "RGB"), np.float32) / np.float32(255)
-    if not clear:
+    has_alpha = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
+    values = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"), np.float32) / np.float32(255)
+    if not has_alpha:
         return torch.from_numpy(area_mean(values, downscale)), None
     alpha = values[..., 3:]
     blended = values[..., :3] * alpha + np.asarray(background, np.float32) * (1 - alpha)

@@ -1,6 +1,7 @@
 """The rows of one element of a PLY file, as structured NumPy arrays of bounded size.
 
-Every size that the header claims is held against the bytes that are there before anything is allocated.
+Every size that the header claims is held against the bytes that are there before anything is allocated. NumPy reads
+binary rows of one size, which is every splat that a trainer writes; text and rows with lists go on to `_plyfile`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from itertools import islice
 from typing import NoReturn
 
 import numpy as np
@@ -18,10 +18,8 @@ import numpy as np
 from mi_splat.errors import message
 from mi_splat.io._blocks import BLOCK_BYTES, Rows, for_each_block
 from mi_splat.io._ply_header import Element, Header
+from mi_splat.io._plyfile import read_binary, read_text, scalar_record
 from mi_splat.io.errors import SplatFileError
-
-LINE_LIMIT = 1 << 20
-"""Longest line of a text file in bytes."""
 
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 _AGAIN = "write or download it again"
@@ -31,6 +29,12 @@ def locate(file: io.FileIO, header: Header, name: str, path: str) -> int:
     """Where the rows of the element `name` begin, after the sizes of all elements were held against the file's.
 
     Text has no fixed size: there, only the least that the rows need is checked, and the rest by `read_rows`.
+
+    Args:
+        file: The file, open for unbuffered reading.
+        header: Its header.
+        name: Name of one of its elements.
+        path: For messages.
 
     Raises:
         SplatFileError: The file is larger or smaller than its header says.
@@ -46,7 +50,7 @@ def locate(file: io.FileIO, header: Header, name: str, path: str) -> int:
         if element.name == name:
             begin = position
         if element.has_lists and position <= size:
-            position = _walk(file, element, header.order, position, size, path)
+            position = max(_row_ends(file, element, header.order, position, size, path), default=position)
         else:
             position += element.count * sum(int(column.kind[1:]) for column in element.properties)
     if position > size:
@@ -57,26 +61,30 @@ def locate(file: io.FileIO, header: Header, name: str, path: str) -> int:
 
 
 def read_rows(file: io.FileIO, header: Header, element: Element, path: str, work: Callable[[int, Rows], None]) -> None:
-    """Call `work(first, rows)` for blocks of rows of an element without lists.
+    """Call `work(first, rows)` for blocks of rows of an element.
 
     Args:
         file: The file, open for unbuffered reading.
         header: Its header.
         element: One of its elements.
         path: For messages.
-        work: Gets the index of the first row and a structured array with the element's properties in file order, in the
-            file's kinds and byte order (text: the machine's, and float64 for integers); the array is used again.
-            Blocks come in any order, and from several threads.
+        work: Gets the index of the first row and a structured array with those of the element's properties that are
+            single numbers, in file order, in the file's kinds and byte order (text: the machine's, and float64 for
+            integers); the array is used again. Blocks come in any order, and from several threads.
 
     Raises:
-        SplatFileError: The file is larger or smaller than its header says, or text does not parse.
+        SplatFileError: The file is larger or smaller than its header says, text does not parse, or plyfile is needed
+            and not installed.
     """
     offset = locate(file, header, element.name, path)
     if not header.order:
-        _read_text(file, header, element, path, work)
+        with _buffered(file, header.size) as reader:
+            read_text(reader, header.elements, element, path, work)
         return
-    record = np.dtype([(column.name, header.order + column.kind) for column in element.properties])
-    lock = threading.Lock()
+    if element.has_lists:
+        _read_with_lists(file, header.order, element, offset, path, work)
+        return
+    record, lock = scalar_record(element, header.order), threading.Lock()
 
     def load(first: int, rows: Rows) -> None:
         with lock:
@@ -92,14 +100,46 @@ def _fill(file: io.FileIO, view: memoryview, path: str) -> None:
     while view:
         got = file.readinto(view)
         if not got:
-            raise SplatFileError(
-                message(path, f"{len(view)} more bytes", "the end of the file", "it shrank: try again")
-            )
+            _shrank(path, len(view))
         view = view[got:]
 
 
-def _walk(file: io.FileIO, element: Element, order: str, position: int, size: int, path: str) -> int:
-    """Where an element with lists ends: its rows have to be visited one by one."""
+def _shrank(path: str, missing: int) -> NoReturn:
+    """Raise for a file that ended although it was long enough at first."""
+    raise SplatFileError(message(path, f"{missing} more bytes", "the end of the file", "it shrank: try again"))
+
+
+def _read_with_lists(
+    file: io.FileIO, order: str, element: Element, offset: int, path: str, work: Callable[[int, Rows], None]
+) -> None:
+    """`read_rows` for an element with lists, whose rows begin at `offset`."""
+    size = os.fstat(file.fileno()).st_size
+    at_once = max(1, BLOCK_BYTES // max(1, scalar_record(element, order).itemsize))
+    begin, first = offset, 0
+    for done, end in enumerate(_row_ends(file, element, order, offset, size, path), start=1):
+        if done - first < at_once and end - begin < BLOCK_BYTES and done < element.count:
+            continue
+        data = os.pread(file.fileno(), end - begin, begin)  # the descriptor's own position belongs to _row_ends
+        if len(data) < end - begin:
+            _shrank(path, end - begin - len(data))
+        work(first, read_binary(data, done - first, element, order, path))
+        begin, first = end, done
+
+
+def _row_ends(file: io.FileIO, element: Element, order: str, position: int, size: int, path: str) -> Iterator[int]:
+    """Where each row of an element with lists ends: rows have to be visited one by one.
+
+    Args:
+        file: The file.
+        element: The element.
+        order: Byte order, "<" or ">".
+        position: Where its first row begins, bytes from the start of the file.
+        size: Size of the file in bytes.
+        path: For messages.
+
+    Raises:
+        SplatFileError: A list length is negative, or the rows end after the file.
+    """
     if element.count > size - position:
         _mismatch(path, element, f"at least {element.count} bytes", f"{size - position} bytes", "it is truncated")
     steps = [(column.length_kind, int(column.kind[1:])) for column in element.properties]
@@ -114,7 +154,7 @@ def _walk(file: io.FileIO, element: Element, order: str, position: int, size: in
                 reader.seek(position)
             if position > size:
                 _mismatch(path, element, "all its rows", f"the end of the file in row {row}", "it is truncated")
-    return position
+            yield position
 
 
 def _length(field: bytes, order: str, kind: str, row: int, element: Element, path: str) -> int:
@@ -132,65 +172,6 @@ def _buffered(file: io.FileIO, position: int) -> io.BufferedReader:
     reader = os.fdopen(os.dup(file.fileno()), "rb")
     reader.seek(position)
     return reader
-
-
-def _read_text(file: io.FileIO, header: Header, wanted: Element, path: str, work: Callable[[int, Rows], None]) -> None:
-    """`read_rows` for text."""
-    with _buffered(file, header.size) as reader:
-        lines = _lines(reader, path)
-        for element in header.elements:
-            if element is wanted:
-                _parse(lines, element, path, work)
-            else:
-                _check_rows(sum(1 for _ in islice(lines, element.count)), element.count, element, path)
-        if next(lines, None) is not None:
-            _mismatch(
-                path, header, "the end of the file", "more lines", "something was appended, or the count is wrong"
-            )
-
-
-def _lines(reader: io.BufferedReader, path: str) -> Iterator[bytes]:
-    """Lines that are not blank."""
-    while line := reader.readline(LINE_LIMIT):
-        if len(line) == LINE_LIMIT:
-            raise SplatFileError(
-                message(path, f"lines under {LINE_LIMIT} bytes", "a longer one", "export it as binary")
-            )
-        if not line.isspace():
-            yield line
-
-
-def _parse(lines: Iterator[bytes], element: Element, path: str, work: Callable[[int, Rows], None]) -> None:
-    """Rows of numbers from lines of text."""
-    record = np.dtype([(column.name, column.kind if column.kind[0] == "f" else "f8") for column in element.properties])
-    at_once = max(1, BLOCK_BYTES // record.itemsize)
-    for first in range(0, element.count, at_once):
-        block = [line.split() for line in islice(lines, min(at_once, element.count - first))]
-        _check_rows(first + len(block), min(first + at_once, element.count), element, path)
-        rows = np.empty(len(block), record)
-        with np.errstate(over="ignore"):
-            for row, words in enumerate(block):
-                rows[row] = _numbers(words, first + row, element, path)
-        work(first, rows)
-
-
-def _numbers(words: list[bytes], row: int, element: Element, path: str) -> tuple[float, ...]:
-    """One line of text as numbers."""
-    if len(words) != len(element.properties):
-        expected = f"{len(element.properties)} numbers in row {row} of {element.name}"
-        raise SplatFileError(message(path, expected, len(words), "export the splat again"))
-    try:
-        return tuple(float(word) for word in words)
-    except ValueError as error:
-        expected = f"numbers in row {row} of {element.name}"
-        raise SplatFileError(message(path, expected, str(error)[:80], "export the splat again")) from error
-
-
-def _check_rows(found: int, wanted: int, element: Element, path: str) -> None:
-    """Raise if the text ended before the rows did."""
-    if found < wanted:
-        expected = f"{element.count} rows of {element.name}"
-        raise SplatFileError(message(path, expected, found, f"it is truncated: {_AGAIN}"))
 
 
 def _mismatch(path: str, where: Header | Element, expected: str, found: str, why: str) -> NoReturn:

@@ -1,8 +1,9 @@
 """The parametrisation in which splat files keep a Gaussian, as differentiable torch functions.
 
-Files hold log-scales, logit opacities and quaternions of any length; scenes hold physical values. The functions compute
-in float64 and round once. Rounding there and back is stable: a value that came from a file goes back to a number that
-gives the same physical value again, so repeated round trips do not drift.
+Files hold log-scales, logit opacities and quaternions of any length, as 3D Gaussian Splatting optimises them (Kerbl et
+al. 2023, section 5.1); scenes hold physical values. The functions compute in float64 and round once. Rounding there and
+back is stable: a value that came from a file goes back to a number that gives the same physical value again, so
+repeated round trips do not drift.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
 
     Reads text and both byte orders, float and double, any order of properties, SH degree 0 to 3. Normals, further
     properties and further elements are passed over. Quaternions are normalised. The tensors are float32 on the CPU.
+    Text, and vertices that carry lists, need the package plyfile; all other files are read without it.
 
     Args:
         path: A PLY file.
@@ -88,7 +89,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
         def store(first: int, rows: Rows) -> None:
             last = first + len(rows)
-            if not pack(GaussianScene._trusted(*(value[first:last] for value in tensors)), rows):
+            if not pack(GaussianScene.unchecked(*(value[first:last] for value in tensors)), rows):
                 found = f"others between rows {first} and {last - 1}"
                 raise InvalidValueError(message("scene", "values that are finite in float32", found, "remove them"))
             with lock:
@@ -125,11 +126,10 @@ def _vertices(header: Header, path: str) -> Element:
         found = f"no {', '.join(missing[:_SHOWN])}{more}"
         do = "pass a 3DGS splat: this may be a point cloud, a mesh or a compressed splat"
         raise SplatFileError(message(path, "the properties of a 3DGS splat", found, do))
-    for column in element.properties:
-        if column.length_kind:
-            expected = "vertex properties that are single numbers"
-            raise SplatFileError(message(path, expected, f"the list {column.name}", "export the splat without it"))
     for name in needed_names(rest):
+        if columns[name].length_kind:
+            expected = f"{name} as a single number"
+            raise SplatFileError(message(path, expected, f"the list {name}", "export the splat again"))
         if columns[name].kind[0] != "f":
             found = f"an integer ({columns[name].kind})"
             raise SplatFileError(message(path, f"{name} as float or double", found, "export the splat uncompressed"))
@@ -158,7 +158,7 @@ def _read(file: io.FileIO, header: Header, element: Element, path: str) -> tuple
             wrong[first] = (first + bad, describe(rows[bad[0]], rest))
 
     read_rows(file, header, element, path, take)
-    scene = GaussianScene._trusted(*tensors)
+    scene = GaussianScene.unchecked(*tensors)
     if not wrong:
         return scene, np.empty(0, np.int64), ""
     return scene, np.concatenate([wrong[first][0] for first in sorted(wrong)]), wrong[min(wrong)][1]

@@ -82,6 +82,8 @@ def save_points(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
 def load_points(path: str | os.PathLike[str]) -> PointCloud:
     """Load the vertices of a PLY file in any encoding; they are grey if the file has no colours.
 
+    Text, and vertices that carry lists, need the package plyfile.
+
     Raises:
         SplatFileError: The file cannot be read, does not have the size that its header says, has no coordinates, or
             holds values that are not finite.
@@ -91,8 +93,8 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
         with io.FileIO(name) as file:
             header = read_header(file, name)
             element = next((element for element in header.elements if element.name == "vertex"), None)
-            columns = {} if element is None else {column.name: column.kind for column in element.properties}
-            if element is None or element.has_lists or not set(_AXES) <= set(columns):
+            columns = [] if element is None else [c.name for c in element.properties if not c.length_kind]
+            if element is None or not set(_AXES) <= set(columns):
                 found = ", ".join(columns) or "no element named vertex"
                 raise SplatFileError(message(name, "vertices with x, y and z", found, "export the points again"))
             locate(file, header, "vertex", name)  # the sizes are right before anything is allocated
@@ -117,7 +119,7 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
 
 def _colour_scales(element: Element) -> dict[str, float]:
     """What each colour channel is multiplied with; empty if there are no colours."""
-    kinds = {column.name: column.kind for column in element.properties if column.name in _CHANNELS}
+    kinds = {c.name: c.kind for c in element.properties if c.name in _CHANNELS and not c.length_kind}
     if len(kinds) < len(_CHANNELS):
         return {}
     return {name: 1.0 if kinds[name][0] == "f" else 1 / (256 ** int(kinds[name][1:]) - 1) for name in _CHANNELS}

@@ -89,7 +89,7 @@ class TrainState:
         """The splat as it is now, differentiable, with the SH that is trained so far."""
         p = self.parameters
         higher = p["shN"][:, : (self.active_sh_degree + 1) ** 2 - 1]
-        return GaussianScene._trusted(
+        return GaussianScene.unchecked(
             p["means"],
             p["scales"].exp(),
             F.normalize(p["rotations"], dim=1),

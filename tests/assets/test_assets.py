@@ -11,21 +11,9 @@ from hypothesis import strategies as st
 
 from mi_splat.assets import ASSETS, Asset, Mesh, build, street, textures
 from mi_splat.assets.daylight import daylight, sky_map
-from mi_splat.assets.mesh import (
-    box,
-    ellipsoid,
-    extrude,
-    join,
-    lathe,
-    loft,
-    rotation,
-    scaling,
-    sweep,
-    transform,
-    translation,
-    triangulate,
-)
-from mi_splat.assets.outlines import regular_polygon, rounded_rectangle, smooth_interpolate
+from mi_splat.assets.mesh import join, rotation, scaling, transform, translation
+from mi_splat.assets.outlines import regular_polygon, rounded_rectangle, smooth_interpolate, triangulate
+from mi_splat.assets.primitives import box, ellipsoid, extrude, lathe, loft, sweep
 from mi_splat.errors import InvalidValueError
 
 GREY = (0.5, 0.5, 0.5)

@@ -6,17 +6,19 @@ import ast
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from attacks import cli
 from mi_splat import example_scenes
 from mi_splat.assets import recipes
 from mi_splat.assets.recipes import RECIPES
 from mi_splat.cameras import project_box
 from mi_splat.errors import InvalidValueError
-from mi_splat.example_scenes import SIZE, belongs, cameras, make, nearest, scene_xml, sensors
+from mi_splat.example_scenes import SIZE, belongs, make, nearest, random_cameras, scene_xml, sensors
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import read_scene
@@ -58,22 +60,22 @@ def test_target_fills_enough_of_the_picture(name: str) -> None:
     for sensor, camera in sensors(recipe).items():
         box = project_box(target.means, camera)
         assert box is not None
-        share = float((box[2:] - box[:2]).max()) / SIZE
-        assert share > 0.2, f"{sensor}: {share}"
+        fraction = float((box[2:] - box[:2]).max()) / SIZE
+        assert fraction > 0.2, f"{sensor}: {fraction}"
 
 
 @pytest.mark.parametrize("name", RECIPES)
 def test_cameras_keep_to_their_range(name: str) -> None:
     recipe = RECIPES[name]
-    spots = cameras(recipe, 40, seed=3)
-    offsets = np.stack([camera.position.numpy() for camera in spots]) - np.array(recipe.centre)
+    cameras = random_cameras(recipe, 40, seed=3)
+    offsets = np.stack([camera.position.numpy() for camera in cameras]) - np.array(recipe.centre)
     distance = np.linalg.norm(offsets, axis=1)
     assert distance.min() > recipe.distance[0] - 0.4
     assert distance.max() < recipe.distance[1] + 0.4
-    assert min(float(camera.position[2]) for camera in spots) >= 0.3
-    again = cameras(recipe, 40, seed=3)
-    assert all(np.array_equal(a.to_world, b.to_world) for a, b in zip(spots, again, strict=True))
-    assert not np.array_equal(spots[0].to_world, cameras(recipe, 40, seed=4)[0].to_world)
+    assert min(float(camera.position[2]) for camera in cameras) >= 0.3
+    again = random_cameras(recipe, 40, seed=3)
+    assert all(np.array_equal(a.to_world, b.to_world) for a, b in zip(cameras, again, strict=True))
+    assert not np.array_equal(cameras[0].to_world, random_cameras(recipe, 40, seed=4)[0].to_world)
 
 
 def test_asset_seeds_are_kept_out_of_training() -> None:
@@ -98,6 +100,29 @@ def test_unknown_recipe(tmp_path: Path) -> None:
         with pytest.raises(InvalidValueError):
             make("stop_sign", tmp_path, **given)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_hands_its_options_on_and_prints_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = {"seconds": 3, "psnr_fitted": 31.5, "psnr_held_out": 29.25}
+    calls: list[dict[str, Any]] = []
+
+    def fake(name: str, folder: Path, **given: Any) -> dict[str, object]:
+        given.pop("on_step")("pictures", 1, 2)
+        calls.append({"name": name, "folder": folder, **given})
+        return dict(record)
+
+    monkeypatch.setattr("mi_splat.cli.example_scenes.make", fake)
+    words = ["example-scenes", "stop_sign", "--out", str(tmp_path), "--views", "5", "--samples", "2", "--steps", "7"]
+    assert cli.main([*words, "--seed", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == record
+    assert cli.main(["example-scenes", "car_street"]) == 0
+    assert "31.5 dB on the pictures fitted to, 29.25 dB on others" in capsys.readouterr().out
+    assert calls == [
+        {"name": "stop_sign", "folder": tmp_path, "views": 5, "samples": 2, "steps": 7, "seed": 3},
+        {"name": "car_street", "folder": Path("scenes"), "views": None, "samples": 16, "steps": None, "seed": 0},
+    ]
 
 
 def _needles(means: list[list[float]], length: float = 0.01, *, upright: bool = False) -> GaussianScene:

@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mi_splat.assets import bird, elephant, person, plumage
+from mi_splat.assets.implicit import Layer, above, cone, ellipsoid, normals, surface
 from mi_splat.assets.mesh import Asset, Floats, Mesh
-from mi_splat.assets.organic import Layer, Noise, above, blade, body, cone, ellipsoid, normals, surface
+from mi_splat.assets.organic import Noise, blade, body
 
 BUILDERS: dict[str, Callable[[int], Asset]] = {"person": person.build, "elephant": elephant.build, "bird": bird.build}
 SEEDS = range(3)

@@ -9,20 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat.assets.mesh import Asset, box, ellipsoid, quad, translation
+from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.primitives import box, ellipsoid, quad
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.capture.mesh_splats import (
-    DiscConfig,
-    RefineConfig,
-    SurfaceSamples,
-    disc_splat,
-    fit_colours,
-    nearness,
-    refine,
-    surface_samples,
-)
+from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, fit_colours, refine
 from mi_splat.capture.path_tracer import Light, capture, depth_maps, scene_dict
+from mi_splat.capture.surface_sampling import SurfaceSamples, nearness, surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene

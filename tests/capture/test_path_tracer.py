@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.mesh import Asset, box, ellipsoid, quad, sheet, translation
+from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
 from mi_splat.cameras import Camera, look_at, orbit_pose, project_box, project_points
 from mi_splat.capture.path_tracer import (
     Light,

@@ -1,4 +1,4 @@
-"""Captures that are written as they go: the same bytes after any interruption, point clouds, refusals, the command."""
+"""Captures that are written as they go: the same bytes after any interruption, point clouds, refusals."""
 
 from __future__ import annotations
 
@@ -10,27 +10,33 @@ import numpy as np
 import pytest
 import torch
 
-from attacks import cli
-from mi_splat.assets.mesh import Asset, box, quad
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import Light, PathTracer, capture, scene_dict
 from mi_splat.capture.point_clouds import surface_points
-from mi_splat.capture.sources import CaptureSource, open_source
+from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.writer import CaptureSettings, write_capture
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError
 
 RED, GREEN = (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)
-CUBE = Asset("cube", (box((1, 1, 1), RED, centre=(0, 0, 0.5)),))
-FLOOR = Asset("floor", (quad([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], GREEN),))
-EVEN = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
-STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
-QUICK = CaptureSettings(samples=2, points=300)
 
-XML = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
-<shape type="cube"><bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.1, 0.1"/></bsdf></shape></scene>"""
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+CUBE = Asset("cube", (box((1, 1, 1), RED, centre=(0, 0, 0.5)),))
+
+
+FLOOR = Asset("floor", (quad([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], GREEN),))
+
+
+EVEN = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
+
+
+STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
+
+
+QUICK = CaptureSettings(samples=2, points=300)
 
 
 def source(*assets: Asset) -> CaptureSource:
@@ -172,10 +178,10 @@ def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
 
 
 def test_points_lie_on_what_is_seen_in_its_colours() -> None:
-    spots = hemisphere((0, 0, 0.5), count=8, distance=3.0, focal=108.0, size=(96, 96), elevation=(10, 60))
+    places = hemisphere((0, 0, 0.5), count=8, distance=3.0, focal=108.0, size=(96, 96), elevation=(10, 60))
     for assets in ((CUBE,), (CUBE, FLOOR)):
         scene = source(*assets).scene
-        views = capture(scene, spots, samples=4)
+        views = capture(scene, places, samples=4)
         cloud = surface_points(PathTracer(scene), assets, views, count=400, seed=0)
         points = cloud.points.numpy()
         on_cube = np.abs(np.abs(points - (0, 0, 0.5)).max(1) - 0.5) < 1e-4
@@ -192,138 +198,3 @@ def test_points_lie_on_what_is_seen_in_its_colours() -> None:
         assert len(unknown) == 400
         surface = np.abs(np.abs(unknown.points.numpy() - (0, 0, 0.5)).max(1) - 0.5) < 1e-3
         assert bool((surface | (np.abs(unknown.points.numpy()[:, 2]) < 1e-3)).all())
-
-
-def test_subjects(tmp_path: Path) -> None:
-    car = open_source("car_street")
-    assert len(car.assets) == 2
-    assert 2 < car.radius < 4
-    still = open_source(str(STILL_LIFE))
-    assert still.assets == ()
-    assert still.centre == pytest.approx((0, 0, 0.6), abs=1e-3)
-    (tmp_path / "cube.xml").write_text(XML)
-    cube = open_source(str(tmp_path / "cube.xml"))
-    assert cube.radius == pytest.approx(3**0.5, abs=1e-3)
-    (tmp_path / "cube.xml").write_text(XML.replace("0.8", "0.7"))
-    assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
-    pytest.importorskip("trimesh")
-    (tmp_path / "mesh.obj").write_text(OBJ)
-    mesh = open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z")
-    assert mesh.assets[0].bounds.tolist() == [[0, 0, 0], [2, 2, 2]]
-    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z").digest
-    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), scale=2.0).digest
-    with pytest.raises(InvalidValueError, match="radius"):
-        open_source(str(tmp_path / "mesh.obj"), scale=1e4)
-
-
-def words(folder: Path, *more: str) -> list[str]:
-    return [
-        "capture",
-        str(STILL_LIFE),
-        "--out",
-        str(folder),
-        "--size",
-        "16",
-        "--samples",
-        "2",
-        "--points",
-        "200",
-        *more,
-    ]
-
-
-def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "new" / "set"
-    command = words(out, "--cameras", "cap:3@40", "--test", "2", "--format", "both", "--distance", "5")
-    assert cli.main(command) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "5 pictures of 16 x 16 (2 of them held out); 5 rendered" in lines[0]
-    assert "200 points; listed in points3D.ply, transforms_train.json, transforms_test.json, sparse/0/" in lines[1]
-    assert len(load_dataset(out)) == 3
-    before = contents(out)
-    assert cli.main([*command, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert (document["train"], document["test"], document["rendered"]) == (3, 2, 0)
-    assert contents(out) == before
-    assert cli.main(words(out, "--cameras", "cap:3@40")) == 1
-    assert "test 2, now 0" in capsys.readouterr().err
-
-
-def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(words(tmp_path / "a", "--cameras", "orbit:2@30", "--size", "20", "12", "--rgba")) == 0
-    again = words(tmp_path / "b", "--cameras", str(tmp_path / "a" / "transforms_train.json"))
-    assert cli.main(again) == 0
-    ours, theirs = (load_dataset(tmp_path / name) for name in "ab")
-    assert ours.mask(0) is not None
-    assert theirs[0].image.shape == (12, 20, 3)
-    assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
-
-
-@pytest.mark.parametrize(
-    ("more", "says"),
-    [
-        (["--cameras", "sphere:3"], "hemisphere:N"),
-        (["--cameras", "none.json"], "none.json"),
-        (["--samples", "0"], "samples"),
-        (["--size", "0"], "size"),
-        (["--size", "1", "2", "3"], "size"),
-        (["--size", "99999"], "width"),
-        (["--fov", "180"], "fov"),
-        (["--distance", "-1"], "distance"),
-        (["--test", "-1"], "test"),
-        (["--seed", "-1"], "seed"),
-        (["--points", "0"], "points"),
-        (["--up", "y"], "--up"),
-        (["--scale", "2"], "--scale"),
-    ],
-    ids=" ".join,
-)
-def test_the_command_refuses_before_it_begins(
-    more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert cli.main(words(out, *more)) == 1
-    captured = capsys.readouterr()
-    assert says in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "says"),
-    [
-        ("lorry", None, "car_street, stop_sign"),
-        ("none.xml", None, "none.xml"),
-        ("none.obj", None, "none.obj"),
-        ("bad.xml", "<scene", "bad.xml"),
-        ("empty.xml", '<scene version="3.0.0"/>', "empty.xml"),
-        ("unknown.xml", '<scene version="3.0.0"><shape type="teapot"/></scene>', "unknown.xml"),
-    ],
-)
-def test_the_command_refuses_scenes(
-    name: str, content: str | None, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    if name.endswith(".obj"):
-        pytest.importorskip("trimesh")
-    scene = tmp_path / name
-    if content is not None:
-        scene.write_text(content)
-    assert cli.main(["capture", str(scene) if "." in name else name, "--out", str(tmp_path / "out")]) == 1
-    captured = capsys.readouterr()
-    assert says in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
-    (tmp_path / "bad.xml").write_text("<scene")
-    with pytest.raises(MiSplatError, match=r"bad\.xml: expected a scene"):
-        open_source(str(tmp_path / "bad.xml"))
-
-
-def test_an_asset_by_name_and_seed_is_a_subject() -> None:
-    one, other, same = (open_source(name) for name in ("car:3", "car:4", "car:3"))
-    assert one.digest == same.digest != other.digest
-    assert len(one.assets) == 1
-    with pytest.raises(InvalidValueError, match="change the seed"):
-        open_source("car:three")

@@ -26,7 +26,8 @@ from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset, box, quad, transform, translation
+from mi_splat.assets.mesh import Asset, transform, translation
+from mi_splat.assets.primitives import box, quad
 from mi_splat.assets.street import ground
 from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.errors import InvalidValueError

@@ -15,10 +15,11 @@ from attacks.cloak.transition import transition_fraction
 from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build, textures
 from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, sheet
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import sheet
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
-from mi_splat.capture.mesh_splats import surface_samples
+from mi_splat.capture.surface_sampling import surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.rendering import Renderer
 from mi_splat.training.initialization import from_points

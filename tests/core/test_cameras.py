@@ -11,7 +11,17 @@ import torch
 from hypothesis import strategies as st
 
 from mi_splat.camera_sets import hemisphere, orbit
-from mi_splat.cameras import Camera, View, look_at, orbit_pose, project_box, project_points
+from mi_splat.cameras import (
+    Camera,
+    View,
+    ViewSet,
+    cameras_of,
+    fingerprint_of,
+    look_at,
+    orbit_pose,
+    project_box,
+    project_points,
+)
 from mi_splat.errors import InvalidValueError
 
 points = st.tuples(*[st.floats(-5, 5)] * 3)
@@ -135,3 +145,32 @@ def test_views_check_the_size_of_their_picture() -> None:
     View(camera(), torch.zeros(48, 64, 3))
     with pytest.raises(InvalidValueError, match=r"image: expected shape \(48, 64, 3\), got \(64, 48, 3\)"):
         View(camera(), torch.zeros(64, 48, 3))
+
+
+class _Unread(ViewSet):
+    """A set whose pictures nobody may read."""
+
+    cameras = (camera(), camera())
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, index: int) -> View:  # type: ignore[override]
+        raise AssertionError(f"picture {index} was read")
+
+
+class _Marked(_Unread):
+    fingerprint = "two pictures"
+
+
+def test_a_view_set_is_not_read_for_its_cameras() -> None:
+    views = _Unread()
+    assert cameras_of(views) == views.cameras
+    assert fingerprint_of(views) is None
+    assert fingerprint_of(_Marked()) == "two pictures"
+
+
+def test_other_sequences_give_the_cameras_of_their_views() -> None:
+    views = [View(camera(), torch.zeros(48, 64, 3)) for _ in range(2)]
+    assert cameras_of(views) == tuple(view.camera for view in views)
+    assert fingerprint_of(views) is None

@@ -1,14 +1,10 @@
-"""Picture sets: both formats there and back, masks, splits, shrinking, and pictures that are read only when needed."""
+"""Picture sets: both formats there and back, poses, intrinsics, binary models."""
 
 from __future__ import annotations
 
 import json
 import math
-import shutil
-import struct
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import numpy as np
@@ -17,38 +13,11 @@ import torch
 from hypothesis import strategies as st
 from PIL import Image
 
-from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.datasets import DatasetError, PointCloud, load_dataset, write_colmap, write_transforms
+from mi_splat.cameras import Camera, View, look_at
+from mi_splat.datasets import load_dataset, write_colmap, write_transforms
 from mi_splat.io.points import load_points, save_points
-from mi_splat.rotation import from_matrix, normalise, to_matrix
-
-FORMATS: dict[str, Callable[..., None]] = {"transforms": write_transforms, "colmap": write_colmap}
-SPOTS = torch.tensor([[0.3, -0.2, 0.1], [-0.4, 0.5, 0.2], [0.0, 0.1, 0.9]], dtype=torch.float64)
-CLOUD = PointCloud(
-    torch.randn(50, 3, generator=torch.Generator().manual_seed(3)), torch.arange(150).reshape(50, 3) / 255
-)
-
-
-def view(seed: int, **change: Any) -> View:
-    """A noisy picture from a camera by chance, with pixels that are not square and a centre that is off."""
-    chance = np.random.default_rng(seed)
-    pose = look_at((3 + chance.random(3)).tolist(), chance.normal(0, 0.2, 3).tolist())
-    values = {"to_world": pose, "focal": (21.3, 19.7), "width": 18, "height": 13, "principal": (8.25, 7.75), **change}
-    camera = Camera(**values)
-    bytes_ = chance.integers(0, 256, (camera.height, camera.width, 3))
-    return View(camera, torch.from_numpy(bytes_.astype(np.float32) / np.float32(255)))
-
-
-VIEWS, TESTS = [view(seed) for seed in range(6)], [view(seed) for seed in range(6, 8)]
-
-
-def assert_same_camera(found: Camera, wanted: Camera, tolerance: float) -> None:
-    assert (found.width, found.height) == (wanted.width, wanted.height)
-    numbers = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in (found, wanted)]
-    assert numbers[0] == pytest.approx(numbers[1], abs=tolerance)
-    torch.testing.assert_close(found.to_world, wanted.to_world, atol=tolerance, rtol=0)
-    there, back = project_points(SPOTS, found)[0], project_points(SPOTS, wanted)[0]
-    torch.testing.assert_close(there, back, atol=100 * tolerance, rtol=0)
+from mi_splat.rotation import normalise, to_matrix
+from tests.datasets.sets import CLOUD, FORMATS, TESTS, VIEWS, assert_same_camera, colmap_binary, view
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [("transforms", 1e-9), ("colmap", 1e-6)])
@@ -158,34 +127,6 @@ def test_one_file_for_all_pictures_with_intrinsics_by_frame(tmp_path: Path) -> N
     assert [path.stem for path in load_dataset(tmp_path, split="train").paths] == ["1", "2"]
 
 
-def colmap_binary(folder: Path, views: list[View], cloud: PointCloud) -> Path:
-    """Write a model as COLMAP does, with 2D points and tracks; returns its folder."""
-    model, images = folder / "sparse" / "0", folder / "images"
-    model.mkdir(parents=True)
-    images.mkdir()
-    camera = views[0].camera
-    simple = struct.pack("<iiQQ3d", 7, 0, camera.width, camera.height, 20.0, 9.0, 6.5)
-    full = struct.pack("<iiQQ4d", 3, 1, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    (model / "cameras.bin").write_bytes(struct.pack("<Q", 2) + simple + full)
-    records = []
-    for i, shot in enumerate(views):
-        pose = shot.camera.to_camera
-        values = [*(-from_matrix(pose[:3, :3])).tolist(), *pose[:3, 3].tolist()]  # either sign is the same rotation
-        points = b"".join(struct.pack("<ddq", 1.0, 2.0, -1) for _ in range(i))
-        name = f"part/view {i}.png"
-        records.append(struct.pack("<i7di", i + 1, *values, 3 if i else 7) + f"{name}\0".encode())
-        records[-1] += struct.pack("<Q", i) + points
-        (images / name).parent.mkdir(exist_ok=True)
-        Image.fromarray((shot.image.numpy() * 255 + 0.5).astype(np.uint8)).save(images / name)
-    (model / "images.bin").write_bytes(struct.pack("<Q", len(views)) + b"".join(records))
-    rows = zip(cloud.points.double().tolist(), (cloud.colours * 255).round().int().tolist(), strict=True)
-    data = [
-        struct.pack("<Q3d3BdQ", i, *p, *c, 0.5, 2) + struct.pack("<4i", 1, 0, 2, 0) for i, (p, c) in enumerate(rows)
-    ]
-    (model / "points3D.bin").write_bytes(struct.pack("<Q", len(data)) + b"".join(data))
-    return model
-
-
 def test_binary_models(tmp_path: Path) -> None:
     model = colmap_binary(tmp_path, VIEWS, CLOUD)
     found = load_dataset(tmp_path, split=None)
@@ -214,102 +155,6 @@ def test_text_models_with_comments_and_2d_points(tmp_path: Path) -> None:
     file.write_text("\n".join(["# more", "", *lines]))  # without a newline at the end
     for ours, theirs in zip(load_dataset(tmp_path, split=None), VIEWS[:2], strict=True):
         assert_same_camera(ours.camera, theirs.camera, 1e-6)
-
-
-@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK"])
-def test_pictures_of_any_8_bit_mode(mode: str, tmp_path: Path) -> None:
-    suffix = ".tif" if mode == "CMYK" else ".png"
-    write_transforms(tmp_path, [view(0, width=8, height=8)])
-    (tmp_path / "images" / "train_00000.png").unlink()
-    Image.new("RGB", (8, 8), (255, 255, 255)).convert(mode).save(tmp_path / "images" / f"train_00000{suffix}")
-    found = load_dataset(tmp_path)
-    assert found[0].image.min() == 1.0
-    assert (found.mask(0) is not None) == (mode in ("LA", "RGBA"))
-
-
-def test_palettes_with_transparency(tmp_path: Path) -> None:
-    write_transforms(tmp_path, [view(0, width=2, height=1)])
-    picture = Image.new("P", (2, 1), 0)
-    picture.putpalette([0, 255, 0, 255, 0, 0])
-    picture.putpixel((1, 0), 1)
-    picture.save(tmp_path / "images" / "train_00000.png", transparency=0)
-    found = load_dataset(tmp_path, background=(0.0, 0.0, 1.0))[0].image
-    assert found.tolist() == [[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]]
-
-
-def test_alpha_is_written_and_blended(tmp_path: Path) -> None:
-    alpha = torch.zeros(13, 18)
-    alpha[:, :9] = 1.0
-    write_transforms(tmp_path, VIEWS[:1], test=TESTS[:1], alphas=[alpha, torch.ones(13, 18)])
-    found = load_dataset(tmp_path, background=(1.0, 0.5, 0.25))
-    assert torch.equal(found[0].image[:, :9], VIEWS[0].image[:, :9])
-    assert found[0].image[4, 12].tolist() == [1.0, 0.5, 0.25]
-    mask = found.mask(0)
-    assert mask is not None
-    assert torch.equal(mask, alpha)
-    assert torch.equal(load_dataset(tmp_path, split="test")[0].image, TESTS[0].image)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("mask", ["train_00001.png", "train_00001.png.png"])
-def test_masks_in_their_folder(name: str, mask: str, tmp_path: Path) -> None:
-    FORMATS[name](tmp_path, VIEWS[:3])
-    values = np.zeros((13, 18), np.uint8)
-    values[:6] = 255
-    (tmp_path / "masks").mkdir()
-    Image.fromarray(values).save(tmp_path / "masks" / mask)
-    found = load_dataset(tmp_path, split=None)
-    assert found.mask(0) is None
-    second = found.mask(1)
-    assert second is not None
-    assert torch.equal(second, torch.from_numpy(values).float() / 255)
-    assert torch.equal(found[1].image, VIEWS[1].image)
-
-
-def test_shrinking_averages_and_scales_the_camera(tmp_path: Path) -> None:
-    write_transforms(tmp_path, VIEWS)  # 18 x 13: one row is left over at 3 and cut off
-    small = load_dataset(tmp_path, downscale=3)
-    camera = small.cameras[0]
-    assert (camera.width, camera.height) == (6, 4)
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((7.1, 19.7 / 3, 2.75, 7.75 / 3))
-    whole = VIEWS[0].image
-    assert small[0].image[1, 2].tolist() == pytest.approx(whole[3:6, 6:9].mean((0, 1)).tolist())
-    there, here = project_points(SPOTS, VIEWS[0].camera)[0], project_points(SPOTS, camera)[0]
-    torch.testing.assert_close(here * 3, there)
-
-
-def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:
-    write_transforms(tmp_path, VIEWS)
-    found = load_dataset(tmp_path)
-    (tmp_path / "images" / "train_00002.png").unlink()
-    assert torch.equal(found[1].image, VIEWS[1].image)
-    with pytest.raises(DatasetError, match=r"train_00002\.png.*no such file"):
-        found[2]
-    shutil.rmtree(tmp_path / "images")
-    assert torch.equal(found[1].image, VIEWS[1].image)  # from memory
-
-
-def test_memory_is_bounded(tmp_path: Path) -> None:
-    write_transforms(tmp_path, VIEWS)
-    one = 4 * VIEWS[0].image.numel()
-    found = load_dataset(tmp_path, cache_bytes=2 * one)
-    first = found[0]
-    assert found[0] is first
-    found[1], found[2]
-    assert found[0] is not first
-    none = load_dataset(tmp_path, cache_bytes=0)
-    none[0], none[1]
-    assert len(none._cache) == 1
-
-
-def test_a_set_is_a_sequence(tmp_path: Path) -> None:
-    write_transforms(tmp_path, VIEWS)
-    found = load_dataset(tmp_path)
-    assert torch.equal(found[-1].image, VIEWS[-1].image)
-    assert [path.name for path in found[1:3].paths] == ["train_00001.png", "train_00002.png"]
-    assert len(list(reversed(found))) == len(VIEWS)
-    with pytest.raises(IndexError):
-        found[len(VIEWS)]
 
 
 def test_points_in_ascii_without_colours(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from PIL import Image
 
 from mi_splat.datasets import DatasetError, PointCloud, load_dataset, write_colmap, write_transforms
 from mi_splat.errors import InvalidValueError, MiSplatError
-from tests.datasets.test_datasets import CLOUD, VIEWS, colmap_binary
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
 
 Harm = Callable[[Path], object]
 

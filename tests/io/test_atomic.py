@@ -75,7 +75,7 @@ def test_values_that_could_not_be_loaded_are_not_saved(value: float, old: Path) 
     means = scene.means.clone()
     means[4, 1] = value
     with pytest.raises(InvalidValueError, match="scene: expected values that are finite in float32"):
-        save_splat(GaussianScene._trusted(means, *scene.tensors()[1:]), old)
+        save_splat(GaussianScene.unchecked(means, *scene.tensors()[1:]), old)
     wide = scene.to(dtype=torch.float64)
     with pytest.raises(InvalidValueError, match="finite in float32"):
         save_splat(wide.replace(means=wide.means * 1e300), old)

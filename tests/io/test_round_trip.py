@@ -201,7 +201,7 @@ def test_saving_is_deterministic(tmp_path: Path) -> None:
 
 
 @hypothesis.given(scene=scenes())
-def test_file_space_there_and_back(scene: GaussianScene) -> None:
+def test_raw_parameters_there_and_back(scene: GaussianScene) -> None:
     values = to_raw_parameters(scene)
     assert tuple(values) == ATTRIBUTES
     assert all(bool(torch.isfinite(value).all()) for value in values.values())

@@ -144,7 +144,7 @@ def numeric(scene: GaussianScene, view: Camera, name: str, entry: int, step: flo
             key: tensor.double().clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)
         }
         tensors[name].view(-1)[entry] += sign * step
-        moved = GaussianScene._trusted(*(tensors[key] for key in ATTRIBUTES))
+        moved = GaussianScene.unchecked(*(tensors[key] for key in ATTRIBUTES))
         values.append(float((oracle.render(moved, view, background=BACKGROUND)[0] * weights(view)).sum()))
     return (values[0] - values[1]) / (2 * step)
 
@@ -174,7 +174,7 @@ def test_opacity_channel_has_its_gradient() -> None:
         moved[entry] += step
         tensors = [tensor.double() for tensor in scene.tensors()]
         tensors[3] = moved
-        values.append(float((oracle.render(GaussianScene._trusted(*tensors), view)[1] * factors).sum()))
+        values.append(float((oracle.render(GaussianScene.unchecked(*tensors), view)[1] * factors).sum()))
     assert float(opacities.grad[entry]) == pytest.approx((values[0] - values[1]) / 2e-5, rel=GRADIENT_ERROR)
 
 

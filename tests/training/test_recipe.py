@@ -269,7 +269,7 @@ def test_mcmc_noise_turns_with_the_gaussian() -> None:
 
 def test_mcmc_adds_its_two_regularisers() -> None:
     leaf = [value.detach().requires_grad_(True) for value in scene_and_views(8)[0].tensors()]
-    scene = GaussianScene._trusted(*leaf)
+    scene = GaussianScene.unchecked(*leaf)
     loss = MCMCConfig().build().before_backward(torch.tensor(2.0), scene)
     assert float(loss.detach()) == pytest.approx(
         2 + 0.01 * float(scene.opacities.mean().detach()) + 0.01 * float(scene.scales.mean().detach())

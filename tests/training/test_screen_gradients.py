@@ -25,7 +25,7 @@ def test_screen_gradient_is_the_gradient_of_the_centre() -> None:
         ScreenGradients(),
         Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40),
     )
-    leaves = GaussianScene._trusted(*(t.clone().requires_grad_(True) for t in scene.tensors()))
+    leaves = GaussianScene.unchecked(*(t.clone().requires_grad_(True) for t in scene.tensors()))
     image = Renderer(RenderSettings(), screen_gradients=screen_gradients)(leaves, camera)
     (image * (x + 2 * y)[..., None]).sum().backward()  # type: ignore[no-untyped-call]
     expected = float(image.detach().sum()) * 5**0.5
@@ -41,7 +41,7 @@ def test_screen_gradients_know_what_is_out_of_sight() -> None:
         ScreenGradients(),
         Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40),
     )
-    leaves = GaussianScene._trusted(*(t.clone().requires_grad_(True) for t in merge(scene, behind).tensors()))
+    leaves = GaussianScene.unchecked(*(t.clone().requires_grad_(True) for t in merge(scene, behind).tensors()))
     Renderer(RenderSettings(), screen_gradients=screen_gradients)(leaves, camera).sum().backward()  # type: ignore[no-untyped-call]
     assert screen_gradients.visible[30:].sum() == screen_gradients.lengths[30:].sum() == 0
     assert float(screen_gradients.visible[:30].sum()) > 10

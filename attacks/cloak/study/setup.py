@@ -16,7 +16,8 @@ from attacks.cloak.poisoning import Poisoning
 from attacks.cloak.study.config import AttackConfig, SceneConfig, StudyConfig
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, sheet, translation
+from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.primitives import sheet
 from mi_splat.assets.textures import grass, road
 from mi_splat.camera_sets import HELD_OUT_START, framing, hemisphere, orbit
 from mi_splat.cameras import Camera, project_box

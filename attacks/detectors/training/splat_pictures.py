@@ -11,10 +11,12 @@ import torch
 
 from attacks.detectors.training.dataset import check_note, load, save_samples
 from attacks.detectors.training.pictures import Photographer, PictureSetConfig, Sample
-from mi_splat.assets.mesh import Asset, ellipsoid
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import RenderFn, View
-from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, nearness, refine, surface_samples
+from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, refine
 from mi_splat.capture.path_tracer import depth_maps, scalar_variant
+from mi_splat.capture.surface_sampling import nearness, surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from mi_splat.assets.mesh import Asset, Mesh, box, ellipsoid, lathe, quad, rotation, sheet, transform, translation
+from mi_splat.assets.mesh import Asset, Mesh, rotation, transform, translation
+from mi_splat.assets.primitives import box, ellipsoid, lathe, quad, sheet
 
 Pixels = NDArray[np.float32]
 

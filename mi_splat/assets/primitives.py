@@ -1,0 +1,251 @@
+"""The few shapes from which every asset is built: quads, boxes, sheets, lofts, tubes, ellipsoids, prisms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mi_splat.assets.mesh import Mesh, join, scaling, skin, transform, translation
+from mi_splat.assets.outlines import triangulate
+
+
+def _mesh(
+    vertices: ArrayLike, faces: ArrayLike, uvs: ArrayLike, colour: ArrayLike, roughness: float | None, smooth: bool
+) -> Mesh:
+    """A mesh from arrays of any number type."""
+    return Mesh(
+        np.asarray(vertices, np.float32),
+        np.asarray(faces, np.uint32),
+        np.asarray(uvs, np.float32),
+        skin(colour),
+        roughness,
+        smooth,
+    )
+
+
+def quad(corners: ArrayLike, colour: ArrayLike, *, roughness: float | None = None) -> Mesh:
+    """A flat quadrilateral from (4, 3) corners: bottom left, bottom right, top right, top left seen from its front."""
+    uvs = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return _mesh(np.asarray(corners), faces, np.array(uvs), colour, roughness, False)
+
+
+def box(
+    size: Sequence[float],
+    colour: ArrayLike,
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    roughness: float | None = None,
+) -> Mesh:
+    """A box with edge lengths `size`; each face shows the whole texture, upright on the four sides.
+
+    Args:
+        size: (3,) edge lengths, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        centre: (3,) middle, metres.
+        roughness: As in `Mesh`.
+    """
+    sides = []
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
+        normal = np.eye(3)[axis] * sign
+        up = np.array([0.0, 0.0, 1.0]) if axis < 2 else np.array([1.0, 0.0, 0.0])
+        right = np.cross(up, normal)
+        sides.append(np.array([normal - right - up, normal + right - up, normal + right + up, normal - right + up]))
+    vertices = np.concatenate(sides) * np.asarray(size) / 2 + np.asarray(centre)
+    faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * i for i in range(6)])
+    uvs = np.tile([[0, 0], [1, 0], [1, 1], [0, 1]], (6, 1))
+    return _mesh(vertices, faces, uvs, colour, roughness, False)
+
+
+def sheet(
+    points: ArrayLike,
+    colour: ArrayLike,
+    *,
+    repeat: tuple[float, float] = (1.0, 1.0),
+    roughness: float | None = None,
+    smooth: bool = True,
+) -> Mesh:
+    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up).
+
+    Args:
+        points: (n, m, 3) points, metres; triangles without area are left out.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        repeat: How often the texture repeats along u and v.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
+    grid = np.asarray(points, np.float64)
+    n, m = grid.shape[:2]
+    index = np.arange(n * m).reshape(n, m)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    flat = grid.reshape(-1, 3)
+    corner = flat[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    v, u = np.meshgrid(np.linspace(0, repeat[1], n), np.linspace(0, repeat[0], m), indexing="ij")
+    uvs = np.stack([u, v], -1).reshape(-1, 2)
+    return _mesh(flat, faces[area > 1e-12], uvs, colour, roughness, smooth)
+
+
+def loft(
+    sections: ArrayLike,
+    colour: ArrayLike,
+    *,
+    caps: bool = True,
+    roughness: float | None = None,
+    smooth: bool = True,
+) -> Mesh:
+    """A closed body through (S, P, 3) cross sections of P points each.
+
+    Points run counter-clockwise seen against the direction from the first section to the last. u runs once around and
+    v from the first section to the last; the caps are fans about the centre of the end sections.
+
+    Args:
+        sections: (S, P, 3) points, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        caps: Whether the ends are closed; an end that is one point needs no cap.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
+    rings = np.asarray(sections, np.float64)
+    rings = np.concatenate([rings, rings[:, :1]], 1)
+    body = sheet(rings, colour, roughness=roughness, smooth=smooth)
+    if not caps:
+        return body
+    parts = [body]
+    count = rings.shape[1] - 1
+    fan = np.array([[0, i + 1, (i + 1) % count + 1] for i in range(count)])
+    for ring, faces, v in ((rings[0, :-1], fan[:, ::-1], 0.0), (rings[-1, :-1], fan, 1.0)):
+        if np.ptp(ring, axis=0).max() < 1e-6:
+            continue
+        vertices = np.concatenate([ring.mean(0, keepdims=True), ring])
+        uvs = np.stack([np.r_[0.5, np.arange(count) / count], np.full(count + 1, v)], 1)
+        parts.append(_mesh(vertices, faces, uvs, colour, roughness, smooth))
+    return join(*parts)
+
+
+def lathe(
+    profile: ArrayLike,
+    colour: ArrayLike,
+    *,
+    segments: int = 24,
+    roughness: float | None = None,
+    smooth: bool = True,
+) -> Mesh:
+    """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside.
+
+    Args:
+        profile: (P, 2) radius and height, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        segments: Points around.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
+    radius, z = np.asarray(profile, np.float64).T
+    angle = 2 * np.pi * np.arange(segments) / segments
+    ring = np.stack([np.cos(angle), np.sin(angle)], -1)
+    rings = np.concatenate(
+        [radius[:, None, None] * ring, np.broadcast_to(z[:, None, None], (len(z), segments, 1))], axis=-1
+    )
+    return loft(rings, colour, roughness=roughness, smooth=smooth)
+
+
+def sweep(
+    path: ArrayLike,
+    radii: ArrayLike,
+    colour: ArrayLike,
+    *,
+    segments: int = 12,
+    up: Sequence[float] = (0.0, 0.0, 1.0),
+    roughness: float | None = None,
+    smooth: bool = True,
+) -> Mesh:
+    """A tube along an (n, 3) polyline with closed ends.
+
+    Args:
+        path: (n, 3) points, metres.
+        radii: (n,) or (n, 2) radii; the second column is the one along `up` where the two differ.
+        colour: Colour or texture; v runs along the path.
+        segments: Points around.
+        up: Direction that fixes the roll of the cross sections.
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
+    points = np.asarray(path, np.float64)
+    size = np.broadcast_to(np.asarray(radii, np.float64).reshape(len(np.atleast_1d(radii)), -1), (len(points), 2))
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    hint = np.asarray(up, np.float64)
+    if np.abs(tangent @ hint).max() > 0.99 * np.linalg.norm(hint):
+        hint = np.array([1.0, 0.0, 0.0]) if abs(tangent[0, 0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    first = np.cross(hint, tangent)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(tangent, first)
+    angle = 2 * np.pi * np.arange(segments) / segments
+    rings = (
+        points[:, None]
+        + (size[:, 0, None] * np.cos(angle))[..., None] * first[:, None]
+        + (size[:, 1, None] * np.sin(angle))[..., None] * second[:, None]
+    )
+    return loft(rings, colour, roughness=roughness, smooth=smooth)
+
+
+def ellipsoid(
+    size: Sequence[float],
+    colour: ArrayLike,
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    segments: int = 20,
+    roughness: float | None = None,
+) -> Mesh:
+    """An ellipsoid with the three diameters `size`.
+
+    Args:
+        size: (3,) diameters, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        centre: (3,) middle, metres.
+        segments: Points around; half as many pieces from pole to pole.
+        roughness: As in `Mesh`.
+    """
+    angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
+    profile = np.stack([np.maximum(np.cos(angle), 0) / 2, np.sin(angle) / 2], -1)
+    profile[[0, -1], 0] = 0
+    return transform(
+        lathe(profile, colour, segments=segments, roughness=roughness), translation(*centre) @ scaling(*size)
+    )
+
+
+def extrude(
+    polygon: ArrayLike,
+    depth: float,
+    colour: ArrayLike,
+    *,
+    roughness: float | None = None,
+    smooth: bool = False,
+) -> Mesh:
+    """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`.
+
+    The texture covers the polygon's bounding box on the two ends; the sides take the colour at the outline.
+
+    Args:
+        polygon: (P, 2) outline in either sense, metres.
+        depth: Height of the prism, metres.
+        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
+        roughness: As in `Mesh`.
+        smooth: As in `Mesh`.
+    """
+    outline = np.asarray(polygon, np.float64)
+    x, y = outline.T
+    if np.dot(x, np.roll(y, -1)) < np.dot(y, np.roll(x, -1)):
+        outline = outline[::-1]
+    count = len(outline)
+    low, span = outline.min(0), np.maximum(np.ptp(outline, axis=0), 1e-9)
+    uvs = (outline - low) / span
+    levels = [np.concatenate([outline, np.full((count, 1), z)], 1) for z in (0.0, depth)]
+    i, j = np.arange(count), (np.arange(count) + 1) % count
+    sides = np.concatenate([np.stack([i, j, j + count], 1), np.stack([i, j + count, i + count], 1)])
+    ends = triangulate(outline)
+    faces = np.concatenate([sides, ends[:, ::-1] + 2 * count, ends + 3 * count])
+    return _mesh(np.concatenate(levels * 2), faces, np.tile(uvs, (4, 1)), colour, roughness, smooth)

@@ -1,0 +1,118 @@
+"""`mi-splat capture`: what it writes, says and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from attacks import cli
+from mi_splat.datasets import load_dataset
+
+STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
+
+
+def command_line(folder: Path, *more: str) -> list[str]:
+    """A quick capture of the still life."""
+    return [
+        "capture",
+        str(STILL_LIFE),
+        "--out",
+        str(folder),
+        "--size",
+        "16",
+        "--samples",
+        "2",
+        "--points",
+        "200",
+        *more,
+    ]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "set"
+    command = command_line(out, "--cameras", "cap:3@40", "--test", "2", "--format", "both", "--distance", "5")
+    assert cli.main(command) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "5 pictures of 16 x 16 (2 of them held out); 5 rendered" in lines[0]
+    assert "200 points; listed in points3D.ply, transforms_train.json, transforms_test.json, sparse/0/" in lines[1]
+    assert len(load_dataset(out)) == 3
+    before = contents(out)
+    assert cli.main([*command, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["train"], document["test"], document["rendered"]) == (3, 2, 0)
+    assert contents(out) == before
+    assert cli.main(command_line(out, "--cameras", "cap:3@40")) == 1
+    assert "test 2, now 0" in capsys.readouterr().err
+
+
+def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(command_line(tmp_path / "a", "--cameras", "orbit:2@30", "--size", "20", "12", "--rgba")) == 0
+    again = command_line(tmp_path / "b", "--cameras", str(tmp_path / "a" / "transforms_train.json"))
+    assert cli.main(again) == 0
+    ours, theirs = (load_dataset(tmp_path / name) for name in "ab")
+    assert ours.mask(0) is not None
+    assert theirs[0].image.shape == (12, 20, 3)
+    assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--cameras", "sphere:3"], "hemisphere:N"),
+        (["--cameras", "none.json"], "none.json"),
+        (["--samples", "0"], "samples"),
+        (["--size", "0"], "size"),
+        (["--size", "1", "2", "3"], "size"),
+        (["--size", "99999"], "width"),
+        (["--fov", "180"], "fov"),
+        (["--distance", "-1"], "distance"),
+        (["--test", "-1"], "test"),
+        (["--seed", "-1"], "seed"),
+        (["--points", "0"], "points"),
+        (["--up", "y"], "--up"),
+        (["--scale", "2"], "--scale"),
+    ],
+    ids=" ".join,
+)
+def test_the_command_refuses_before_it_begins(
+    more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli.main(command_line(out, *more)) == 1
+    captured = capsys.readouterr()
+    assert says in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("lorry", None, "car_street, stop_sign"),
+        ("none.xml", None, "none.xml"),
+        ("none.obj", None, "none.obj"),
+        ("bad.xml", "<scene", "bad.xml"),
+        ("empty.xml", '<scene version="3.0.0"/>', "empty.xml"),
+        ("unknown.xml", '<scene version="3.0.0"><shape type="teapot"/></scene>', "unknown.xml"),
+    ],
+)
+def test_the_command_refuses_scenes(
+    name: str, content: str | None, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if name.endswith(".obj"):
+        pytest.importorskip("trimesh")
+    scene = tmp_path / name
+    if content is not None:
+        scene.write_text(content)
+    assert cli.main(["capture", str(scene) if "." in name else name, "--out", str(tmp_path / "out")]) == 1
+    captured = capsys.readouterr()
+    assert says in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()

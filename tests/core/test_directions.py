@@ -1,0 +1,100 @@
+"""Directions of cameras and their depths in bands and wedges, against a brute-force search over the sphere."""
+
+from __future__ import annotations
+
+import math
+
+import hypothesis
+import pytest
+import torch
+from hypothesis import strategies as st
+
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.directions import Direction, azimuth_gap, depth_in_band, depth_in_wedge, direction_of
+from mi_splat.errors import InvalidValueError
+
+CENTRE = (1.0, -2.0, 0.5)
+
+
+def seen_from(azimuth: float, elevation: float, distance: float = 3.0) -> Direction:
+    pose = orbit_pose(CENTRE, azimuth=azimuth, elevation=elevation, distance=distance)
+    return direction_of(Camera(to_world=pose, focal=10.0, width=4, height=4), CENTRE)
+
+
+def unit(azimuth: float, elevation: float) -> torch.Tensor:
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return torch.tensor([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)], dtype=torch.float64)
+
+
+def nearest_on(points: torch.Tensor, direction: Direction) -> float:
+    """Degrees on the sphere to the nearest of (P, 3) unit vectors."""
+    chord = (points - unit(direction.azimuth, direction.elevation)).norm(dim=1).min()
+    return math.degrees(2 * math.asin(float(chord) / 2))
+
+
+@hypothesis.given(azimuth=st.floats(0, 359), elevation=st.floats(-89, 89), distance=st.floats(0.01, 100))
+def test_the_direction_of_an_orbit_camera(azimuth: float, elevation: float, distance: float) -> None:
+    found = seen_from(azimuth, elevation, distance)
+    assert found.azimuth == pytest.approx(azimuth, abs=1e-6)
+    assert found.elevation == pytest.approx(elevation, abs=1e-6)
+    assert not found.pole
+
+
+@pytest.mark.parametrize("elevation", [90.0, -90.0])
+def test_straight_above_and_below_there_is_no_azimuth(elevation: float) -> None:
+    found = seen_from(77.0, elevation)
+    assert found == Direction(azimuth=0.0, elevation=pytest.approx(elevation), pole=True)  # type: ignore[arg-type]
+
+
+def test_azimuths_lie_below_360() -> None:
+    pose = orbit_pose((0, 0, 0), azimuth=0, elevation=0, distance=1).clone()
+    pose[1, 3] = -1e-20  # its angle rounds to 360 degrees
+    assert direction_of(Camera(to_world=pose, focal=10.0, width=4, height=4), (0, 0, 0)).azimuth == 0.0
+
+
+def test_a_camera_at_the_centre_has_no_direction() -> None:
+    pose = orbit_pose(CENTRE, azimuth=0, elevation=0, distance=1)
+    camera = Camera(to_world=pose, focal=10.0, width=4, height=4)
+    with pytest.raises(InvalidValueError, match="centre: expected a point away from the cameras"):
+        direction_of(camera, camera.position.tolist())
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "other", "gap"), [(10, 350, 20), (350, 10, 20), (0, 180, 180), (90, 90, 0), (5, 725, 0), (270, 0, 90)]
+)
+def test_azimuth_gaps_go_the_shorter_way_around(azimuth: float, other: float, gap: float) -> None:
+    assert azimuth_gap(Direction(azimuth=azimuth, elevation=3.0, pole=False), other) == pytest.approx(gap)
+
+
+@pytest.mark.parametrize(
+    ("elevation", "least", "most", "depth"),
+    [(30, 20, 60, 10), (55, 20, 60, 5), (10, 20, 60, -10), (70, 20, 60, -10), (85, 20, 90, 65), (-80, -90, 60, 140)],
+)
+def test_depth_in_a_band(elevation: float, least: float, most: float, depth: float) -> None:
+    direction = Direction(azimuth=123.0, elevation=elevation, pole=False)
+    assert depth_in_band(direction, least, most) == pytest.approx(depth)
+
+
+def test_a_band_without_limits_has_no_edge() -> None:
+    assert depth_in_band(Direction(azimuth=0.0, elevation=90.0, pole=True), -90, 90) == math.inf
+
+
+@hypothesis.given(
+    azimuth=st.floats(0, 359), elevation=st.floats(-85, 85), middle=st.floats(0, 359), half=st.floats(5, 175)
+)
+def test_depth_in_a_wedge_is_the_distance_to_the_nearest_point_of_its_edge(
+    azimuth: float, elevation: float, middle: float, half: float
+) -> None:
+    direction = Direction(azimuth=azimuth, elevation=elevation, pole=False)
+    edges = [unit(middle + side * half, -90 + 0.25 * i) for side in (-1, 1) for i in range(721)]
+    depth = depth_in_wedge(direction, middle, half)
+    assert abs(depth) == pytest.approx(nearest_on(torch.stack(edges), direction), abs=0.15)
+    if abs(depth) > 0.01:
+        assert (depth > 0) == (azimuth_gap(direction, middle) < half)
+
+
+def test_wedges_at_their_limits() -> None:
+    pole = Direction(azimuth=0.0, elevation=90.0, pole=True)
+    assert depth_in_wedge(pole, 20.0, 30.0) == 0.0
+    assert depth_in_wedge(pole, 20.0, 180.0) == math.inf
+    assert depth_in_wedge(Direction(azimuth=50.0, elevation=0.0, pole=False), 20.0, 30.0) == pytest.approx(0.0)

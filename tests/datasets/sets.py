@@ -1,0 +1,77 @@
+"""A small set of noisy pictures, and writers of it, for the tests of both formats."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.datasets import PointCloud, write_colmap, write_transforms
+from mi_splat.rotation import from_matrix
+
+FORMATS: dict[str, Callable[..., None]] = {"transforms": write_transforms, "colmap": write_colmap}
+
+
+PROBES = torch.tensor([[0.3, -0.2, 0.1], [-0.4, 0.5, 0.2], [0.0, 0.1, 0.9]], dtype=torch.float64)
+
+
+CLOUD = PointCloud(
+    torch.randn(50, 3, generator=torch.Generator().manual_seed(3)), torch.arange(150).reshape(50, 3) / 255
+)
+
+
+def view(seed: int, **change: Any) -> View:
+    """A noisy picture from a camera by chance, with pixels that are not square and a centre that is off."""
+    chance = np.random.default_rng(seed)
+    pose = look_at((3 + chance.random(3)).tolist(), chance.normal(0, 0.2, 3).tolist())
+    values = {"to_world": pose, "focal": (21.3, 19.7), "width": 18, "height": 13, "principal": (8.25, 7.75), **change}
+    camera = Camera(**values)
+    bytes_ = chance.integers(0, 256, (camera.height, camera.width, 3))
+    return View(camera, torch.from_numpy(bytes_.astype(np.float32) / np.float32(255)))
+
+
+VIEWS, TESTS = [view(seed) for seed in range(6)], [view(seed) for seed in range(6, 8)]
+
+
+def assert_same_camera(found: Camera, wanted: Camera, tolerance: float) -> None:
+    assert (found.width, found.height) == (wanted.width, wanted.height)
+    numbers = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in (found, wanted)]
+    assert numbers[0] == pytest.approx(numbers[1], abs=tolerance)
+    torch.testing.assert_close(found.to_world, wanted.to_world, atol=tolerance, rtol=0)
+    there, back = project_points(PROBES, found)[0], project_points(PROBES, wanted)[0]
+    torch.testing.assert_close(there, back, atol=100 * tolerance, rtol=0)
+
+
+def colmap_binary(folder: Path, views: list[View], cloud: PointCloud) -> Path:
+    """Write a model as COLMAP does, with 2D points and tracks; returns its folder."""
+    model, images = folder / "sparse" / "0", folder / "images"
+    model.mkdir(parents=True)
+    images.mkdir()
+    camera = views[0].camera
+    simple = struct.pack("<iiQQ3d", 7, 0, camera.width, camera.height, 20.0, 9.0, 6.5)
+    full = struct.pack("<iiQQ4d", 3, 1, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    (model / "cameras.bin").write_bytes(struct.pack("<Q", 2) + simple + full)
+    records = []
+    for i, shot in enumerate(views):
+        pose = shot.camera.to_camera
+        values = [*(-from_matrix(pose[:3, :3])).tolist(), *pose[:3, 3].tolist()]  # either sign is the same rotation
+        points = b"".join(struct.pack("<ddq", 1.0, 2.0, -1) for _ in range(i))
+        name = f"part/view {i}.png"
+        records.append(struct.pack("<i7di", i + 1, *values, 3 if i else 7) + f"{name}\0".encode())
+        records[-1] += struct.pack("<Q", i) + points
+        (images / name).parent.mkdir(exist_ok=True)
+        Image.fromarray((shot.image.numpy() * 255 + 0.5).astype(np.uint8)).save(images / name)
+    (model / "images.bin").write_bytes(struct.pack("<Q", len(views)) + b"".join(records))
+    rows = zip(cloud.points.double().tolist(), (cloud.colours * 255).round().int().tolist(), strict=True)
+    data = [
+        struct.pack("<Q3d3BdQ", i, *p, *c, 0.5, 2) + struct.pack("<4i", 1, 0, 2, 0) for i, (p, c) in enumerate(rows)
+    ]
+    (model / "points3D.bin").write_bytes(struct.pack("<Q", len(data)) + b"".join(data))
+    return model
