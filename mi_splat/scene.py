@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from mi_splat import rotation as quaternion
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
-ATTRIBUTES = ("means", "scales", "rotations", "opacities", "sh")
-"""The five tensors of a scene, in the order in which renderers take them."""
+__all__ = ["ATTRIBUTES", "UNIT_TOLERANCE", "GaussianScene", "Similarity", "merge", "scene_hash"]
 
 UNIT_TOLERANCE = 1e-3
 """How far from one the norm of a scene's quaternions may be."""

@@ -8,7 +8,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-Attribute = Literal["sh", "means", "scales", "rotations", "opacities"]
+from mi_splat.attributes import ATTRIBUTES, Attribute
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +105,7 @@ class TrainOptions:
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all."""
     max_gaussians: int = 100_000
     """Largest number of Gaussians. The classic recipe has no end of its own on small or noisy pictures."""
-    trainable: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
+    trainable: tuple[Attribute, ...] = ATTRIBUTES
     """What is trained; `--trainable sh --strategy fixed` trains the texture of a frozen geometry."""
     sh_degree: int = 3
     """SH degree of the result."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.strategies import ClassicConfig, MCMCConfig
 
 StrategyName = Literal["classic", "mcmc", "fixed"]
-Attribute = Literal["means", "scales", "rotations", "opacities", "sh"]
-TRAINABLE: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
 
 
 def densification(
@@ -50,7 +49,7 @@ class FitConfig:
     """
 
     iterations: int = 7000
-    trainable: tuple[Attribute, ...] = TRAINABLE
+    trainable: tuple[Attribute, ...] = ATTRIBUTES
     densification: ClassicConfig | MCMCConfig | None = field(default_factory=ClassicConfig)
     sh_degree: int = 3
     sh_degree_interval: int = 1000
@@ -64,12 +63,12 @@ class FitConfig:
     eval_interval: int = 1000
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.trainable if name not in TRAINABLE]
+        unknown = [name for name in self.trainable if name not in ATTRIBUTES]
         if unknown or not self.trainable:
             raise InvalidValueError(
-                message("trainable", f"some of {', '.join(TRAINABLE)}", self.trainable, "name what may change")
+                message("trainable", f"some of {', '.join(ATTRIBUTES)}", self.trainable, "name what may change")
             )
-        if self.densification is not None and set(self.trainable) != set(TRAINABLE):
+        if self.densification is not None and set(self.trainable) != set(ATTRIBUTES):
             raise InvalidValueError(
                 message("densification", "None where not everything is trained", self.densification, "pass None")
             )

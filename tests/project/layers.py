@@ -16,7 +16,9 @@ PACKAGES = ("mi_splat", "attacks")
 DIAGRAM = ROOT / "docs" / "structure.md"
 
 LAYERS: dict[str, tuple[str, ...]] = {
-    "values": tuple(f"mi_splat.{n}" for n in ("errors", "_lazy", "provenance", "sh", "rotation", "metrics", "scene")),
+    "values": tuple(
+        f"mi_splat.{n}" for n in ("errors", "attributes", "_lazy", "provenance", "sh", "rotation", "metrics", "scene")
+    ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions"),
     "files": ("mi_splat.io",),
     "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
