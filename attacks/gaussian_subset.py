@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from attacks.budgets import Parameters
+from attacks.pgd import Parameters
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import ATTRIBUTES, GaussianScene
@@ -65,8 +65,8 @@ class GaussianSubset:
 
     def scene_with(self, parameters: Parameters) -> GaussianScene:
         """The whole scene with the object's rows exchanged, differentiable in the parameters, other rows untouched."""
-        moved = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
-        tensors = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
+        moved: dict[str, Tensor] = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
+        tensors: dict[str, Tensor] = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
         for name in parameters:
             tensors[name] = tensors[name].detach().index_put((self.rows,), moved[name])
         return GaussianScene._trusted(**tensors)

@@ -50,6 +50,9 @@ COMMANDS = {
         "cloak",
         "poison training pictures, train on them, and measure who sees what (CLOAK)",
     ),
+    "dagger-study": Command(
+        "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
+    ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "attacks.cli",

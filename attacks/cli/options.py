@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
-Attribute = Literal["sh", "means", "scales", "rotations", "opacities"]
-Norm = Literal["linf", "l2", "l2_per_gaussian"]
+from attacks.dagger.config import DaggerConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,34 +33,38 @@ class DaggerOptions:
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
-    attributes: tuple[Attribute, ...] = ("sh",)
-    """What of the Gaussians may change."""
-    norm: Norm = "l2"
-    """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
-    eps: tuple[float, ...] = (5.0,)
-    """Radius of the ball in the units of the splat file: one for all attributes, or one for each."""
-    steps: int = 11
-    """Iterations."""
-    step_factor: float = 2.0
-    """A step is eps * step_factor / steps long."""
-    restarts: int = 1
-    """Runs; the first from the clean object, the others from random points of the ball."""
-    all_steps: bool = False
-    """Take all steps instead of stopping at the first success."""
-    sh_degree: int | None = 3
-    """SH degree of the attacked file, if it has less; coefficients that it lacks start at 0. None keeps its own."""
-    required_views: float = 1.0
-    """Fraction of the views in which the attack has to succeed."""
-    noise_draws: int = 5
-    """Draws of random noise of the same size, as a control."""
+    config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
+    """How to attack."""
     views: tuple[str, ...] = ()
     """Ids of the cameras attacked at once; the first of the scene if none is named."""
-    seed: int = 0
-    """Seed of everything random."""
     out: Path = Path("out/dagger")
     """Folder for the results; made if it is not there."""
     json: bool = False
     """Print the result as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerStudyOptions:
+    """Run many attacks: the paper's pairs, smaller balls, other norms, hiding, every other attribute; make tables.
+
+    A study that was interrupted goes on where it stopped when the same command is given again. Writes jobs/, table.md,
+    table.json and curve.png into --out.
+    """
+
+    seeds: int = 3
+    """Number of seeds."""
+    groups: tuple[str, ...] = ()
+    """Tables to make, all if none is named."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    detector: str = "fasterrcnn_small"
+    """Name of the detector (see `mi-splat detectors`)."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    out: Path = Path("out/studies/dagger")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print the names of the files as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
