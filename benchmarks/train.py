@@ -20,11 +20,11 @@ from mi_splat.cameras import View
 from mi_splat.datasets import has_tests, load_dataset
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
-from mi_splat.training.config import densification
 from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress, fit
 from mi_splat.training.losses import photometric_loss
+from mi_splat.training.strategies import strategy_config, strategy_names
 
 WARM_UP = 40
 
@@ -34,8 +34,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("set")
     parser.add_argument("--iterations", type=int, default=7000)
-    parser.add_argument("--recipe", choices=("classic", "mcmc", "fixed"), default="classic")
-    parser.add_argument("--limit", type=int, default=40_000)
+    parser.add_argument("--strategy", choices=strategy_names(), default="classic")
+    parser.add_argument("--max-gaussians", type=int, default=40_000)
     parser.add_argument("--background", type=float, nargs=3, default=(0.0, 0.0, 0.0))
     options = parser.parse_args()
     if options.iterations < 2 * WARM_UP:
@@ -46,10 +46,10 @@ def main() -> None:
     held_out = load_dataset(options.set, split="test", background=background) if has_tests(options.set) else ()
     if views.points is None:
         raise SystemExit("the set has no point cloud; capture it with --points")
-    adding = densification(options.recipe, limit=options.limit, stop=options.iterations // 2)
-    config = FitConfig(iterations=options.iterations, densification=adding, evaluate_every=0)
+    strategy = strategy_config(options.strategy, max_gaussians=options.max_gaussians)
+    config = FitConfig(iterations=options.iterations, strategy=strategy, eval_interval=0)
     settings = RenderSettings(background=background)
-    render = Renderer(settings, screen_gradients=ScreenGradients() if options.recipe == "classic" else None)
+    render = Renderer(settings, screen_gradients=ScreenGradients() if strategy.needs_screen_gradients else None)
     start = from_points(views.points.points, views.points.colours)
     stamps: list[float] = []
 
@@ -61,7 +61,7 @@ def main() -> None:
     scores = score(found.scene, held_out, render)
     parts = _parts(found.scene, views[0], render)
     report = {
-        "recipe": options.recipe,
+        "strategy": options.strategy,
         "iterations": options.iterations,
         "views": len(views),
         "size": [views[0].camera.width, views[0].camera.height],

@@ -89,10 +89,8 @@ def fit_config(steps: int, limit: int) -> FitConfig:
 
     Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
     """
-    densification = ClassicConfig(
-        max_gaussians=limit, densify_until=steps // 2, opacity_reset_interval=0, prune_scale=math.inf
-    )
-    return FitConfig(iterations=steps, densification=densification, sh_degree=1, sh_degree_interval=0, eval_interval=0)
+    strategy = ClassicConfig(max_gaussians=limit, opacity_reset_interval=0, prune_scale=math.inf)
+    return FitConfig(iterations=steps, strategy=strategy, sh_degree=1, sh_degree_interval=0, eval_interval=0)
 
 
 def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:

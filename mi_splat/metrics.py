@@ -49,19 +49,14 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
 
     Raises:
         InvalidValueError: The shapes differ or are not those of pictures.
-        MiSplatError: torchmetrics is not installed.
     """
     _check_shapes(image, reference)
     if image.ndim not in (3, 4):
         raise InvalidValueError(
             message("image", "shape (H, W, 3) or (B, H, W, 3)", tuple(image.shape), "pass pictures")
         )
-    try:
-        from torchmetrics.functional.image import structural_similarity_index_measure as measure
-    except ImportError as error:
-        raise MiSplatError(
-            message("ssim", "the package torchmetrics", "no such package", "pip install torchmetrics")
-        ) from error
+    from torchmetrics.functional.image import structural_similarity_index_measure as measure  # takes seconds
+
     planes = [picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1) for picture in (image, reference)]
     return cast("Tensor", measure(planes[0], planes[1], data_range=1.0))
 
@@ -75,13 +70,10 @@ def load_lpips(network: Literal["alex", "vgg", "squeeze"] = "alex") -> Perceptua
         network: On whose features the pictures are compared; pictures have to be 32 pixels wide for "alex".
 
     Raises:
-        MiSplatError: torchmetrics is not installed, or the weights cannot be reached.
+        MiSplatError: The weights cannot be reached.
     """
-    try:
-        from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity
-    except ImportError as error:
-        do = "pip install torchmetrics"
-        raise MiSplatError(message("lpips", "the package torchmetrics", "no such package", do)) from error
+    from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity  # takes seconds
+
     try:
         measure = LearnedPerceptualImagePatchSimilarity(net_type=network, normalize=True)
     except (OSError, RuntimeError) as error:  # no network, or a broken download

@@ -27,12 +27,14 @@ class Command(NamedTuple):
         options: Name of that dataclass.
         module: Name of the module, whose `run(options)` does the work.
         summary: One line of help.
+        defaults: Name of a function in `options` that reads from the words what other flags depend on; empty for none.
     """
 
     package: str
     options: str
     module: str
     summary: str
+    defaults: str = ""
 
 
 COMMANDS = {
@@ -43,7 +45,9 @@ COMMANDS = {
     "capture": Command(
         "mi_splat.cli", "CaptureOptions", "capture", "take pictures of a mesh scene, to train a splat from"
     ),
-    "train": Command("mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras"),
+    "train": Command(
+        "mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras", defaults="train_defaults"
+    ),
     "cloak": Command(
         "attacks.cli",
         "CloakOptions",
@@ -121,8 +125,10 @@ def _parse(name: str, rest: list[str]) -> object:
     import tyro
 
     command = COMMANDS[name]
-    kind = getattr(importlib.import_module(f"{command.package}.options"), command.options)
-    return tyro.cli(kind, args=rest, prog=f"{PROGRAM} {name}", config=(tyro.conf.FlagCreatePairsOff,))
+    options, program = importlib.import_module(f"{command.package}.options"), f"{PROGRAM} {name}"
+    default = {"default": getattr(options, command.defaults)(rest, program=program)} if command.defaults else {}
+    kind = getattr(options, command.options)
+    return tyro.cli(kind, args=rest, prog=program, config=(tyro.conf.FlagCreatePairsOff,), **default)
 
 
 def _help() -> str:

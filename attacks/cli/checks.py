@@ -253,7 +253,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
         ),
     ),
 }
-EXTRAS = {"metrics": "torchmetrics", "figures": "matplotlib"}
+EXTRAS = {"figures": "matplotlib", "meshes": "trimesh", "yolo": "ultralytics"}
 
 
 def report_group(group: str) -> None:

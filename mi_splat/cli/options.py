@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro import MISSING
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from mi_splat.attributes import ATTRIBUTES, Attribute
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.training.config import FitConfig
+from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +92,9 @@ class CaptureOptions:
     """Print what was written as one JSON document on stdout."""
 
 
+_STRATEGY = strategy_name(FitConfig().strategy)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainOptions:
     """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
@@ -99,16 +107,11 @@ class TrainOptions:
     """Folder of the set."""
     out: Path
     """Folder for the results; made if it is not there."""
-    iterations: int = 7000
-    """Number of steps; each looks at one picture."""
-    strategy: Literal["classic", "mcmc", "fixed"] = "classic"
-    """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all."""
-    max_gaussians: int = 100_000
-    """Largest number of Gaussians. The classic recipe has no end of its own on small or noisy pictures."""
-    trainable: tuple[Attribute, ...] = ATTRIBUTES
-    """What is trained; `--trainable sh --strategy fixed` trains the texture of a frozen geometry."""
-    sh_degree: int = 3
-    """SH degree of the result."""
+    strategy: Annotated[str, arg(metavar="|".join(strategy_names()))] = _STRATEGY
+    """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
+    of one add --help."""
+    fit: OmitArgPrefixes[FitConfig] = field(default_factory=FitConfig)
+    """How the splat is trained."""
     start: Path | None = None
     """Splat to begin with; None takes the points of the set."""
     random: int | None = None
@@ -119,8 +122,6 @@ class TrainOptions:
     """Integer factor by which the pictures shrink."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """sRGB colour behind the splat, and behind transparent pixels."""
-    eval_interval: int = 1000
-    """Steps between two looks at the held-out pictures."""
     lpips: bool = False
     """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
     checkpoint_every: int = 1000
@@ -129,6 +130,29 @@ class TrainOptions:
     """Seed of everything random."""
     json: bool = False
     """Print the figures as one JSON document on stdout."""
+
+    def __post_init__(self) -> None:
+        name = strategy_name(self.fit.strategy)
+        if self.strategy != name:
+            do = "pass both alike"
+            raise InvalidValueError(message("strategy", f"{name}, as in fit", self.strategy, do))
+
+
+def train_defaults(words: Sequence[str], *, program: str) -> TrainOptions:
+    """The options before flags are read, but for the strategy, which says what flags there are.
+
+    Args:
+        words: What the user typed after the command.
+        program: How the command is called, for errors.
+
+    Raises:
+        SystemExit: There is no such strategy.
+    """
+    parser = argparse.ArgumentParser(prog=program, add_help=False, allow_abbrev=False)
+    parser.add_argument("--strategy", choices=strategy_names(), default=_STRATEGY)
+    name = parser.parse_known_args(words)[0].strategy
+    fit = FitConfig(strategy=strategy_config(name))
+    return TrainOptions(dataset=MISSING, out=MISSING, strategy=name, fit=fit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

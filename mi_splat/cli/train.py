@@ -15,23 +15,20 @@ from mi_splat.io import load_splat
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
-from mi_splat.training.config import densification
 from mi_splat.training.initialization import from_points, random_points, with_outliers
-from mi_splat.training.loop import FitConfig, Progress
+from mi_splat.training.loop import Progress
 from mi_splat.training.resume import METRICS, SPLAT, train
 
 
 def run(options: TrainOptions) -> int:
     """Train, or go on with a training, and say what came of it."""
     limit_threads(1)
-    config = _config(options)
+    config = options.fit
     with progress("loading the pictures"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
         held_out = _held_out(options)
         start = _start(views, options)
-        screen_gradients = (
-            ScreenGradients() if options.strategy == "classic" else None
-        )  # the others densify by something else
+        screen_gradients = ScreenGradients() if config.strategy.needs_screen_gradients else None
         render = Renderer(RenderSettings(background=options.background), screen_gradients=screen_gradients)
     begun = time.monotonic()
     lpips = load_lpips() if options.lpips else None
@@ -60,18 +57,6 @@ def run(options: TrainOptions) -> int:
         show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}")
     show(f"took {time.monotonic() - begun:.0f} s; figures are in {options.out / METRICS}")
     return 0
-
-
-def _config(options: TrainOptions) -> FitConfig:
-    return FitConfig(
-        iterations=options.iterations,
-        trainable=options.trainable,
-        densification=densification(
-            options.strategy, max_gaussians=options.max_gaussians, stop=options.iterations // 2
-        ),
-        sh_degree=options.sh_degree,
-        eval_interval=options.eval_interval,
-    )
 
 
 def _held_out(options: TrainOptions) -> Sequence[View]:

@@ -21,10 +21,12 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
 from mi_splat.training.state import Progress, TrainState
-from mi_splat.training.strategies import ClassicConfig, MCMCConfig
+from mi_splat.training.strategies import strategy_config, strategy_name
 
-_KINDS: dict[str, type[ClassicConfig] | type[MCMCConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig}
-_MOMENTS = ("exp_avg", "exp_avg_sq", "step")
+FORMAT = 2
+"""Of a checkpoint: 2 names its tensors as gsplat does (`sh0`, `shN`), and holds the state of any strategy."""
+_ADAM = ("exp_avg", "exp_avg_sq", "step")
+_STRATEGY = "strategy/"
 
 
 class CheckpointError(MiSplatError):
@@ -32,22 +34,21 @@ class CheckpointError(MiSplatError):
 
 
 def to_json(config: FitConfig) -> dict[str, Any]:
-    """The configuration as plain values; `densification` says its kind."""
+    """The configuration as plain values; the `kind` of a strategy is the name that it is registered under.
+
+    Raises:
+        InvalidValueError: The strategy is not registered.
+    """
     plain = asdict(config)
-    for kind, form in _KINDS.items():
-        if isinstance(config.densification, form):
-            plain["densification"] = {"kind": kind, **plain["densification"]}
-    plain["trainable"] = list(config.trainable)
-    return plain
+    strategy = {"kind": strategy_name(config.strategy), **plain["strategy"]}
+    return {**plain, "strategy": strategy, "trainable": list(config.trainable)}
 
 
 def from_json(plain: dict[str, Any]) -> FitConfig:
     """The inverse of `to_json`."""
-    values = dict(plain)
-    if values["densification"] is not None:
-        inner = dict(values["densification"])
-        values["densification"] = _KINDS[inner.pop("kind")](**inner)
-    return FitConfig(**{**values, "trainable": tuple(values["trainable"])})
+    options = dict(plain["strategy"])
+    strategy = strategy_config(options.pop("kind"), **options)
+    return FitConfig(**{**plain, "strategy": strategy, "trainable": tuple(plain["trainable"])})
 
 
 def save_state(state: TrainState, path: Path) -> None:
@@ -59,16 +60,17 @@ def save_state(state: TrainState, path: Path) -> None:
     tensors = {f"parameters/{name}": value.detach() for name, value in state.parameters.items()}
     for name in state.trained:
         adam = state.optimiser.state.get(state.parameters[name], {})
-        tensors |= {f"{key}/{name}": adam[key] for key in _MOMENTS if key in adam}
-    tensors |= {"gradient": state.gradient, "visits": state.visits, "generator": state.generator.get_state()}
+        tensors |= {f"{key}/{name}": adam[key] for key in _ADAM if key in adam}
+    tensors |= {f"{_STRATEGY}{name}": value for name, value in state.strategy_state.items()}
+    tensors["generator"] = state.generator.get_state()
     notes = {
+        "format": FORMAT,
         "config": to_json(state.config),
-        "extent": state.extent,
+        "scene_extent": state.scene_extent,
         "seed": state.seed,
-        "data": state.data,
+        "data_digest": state.data_digest,
         "iteration": state.iteration,
-        "queue": state.queue,
-        "was_reset": state.was_reset,
+        "view_queue": state.view_queue,
         "threads": torch.get_num_threads(),
         "history": [asdict(line) for line in state.history],
     }
@@ -91,6 +93,10 @@ def load_state(path: Path) -> tuple[TrainState, int]:
     try:
         with safe_open(path, framework="pt") as file:
             notes = json.loads(file.metadata()["notes"])
+            if notes.get("format", 1) != FORMAT:
+                expected = f"format {FORMAT}, which names strategies and SH as gsplat does"
+                do = "end it with the version that began it, or train anew in another folder"
+                raise CheckpointError(message(f"checkpoint {path}", expected, f"format {notes.get('format', 1)}", do))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         return _assemble(notes, tensors), notes["threads"]
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
@@ -102,7 +108,7 @@ def load_state(path: Path) -> tuple[TrainState, int]:
 
 def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> TrainState:
     config = from_json(notes["config"])
-    names = ("means", "scales", "rotations", "opacities", "dc", "rest")
+    names = ("means", "scales", "rotations", "opacities", "sh0", "shN")
     values = {name: tensors[f"parameters/{name}"] for name in names}
     count = len(values["means"])
     blank = GaussianScene(
@@ -112,19 +118,21 @@ def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> TrainState:
         torch.full((count,), 0.5),
         torch.zeros(count, (config.sh_degree + 1) ** 2, 3),
     )
-    state = TrainState(blank, config, extent=notes["extent"], seed=notes["seed"])
+    state = TrainState(blank, config, scene_extent=notes["scene_extent"], seed=notes["seed"])
     with torch.no_grad():
         for name, value in values.items():
             state.parameters[name].copy_(value)
     for name in state.trained:
-        adam = {key: tensors[f"{key}/{name}"] for key in _MOMENTS if f"{key}/{name}" in tensors}
+        adam = {key: tensors[f"{key}/{name}"] for key in _ADAM if f"{key}/{name}" in tensors}
         if adam:
             state.optimiser.state[state.parameters[name]] = adam
-    state.gradient, state.visits = tensors["gradient"], tensors["visits"]
+    state.strategy_state = {
+        name.removeprefix(_STRATEGY): value for name, value in tensors.items() if name.startswith(_STRATEGY)
+    }
     state.generator.set_state(tensors["generator"])
     state.history = [_line(line) for line in notes["history"]]
-    state.data = notes["data"]
-    state.iteration, state.queue, state.was_reset = notes["iteration"], list(notes["queue"]), notes["was_reset"]
+    state.data_digest = notes["data_digest"]
+    state.iteration, state.view_queue = notes["iteration"], list(notes["view_queue"])
     return state
 
 

@@ -1,30 +1,12 @@
-"""How a splat is trained: the settings of a run as one frozen value."""
+"""How a splat is trained: the settings of a run as one frozen value; light, for the command line."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.training.strategies import ClassicConfig, MCMCConfig
-
-StrategyName = Literal["classic", "mcmc", "fixed"]
-
-
-def densification(
-    strategy: StrategyName, *, max_gaussians: int, stop: int = 15_000
-) -> ClassicConfig | MCMCConfig | None:
-    """Where a recipe adds and removes Gaussians.
-
-    Args:
-        strategy: 3DGS's own, relocation, or neither.
-        max_gaussians: Largest number of Gaussians.
-        stop: Last step at which the classic recipe may add some.
-    """
-    if strategy == "classic":
-        return ClassicConfig(max_gaussians=max_gaussians, densify_until=stop)
-    return MCMCConfig(max_gaussians=max_gaussians) if strategy == "mcmc" else None
+from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,10 +14,10 @@ class FitConfig:
     """How a splat is trained; the defaults are the published recipe, shortened.
 
     Attributes:
-        iterations: Number of steps; each sees one view.
-        trainable: What may change; `("sh",)` trains the texture of a frozen geometry.
-        densification: Where Gaussians are added and removed; None keeps their number. Any but None needs means,
-            scales, rotations and opacities trainable.
+        iterations: Number of steps; each looks at one picture.
+        trainable: What is trained; sh alone with the fixed strategy trains the texture of a frozen geometry.
+        strategy: How Gaussians are added and removed, and its options. All but the fixed one need every attribute
+            trainable.
         sh_degree: SH degree of the result.
         sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
         lambda_dssim: Weight of D-SSIM in the loss; the rest is L1.
@@ -45,12 +27,12 @@ class FitConfig:
         lr_rotations: Learning rate of the quaternions.
         lr_opacities: Learning rate of the logit opacities.
         lr_sh: Learning rate of the first SH coefficient; the others have a twentieth of it.
-        eval_interval: Steps between two looks at the held-out views; 0 looks at the end only.
+        eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
     """
 
     iterations: int = 7000
     trainable: tuple[Attribute, ...] = ATTRIBUTES
-    densification: ClassicConfig | MCMCConfig | None = field(default_factory=ClassicConfig)
+    strategy: StrategyConfig = field(default_factory=ClassicConfig)
     sh_degree: int = 3
     sh_degree_interval: int = 1000
     lambda_dssim: float = 0.2
@@ -68,10 +50,11 @@ class FitConfig:
             raise InvalidValueError(
                 message("trainable", f"some of {', '.join(ATTRIBUTES)}", self.trainable, "name what may change")
             )
-        if self.densification is not None and set(self.trainable) != set(ATTRIBUTES):
-            raise InvalidValueError(
-                message("densification", "None where not everything is trained", self.densification, "pass None")
-            )
+        frozen = [name for name in self.strategy.needs_trainable if name not in self.trainable]
+        if frozen:
+            expected = f"one that does not need {', '.join(frozen)} trainable"
+            got = type(self.strategy).__name__
+            raise InvalidValueError(message("strategy", expected, got, "use the fixed strategy, or train them"))
         for name, value, least in (
             ("iterations", self.iterations, 1),
             ("sh_degree_interval", self.sh_degree_interval, 0),

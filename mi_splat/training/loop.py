@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 
@@ -16,12 +17,11 @@ from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
-from mi_splat.training import strategies
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import score
 from mi_splat.training.losses import photometric_loss
 from mi_splat.training.state import Progress, TrainingError, TrainState
-from mi_splat.training.strategies import ClassicConfig, MCMCConfig
+from mi_splat.training.strategies import ScreenGradients, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -41,12 +41,19 @@ class Fit:
     seed: int
 
 
-__all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "extent_of", "fit"]
+__all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]
 
 OnStep = Callable[[Progress], None]
 
 
-def extent_of(views: Sequence[View]) -> float:
+@runtime_checkable
+class _KeepsScreenGradients(Protocol):
+    """A renderer that may keep the statistics that some strategies need, as `mi_splat.rendering.Renderer` does."""
+
+    screen_gradients: ScreenGradients | None
+
+
+def scene_extent(views: Sequence[View]) -> float:
     """Size of what the cameras look at: 1.1 times the largest distance of one from their mean, world units."""
     positions = torch.stack([camera.position for camera in cameras_of(views)])
     return max(1.1 * float((positions - positions.mean(0)).norm(dim=1).max()), 1e-3)
@@ -68,7 +75,7 @@ def fit(
     Args:
         views: Pictures to match.
         start: Gaussians to begin with.
-        render: Any differentiable renderer; the classic densification needs the one that fills `screen_gradients`, see
+        render: Any differentiable renderer; the classic strategy needs one that keeps screen gradients, see
             `mi_splat.rendering.Renderer`.
         config: How; the shortened 3DGS recipe if None.
         seed: Seed of everything random.
@@ -77,7 +84,8 @@ def fit(
         on_step: Called after every step.
 
     Raises:
-        InvalidValueError: There are no views or no Gaussians, or the renderer gives no statistics to densify by.
+        InvalidValueError: There are no views or no Gaussians, or the strategy needs screen gradients and the renderer
+            keeps none.
         TrainingError: A value is not finite, or every Gaussian was pruned.
     """
     config = config or FitConfig()
@@ -85,7 +93,7 @@ def fit(
         raise InvalidValueError(
             message("views and start", "at least one of each", (len(views), len(start)), "capture views first")
         )
-    state = TrainState(start, config, extent=extent_of(views), seed=seed)
+    state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
     return advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
 
 
@@ -98,29 +106,35 @@ def advance(
     lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
-    """Take a run to its end; `on_step` may stop it between two steps by raising."""
+    """Take a run to its end; `on_step` may stop it between two steps by raising.
+
+    Args:
+        state: The run, which is changed.
+        views: Pictures to match, the same as before.
+        render: The renderer, see `fit`.
+        held_out: Views to score on.
+        lpips: A further score.
+        on_step: Called after every step.
+
+    Raises:
+        InvalidValueError: The strategy needs screen gradients, and the renderer keeps none.
+        TrainingError: A value is not finite, or every Gaussian was pruned.
+    """
     config = state.config
-    screen_gradients = getattr(render, "screen_gradients", None)
-    if isinstance(config.densification, ClassicConfig) and screen_gradients is None:
-        raise InvalidValueError(
-            message(
-                "render",
-                "a renderer that watches centres",
-                type(render).__name__,
-                "use Renderer(screen_gradients=ScreenGradients())",
-            )
-        )
+    screen_gradients = render.screen_gradients if isinstance(render, _KeepsScreenGradients) else None
+    if config.strategy.needs_screen_gradients and screen_gradients is None:
+        do = "use Renderer(screen_gradients=ScreenGradients())"
+        expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
+        raise InvalidValueError(message("render", expected, type(render).__name__, do))
     while state.iteration < config.iterations:
         loss = _step(state, views[state.next_view(len(views))], render)
-        if screen_gradients is not None and isinstance(config.densification, ClassicConfig):
-            state.gradient += screen_gradients.lengths
-            state.visits += screen_gradients.visible
-        _after(state)
+        if state.iteration < config.iterations:  # what is changed last is trained no more
+            _densify(state, screen_gradients)
         scored = None
         every = config.eval_interval
         if state.iteration == config.iterations or (every and state.iteration % every == 0):
             scored = score(state.result(), held_out, render, lpips=lpips)
-        line = Progress(iteration=state.iteration, loss=loss, count=len(state.gradient), held_out=scored)
+        line = Progress(iteration=state.iteration, loss=loss, count=len(state.parameters["means"]), held_out=scored)
         if state.iteration == config.iterations or scored is not None:
             state.history.append(line)
         if on_step is not None:
@@ -130,19 +144,16 @@ def advance(
 
 def _step(state: TrainState, view: View, render: RenderFn) -> float:
     """One picture, its loss, its gradient, and a step of Adam."""
-    config = state.config
     scene = state.scene()
     image = render(scene, view.camera)
-    loss = photometric_loss(image, view.image, lambda_dssim=config.lambda_dssim)
-    if isinstance(config.densification, MCMCConfig):
-        loss = loss + config.densification.opacity_reg * scene.opacities.mean()
-        loss = loss + config.densification.scale_reg * scene.scales.mean()
+    loss = photometric_loss(image, view.image, lambda_dssim=state.config.lambda_dssim)
+    loss = state.strategy.before_backward(loss, scene)
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     value = float(loss.detach())
     if not math.isfinite(value):
         raise TrainingError(_not_finite(state, value))
-    rates = state.rates()
+    rates = state.learning_rates()
     for group in state.optimiser.param_groups:
         group["lr"] = rates[group["name"]]
     state.optimiser.step()
@@ -150,44 +161,20 @@ def _step(state: TrainState, view: View, render: RenderFn) -> float:
     return value
 
 
-def _after(state: TrainState) -> None:
-    """Add, remove, reset and shake, where the recipe has it at this step."""
-    config, step = state.config.densification, state.iteration
-    if config is None or step == state.config.iterations:  # what is changed last is trained no more
-        return
-    due = config.densify_from < step <= config.densify_until and step % config.densify_interval == 0
-    if isinstance(config, MCMCConfig):
-        if due:
-            state.apply(strategies.relocate(state.parameters, config=config, generator=state.generator))
-        with torch.no_grad():
-            rate = state.rates()["means"]
-            moved = strategies.explore(state.parameters, rate=rate, config=config, generator=state.generator)
-            state.parameters["means"].copy_(moved)
-        return
-    if due:
-        mean = state.gradient / state.visits.clamp(min=1)
-        edit = strategies.classic(
-            state.parameters,
-            mean,
-            extent=state.extent,
-            config=config,
-            was_reset=state.was_reset,
-            generator=state.generator,
-        )
+def _densify(state: TrainState, screen_gradients: ScreenGradients | None) -> None:
+    """Ask the strategy, and do what it says."""
+    step = Step(
+        parameters=state.parameters,
+        iteration=state.iteration,
+        iterations=state.config.iterations,
+        scene_extent=state.scene_extent,
+        lr_means=state.learning_rates()["means"],
+        generator=state.generator,
+        screen_gradients=screen_gradients,
+    )
+    edit = state.strategy.after_step(step, state.strategy_state)
+    if edit is not None:
         state.apply(edit)
-    if config.opacity_reset_interval and step % config.opacity_reset_interval == 0 and step <= config.densify_until:
-        _reset(state)
-
-
-def _reset(state: TrainState) -> None:
-    """Lower all opacities, and forget what Adam knows of them."""
-    with torch.no_grad():
-        state.parameters["opacities"].copy_(strategies.reset_opacities(state.parameters["opacities"]))
-    adam = state.optimiser.state.get(state.parameters["opacities"])
-    if adam:
-        for key in ("exp_avg", "exp_avg_sq"):
-            adam[key].zero_()
-    state.was_reset = True
 
 
 def _not_finite(state: TrainState, value: float) -> str:

@@ -15,13 +15,14 @@ from types import FrameType
 import torch
 
 from mi_splat.cameras import RenderFn, View, cameras_of
+from mi_splat.datasets import Dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state, save_state, to_json
-from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress, TrainState, advance, extent_of
+from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress, TrainState, advance, scene_extent
 
 CHECKPOINT, SPLAT, METRICS, CONFIG = "checkpoint.safetensors", "splat.ply", "metrics.json", "config.json"
 
@@ -76,8 +77,8 @@ def train(
             text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
             warnings.warn(text, stacklevel=2)
     else:
-        state = TrainState(start, config, extent=extent_of(views), seed=seed)
-        state.data = data
+        state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
+        state.data_digest = data
         save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
     with _deferred_interrupt() as interrupted:
@@ -102,17 +103,16 @@ def _digest(views: Sequence[View], start: GaussianScene) -> str:
     for camera in cameras_of(views):
         lens = (camera.focal, camera.principal, camera.width, camera.height)
         total.update(repr((camera.to_world.tolist(), lens)).encode())
-    known = getattr(views, "fingerprint", None)
-    if known is None:
+    if isinstance(views, Dataset):
+        total.update(views.fingerprint.encode())
+    else:
         for view in views:
             total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
-    else:
-        total.update(known.encode())
     return total.hexdigest()
 
 
 def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, folder: Path) -> None:
-    if state.data != data:
+    if state.data_digest != data:
         do = "pass those that it began with, or train in another folder"
         raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
     if state.config != config or state.seed != seed:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F  # noqa: N812
-from torch import Generator
+from torch import Generator, Tensor
 
 from mi_splat.errors import MiSplatError, message
 from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
@@ -15,6 +15,9 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
 from mi_splat.training.strategies import Edit
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+"""What Adam keeps for each row, by torch's names."""
 
 
 class TrainingError(MiSplatError):
@@ -42,28 +45,33 @@ class TrainState:
     """Everything that the rest of a training run depends on.
 
     Attributes:
-        parameters: Trained tensors as a splat file holds them, SH in two parts: `dc` (N, 1, 3), `rest` (N, K - 1, 3).
+        config: How it is trained.
+        scene_extent: Size of the scene, world units.
+        seed: Seed of everything random.
+        parameters: Trained tensors as a splat file holds them, SH in two parts: `sh0` (N, 1, 3), `shN` (N, K - 1, 3).
+        trained: Names of those that change.
+        optimiser: Adam, with one group for each of them.
+        strategy: How Gaussians are added and removed.
+        strategy_state: What the strategy remembers from step to step.
         iteration: Steps done.
         generator: Source of everything random.
-        queue: Numbers of the views still to come in this pass.
-        gradient: (N,) sums of the length of the centres' gradients since the last densification.
-        visits: (N,) in how many pictures each Gaussian was visible since then.
-        was_reset: Whether opacities were ever reset.
-        data: Stands for what it is trained on, so that a run does not go on with something else.
+        view_queue: Numbers of the views still to come in this pass.
+        data_digest: Stands for what it is trained on, so that a run does not go on with something else.
         history: Every evaluation so far, and the last step.
     """
 
-    def __init__(self, start: GaussianScene, config: FitConfig, *, extent: float, seed: int) -> None:
-        self.config, self.extent, self.seed, self.data = config, extent, seed, ""
+    def __init__(self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int) -> None:
+        self.config, self.scene_extent, self.seed, self.data_digest = config, scene_extent, seed, ""
         values = {k: v.detach().clone() for k, v in to_raw_parameters(start.with_degree(config.sh_degree)).items()}
         sh = values.pop("sh")
-        values |= {"dc": sh[:, :1].contiguous(), "rest": sh[:, 1:].contiguous()}
+        values |= {"sh0": sh[:, :1].contiguous(), "shN": sh[:, 1:].contiguous()}
         self.parameters = {name: value.float() for name, value in values.items()}
-        self.iteration, self.queue, self.was_reset = 0, list[int](), False
+        self.iteration, self.view_queue = 0, list[int]()
         self.history = list[Progress]()
         self.generator = Generator().manual_seed(seed)
-        self.gradient, self.visits = torch.zeros(len(start)), torch.zeros(len(start))
-        trained = {"dc", "rest"} if "sh" in config.trainable else set[str]()
+        self.strategy = config.strategy.build()
+        self.strategy_state = self.strategy.initial_state(len(start))
+        trained = {"sh0", "shN"} if "sh" in config.trainable else set[str]()
         trained |= set(config.trainable) & set(self.parameters)
         self.trained = tuple(name for name in self.parameters if name in trained)
         for name in self.trained:
@@ -72,7 +80,7 @@ class TrainState:
         self.optimiser = torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
 
     @property
-    def active(self) -> int:
+    def active_sh_degree(self) -> int:
         """SH degree that is trained now."""
         every = self.config.sh_degree_interval
         return self.config.sh_degree if every == 0 else min(self.config.sh_degree, self.iteration // every)
@@ -80,52 +88,74 @@ class TrainState:
     def scene(self) -> GaussianScene:
         """The splat as it is now, differentiable, with the SH that is trained so far."""
         p = self.parameters
-        rest = p["rest"][:, : (self.active + 1) ** 2 - 1]
+        higher = p["shN"][:, : (self.active_sh_degree + 1) ** 2 - 1]
         return GaussianScene._trusted(
             p["means"],
             p["scales"].exp(),
             F.normalize(p["rotations"], dim=1),
             p["opacities"].sigmoid(),
-            torch.cat([p["dc"], rest], dim=1),
+            torch.cat([p["sh0"], higher], dim=1),
         )
 
     def result(self) -> GaussianScene:
         """The splat as it is now, checked."""
         values = {name: value.detach() for name, value in self.parameters.items()}
-        sh = torch.cat([values.pop("dc"), values.pop("rest")], dim=1)
+        sh = torch.cat([values.pop("sh0"), values.pop("shN")], dim=1)
         return from_raw_parameters({**values, "sh": sh})
 
-    def rates(self) -> dict[str, float]:
-        """Learning rates at this step."""
+    def learning_rates(self) -> dict[str, float]:
+        """Learning rates at this step, by the names of `parameters`; that of the means decays exponentially."""
         config = self.config
-        share = min(self.iteration / config.iterations, 1.0)
+        progress = min(self.iteration / config.iterations, 1.0)
         means = (
-            math.exp((1 - share) * math.log(config.lr_means) + share * math.log(config.lr_means_final)) * self.extent
+            math.exp((1 - progress) * math.log(config.lr_means) + progress * math.log(config.lr_means_final))
+            * self.scene_extent
         )
-        rates = {name: float(getattr(config, f"lr_{name}")) for name in ("scales", "rotations", "opacities")}
-        return rates | {"means": means, "dc": config.lr_sh, "rest": config.lr_sh / 20}
+        return {
+            "means": means,
+            "scales": config.lr_scales,
+            "rotations": config.lr_rotations,
+            "opacities": config.lr_opacities,
+            "sh0": config.lr_sh,
+            "shN": config.lr_sh / 20,
+        }
 
     def next_view(self, count: int) -> int:
         """Number of the view to look at; all are seen once before any is seen again."""
-        if not self.queue:
-            self.queue = torch.randperm(count, generator=self.generator).tolist()
-        return self.queue.pop()
+        if not self.view_queue:
+            self.view_queue = torch.randperm(count, generator=self.generator).tolist()
+        return self.view_queue.pop()
 
     def apply(self, edit: Edit) -> None:
-        """Exchange the tensors; rows keep their optimiser adam unless they are fresh."""
-        if not len(edit.source):
+        """Change the tensors as a strategy says; rows keep the state of Adam that they had unless they are fresh."""
+        if edit.source is None:
+            with torch.no_grad():
+                for name, value in edit.parameters.items():
+                    self.parameters[name].copy_(value)
+        else:
+            self._exchange(edit.parameters, edit.source, edit.fresh)
+        for name in edit.forget:
+            adam = self.optimiser.state.get(self.parameters[name], {})
+            for key in adam.keys() & _MOMENTS:
+                adam[key].zero_()
+
+    def _exchange(self, values: dict[str, Tensor], source: Tensor, fresh: Tensor | None) -> None:
+        """Give all tensors other rows, and Adam's state with them."""
+        if not len(source):
             raise TrainingError(
                 message("splat", "Gaussians left after pruning", "none", "lower the rates or start from more of them")
             )
+        old = dict(self.parameters)
+        for name in old:
+            self.parameters[name] = (values[name] if name in values else old[name][source]).detach().clone()
         for group in self.optimiser.param_groups:
-            name, old = group["name"], group["params"][0]
-            new = edit.parameters[name].detach().clone().requires_grad_(True)
-            adam = self.optimiser.state.pop(old, None)
+            name = group["name"]
+            new = self.parameters[name].requires_grad_(True)
+            adam = self.optimiser.state.pop(old[name], None)
             if adam:
-                for key in ("exp_avg", "exp_avg_sq"):
-                    moved = adam[key][edit.source]
-                    moved[edit.fresh] = 0
-                    adam[key] = moved
+                for key in _MOMENTS:
+                    adam[key] = adam[key][source]
+                    if fresh is not None:
+                        adam[key][fresh] = 0
                 self.optimiser.state[new] = adam
-            group["params"], self.parameters[name] = [new], new
-        self.gradient, self.visits = torch.zeros(len(edit.source)), torch.zeros(len(edit.source))
+            group["params"] = [new]

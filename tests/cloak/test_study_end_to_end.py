@@ -23,10 +23,13 @@ from mi_splat.directions import direction_of
 from mi_splat.rendering import Renderer
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, fit
+from mi_splat.training.strategies import FixedConfig
 
 CENTRE = (0.0, 0.0, 0.7)
 LENS = {"distance": 9.0, "focal": 84.0, "size": (60, 60)}
-CONFIG = FitConfig(iterations=700, sh_degree_interval=0, densification=None, eval_interval=0, lr_means=2e-5, lr_sh=1e-2)
+CONFIG = FitConfig(
+    iterations=700, sh_degree_interval=0, strategy=FixedConfig(), eval_interval=0, lr_means=2e-5, lr_sh=1e-2
+)
 
 Shares = dict[str, list[tuple[float, float]]]
 

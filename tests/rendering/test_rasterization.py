@@ -124,7 +124,7 @@ def analytic(scene: GaussianScene, view: Camera) -> dict[str, Tensor]:
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     picture = Renderer(RenderSettings(background=BACKGROUND))(GaussianScene(*leaves), view)
     (picture * torch.from_numpy(weights(view)).float()).sum().backward()  # type: ignore[no-untyped-call]
-    gradients = {}
+    gradients: dict[str, Tensor] = {}
     for name, leaf in zip(ATTRIBUTES, leaves, strict=True):
         assert leaf.grad is not None
         gradients[name] = leaf.grad
@@ -135,7 +135,9 @@ def numeric(scene: GaussianScene, view: Camera, name: str, entry: int, step: flo
     """Central difference of the float64 oracle with one entry moved."""
     values = []
     for sign in (1.0, -1.0):
-        tensors = {key: tensor.double().clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+        tensors: dict[str, Tensor] = {
+            key: tensor.double().clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)
+        }
         tensors[name].view(-1)[entry] += sign * step
         moved = GaussianScene._trusted(*(tensors[key] for key in ATTRIBUTES))
         values.append(float((oracle.render(moved, view, background=BACKGROUND)[0] * weights(view)).sum()))

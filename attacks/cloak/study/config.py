@@ -16,6 +16,7 @@ from attacks.cloak.mesh_edits import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.training.strategies import strategy_names
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -208,13 +209,14 @@ class TrainingConfig:
     """
 
     iterations: int = 7000
-    strategy: Literal["classic", "mcmc", "fixed"] = "classic"
+    strategy: str = "classic"
     max_gaussians: int = 40_000
     sh_degree: int = 3
     sh_degree_interval: int = 1000
     outliers: int = 0
 
     def __post_init__(self) -> None:
+        one_of("training.strategy", self.strategy, strategy_names())
         _in_range("training.outliers", self.outliers, 0, math.inf)
 
 

@@ -33,10 +33,10 @@ from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
-from mi_splat.training.config import FitConfig, densification
+from mi_splat.training.config import FitConfig
 from mi_splat.training.initialization import from_points, with_outliers
 from mi_splat.training.resume import SPLAT, train
-from mi_splat.training.strategies import ClassicConfig
+from mi_splat.training.strategies import strategy_config
 
 CLEAN, CLOAKED = "clean", "cloaked"
 DONE = "done.json"
@@ -155,7 +155,7 @@ class StudyPipeline:
                 views,
                 from_points(cloud.points, cloud.colours),
                 path,
-                render=self.renderer(screen_gradients=isinstance(config.densification, ClassicConfig)),
+                render=self.renderer(screen_gradients=config.strategy.needs_screen_gradients),
                 config=config,
                 seed=seed,
                 on_step=lambda line: self.on_step(
@@ -226,9 +226,7 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     """The trainer's settings."""
     return FitConfig(
         iterations=training.iterations,
-        densification=densification(
-            training.strategy, max_gaussians=training.max_gaussians, stop=training.iterations // 2
-        ),
+        strategy=strategy_config(training.strategy, max_gaussians=training.max_gaussians),
         sh_degree=training.sh_degree,
         sh_degree_interval=training.sh_degree_interval,
         eval_interval=0,

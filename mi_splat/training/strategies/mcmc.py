@@ -1,0 +1,105 @@
+"""Relocation of dead Gaussians and noise that explores: 3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Generator, Tensor
+
+from mi_splat.rotation import normalise, to_matrix
+from mi_splat.scene import GaussianScene
+from mi_splat.training.strategies.base import Edit, Step, Strategy
+from mi_splat.training.strategies.config import MCMCConfig
+
+if TYPE_CHECKING:
+    from mi_splat.training.strategies.base import Parameters, State
+
+
+class MCMCStrategy(Strategy):
+    """Rounds of relocation and growth, noise after each step, and a loss that wants few and small Gaussians."""
+
+    def __init__(self, config: MCMCConfig) -> None:
+        self.config = config
+
+    def before_backward(self, loss: Tensor, scene: GaussianScene) -> Tensor:
+        """Add the regularisers of opacity and scale."""
+        return loss + self.config.opacity_reg * scene.opacities.mean() + self.config.scale_reg * scene.scales.mean()
+
+    def after_step(self, step: Step, state: State) -> Edit:
+        """Relocate where it is time, and add the noise."""
+        config, at = self.config, step.iteration
+        edit = Edit(parameters={})
+        if config.densify_from < at <= config.densify_until and at % config.densify_interval == 0:
+            edit = relocate(step.parameters, config=config, generator=step.generator)
+        values = {**step.parameters, **edit.parameters}
+        moved = explore(values, lr_means=step.lr_means, config=config, generator=step.generator)
+        return replace(edit, parameters={**edit.parameters, "means": moved})
+
+
+def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator) -> Edit:
+    """Move dead Gaussians onto living ones, and add some up to the limit; the picture stays nearly as it is.
+
+    Args:
+        parameters: The trained tensors, N rows each.
+        config: Thresholds.
+        generator: What is drawn: living Gaussians by their opacity.
+    """
+    opacity = parameters["opacities"].detach().sigmoid()
+    count = len(opacity)
+    dead = (opacity <= config.dead_opacity).nonzero().flatten()
+    grown = int(count * (1 + config.growth))
+    new = max((grown if config.max_gaussians is None else min(grown, config.max_gaussians)) - count, 0)
+    source = torch.arange(count + new)
+    fresh = source >= count
+    weights = torch.where(opacity > config.dead_opacity, opacity, 0.0)
+    if not len(dead) + new or not bool((weights > 0).any()):
+        return Edit(parameters={})
+    drawn = torch.multinomial(weights, len(dead) + new, replacement=True, generator=generator)
+    places = torch.cat([dead, torch.arange(count, count + new)])
+    source[places], fresh[places] = drawn, True
+    shares = torch.bincount(drawn, minlength=count)[source] + 1
+    fresh |= shares > 1
+    values = {name: value.detach()[source] for name, value in parameters.items()}
+    values["opacities"], values["scales"] = _shared(values["opacities"], values["scales"], shares)
+    return Edit(parameters=values, source=source, fresh=fresh)
+
+
+def _shared(logits: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacity and log-scale of `shares` Gaussians in one place that look like one (Kheradmand et al. 2024, eq. 9)."""
+    opacity = logits.double().sigmoid().clamp(max=1 - 1e-7)
+    n = shares.clamp(max=51)
+    split = 1 - (1 - opacity) ** (1 / n)
+    total = torch.zeros_like(opacity)
+    for i in range(1, int(n.max()) + 1):
+        k = torch.arange(i, dtype=torch.float64)
+        binomials = torch.tensor([math.comb(i - 1, j) * (-1) ** j for j in range(i)], dtype=torch.float64)
+        terms = (binomials / (k + 1).sqrt()) * split[:, None] ** (k + 1)
+        total += torch.where(n >= i, terms.sum(1), 0.0)
+    factor = torch.where(n > 1, opacity / total, 1.0)
+    several = n > 1
+    limited = split.clamp(min=0.005, max=1 - 1e-7)
+    return (
+        torch.where(several, limited.logit(), logits.double()).to(logits.dtype),
+        torch.where(several[:, None], scales.double() + factor.log()[:, None], scales.double()).to(scales.dtype),
+    )
+
+
+def explore(parameters: Parameters, *, lr_means: float, config: MCMCConfig, generator: Generator) -> Tensor:
+    """The means after the noise of MCMC: as each Gaussian is shaped, and only for those of little opacity.
+
+    Args:
+        parameters: The trained tensors.
+        lr_means: Learning rate of the means, world units.
+        config: Size of the noise.
+        generator: Source of the noise.
+    """
+    opacity = parameters["opacities"].detach().sigmoid()
+    gate = torch.sigmoid(-100 * (opacity - config.dead_opacity))[:, None]
+    scales = parameters["scales"].detach().exp()
+    turn = to_matrix(normalise(parameters["rotations"].detach()))
+    noise = torch.randn(scales.shape, generator=generator) * gate * (config.noise_lr * lr_means)
+    local = (turn.transpose(1, 2) @ noise[:, :, None])[:, :, 0] * scales**2
+    return parameters["means"].detach() + (turn @ local[:, :, None])[:, :, 0]

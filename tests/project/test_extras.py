@@ -1,0 +1,113 @@
+"""What is installed: everything that is imported is a dependency or an extra, and without an extra nothing half done.
+
+Each command that needs an extra is run in a process that does not have it: one line says what to install, before
+anything is written.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from attacks.cli.checks import EXTRAS
+from tests.project.layers import PACKAGES, ROOT, edges
+from tests.training.sets import write_set
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+ALSO = {"PIL": "pillow"}
+"""Modules that are not called as their package is."""
+
+
+def packages(requirements: list[str]) -> set[str]:
+    return {re.split(r"[^\w-]", requirement)[0] for requirement in requirements}
+
+
+def test_doctor_knows_the_extras() -> None:
+    extras = {name: packages(needed) for name, needed in PROJECT["optional-dependencies"].items() if name != "dev"}
+    assert {name: {module} for name, module in EXTRAS.items()} == extras
+
+
+def test_what_is_imported_is_installed() -> None:
+    installed = packages(PROJECT["dependencies"]) | set(EXTRAS.values())
+    for package in PACKAGES:
+        for name, other in edges(package):
+            top = other.split(".")[0]
+            if top not in PACKAGES and top not in sys.stdlib_module_names:
+                assert ALSO.get(top, top) in installed, f"{name} imports {other}, which no dependency brings"
+
+
+def without(modules: list[str], words: list[str]) -> subprocess.CompletedProcess[str]:
+    """A command in a process in which these modules are neither to be imported nor found among what is installed."""
+    command = [sys.executable, "-c", WITHOUT, ",".join(modules), *words]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+WITHOUT = """
+import sys
+from importlib.metadata import Distribution, PackageNotFoundError
+
+missing, found = sys.argv[1].split(","), Distribution.from_name
+
+def from_name(name):
+    if name in missing:
+        raise PackageNotFoundError(name)
+    return found(name)
+
+Distribution.from_name = from_name
+sys.modules.update(dict.fromkeys(missing))
+from attacks.cli import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+STUDY = """
+name = "mesh"
+[scene]
+object = "{mesh}"
+label = "car"
+[[attack]]
+name = "overhead"
+appearance = "blend in"
+elevation = [60, 90]
+"""
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        ("figures", ["cloak", "scenes/cloak_demo.toml"]),
+        ("meshes", ["capture", "MESH"]),
+        ("meshes", ["cloak", "STUDY"]),
+        ("yolo", ["dagger", "--detector", "yolov8n_small"]),
+        ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: list[str], tmp_path: Path) -> None:
+    mesh, study, out = tmp_path / "m.obj", tmp_path / "study.toml", tmp_path / "out"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    study.write_text(STUDY.format(mesh=mesh))
+    given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
+    done = without([EXTRAS[extra]], [*given, "--out", str(out)])
+    assert done.returncode == 1, done.stderr
+    assert f"mi-splat[{extra}]" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+    assert not out.exists()
+
+
+def test_training_needs_no_extra(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["train", str(write_set(tmp_path / "set")), "--out", str(out), "--iterations", "3", "--eval-interval", "1"]
+    done = without([*EXTRAS.values()], words)
+    assert done.returncode == 0, done.stderr
+    assert "SSIM" in done.stdout
+    assert (out / "splat.ply").is_file()

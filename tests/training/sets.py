@@ -1,0 +1,63 @@
+"""A small splat, pictures of it, and settings that train it in a second."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import Camera, View, look_at
+from mi_splat.datasets import write_transforms
+from mi_splat.io.points import PointCloud
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.scene import GaussianScene
+from mi_splat.training.config import FitConfig
+from mi_splat.training.strategies import ClassicConfig
+from tests import oracle
+
+SHORT = FitConfig(
+    iterations=60,
+    sh_degree=1,
+    sh_degree_interval=20,
+    eval_interval=30,
+    strategy=ClassicConfig(
+        densify_from=10, densify_interval=20, densify_grad_threshold=1e-5, opacity_reset_interval=50, max_gaussians=90
+    ),
+)
+
+
+def scene_and_views(count: int = 60) -> tuple[GaussianScene, list[View], GaussianScene]:
+    """A small splat, pictures of it, and a start that is not far from it."""
+    truth = oracle.random_scene(count, degree=1, seed=9)
+    render = Renderer()
+    cameras = [
+        Camera(to_world=look_at((4 * x, 4 * y, 1.0), (0, 0, 0)), focal=40.0, width=36, height=32)
+        for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1), (0.7, 0.7))
+    ]
+    with torch.no_grad():
+        views = [View(camera, render(truth, camera).clamp(0, 1)) for camera in cameras]
+    generator = torch.Generator().manual_seed(1)
+    start = truth.replace(
+        means=truth.means + 0.05 * torch.randn(truth.means.shape, generator=generator), sh=torch.zeros_like(truth.sh)
+    )
+    return truth, views, start
+
+
+def watching() -> Renderer:
+    return Renderer(RenderSettings(), screen_gradients=ScreenGradients())
+
+
+def views_of(count: int = 6) -> tuple[GaussianScene, list[View]]:
+    truth = oracle.random_scene(50, degree=1, seed=9)
+    cameras: list[Camera] = orbit((0.0, 0.0, 0.0), count=count, elevation=20.0, distance=4.0, focal=36.0, size=(32, 32))
+    with torch.no_grad():
+        return truth, [View(camera, Renderer()(truth, camera).clamp(0, 1)) for camera in cameras]
+
+
+def write_set(folder: Path) -> Path:
+    """Pictures of `views_of` on the disk, the first one as a test picture too, with a grey cloud."""
+    truth, views = views_of()
+    cloud = PointCloud(truth.means, torch.full((50, 3), 0.5))
+    write_transforms(folder, views, test=views[:1], points=cloud)
+    return folder

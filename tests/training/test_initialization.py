@@ -1,0 +1,77 @@
+"""Starting points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from mi_splat.datasets import load_dataset
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.points import PointCloud
+from mi_splat.sh import colour_to_dc
+from mi_splat.training.initialization import from_points, random_points, spacing, with_outliers
+from mi_splat.training.loop import scene_extent
+from tests.training.sets import views_of, write_set
+
+
+def test_spacing_is_the_distance_to_the_nearest() -> None:
+    grid = torch.cartesian_prod(*[torch.arange(4.0)] * 3)
+    assert torch.allclose(spacing(grid), torch.ones(64))
+    assert torch.allclose(spacing(1000 + 0.01 * grid), torch.full((64,), 0.01), rtol=0.02)
+    assert spacing(grid[:1]).tolist() == [1.0]
+
+
+def test_points_become_round_gaussians_of_their_colour() -> None:
+    points, colours = torch.rand(50, 3), torch.rand(50, 3)
+    start = from_points(points, colours)
+    assert torch.equal(start.means, points)
+    assert torch.allclose(start.sh[:, 0], colour_to_dc(colours))
+    assert torch.equal(start.scales[:, 0], start.scales[:, 2])
+    with pytest.raises(InvalidValueError, match="two of shape"):
+        from_points(points, colours[:3])
+
+
+def test_random_points_lie_where_the_cameras_look() -> None:
+    _, views = views_of()
+    start = random_points(views, 200, seed=3)
+    assert float(start.means.mean(0).norm()) < 0.5
+    assert float(start.means.abs().max()) <= 2.1  # half of the cameras' distance
+    assert torch.equal(start.means, random_points(views, 200, seed=3).means)
+    assert not torch.equal(start.means, random_points(views, 200, seed=4).means)
+
+
+def test_outliers_lie_between_cameras_and_points() -> None:
+    _, views = views_of()
+    cloud = PointCloud(
+        torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    )
+    found = with_outliers(cloud, views, 50, seed=3)
+    assert torch.equal(found.points[:2], cloud.points)
+    assert torch.equal(found.colours[:2], cloud.colours)
+    eyes = torch.stack([view.camera.position for view in views]).float()
+    for place, colour in zip(found.points[2:], found.colours[2:], strict=True):
+        point = cloud.points[int(colour[1])]
+        way = torch.linalg.norm(place - eyes, dim=1) / torch.linalg.norm(point - eyes, dim=1)
+        rest = torch.linalg.norm(place - point) / torch.linalg.norm(point - eyes, dim=1)
+        eye = int((way + rest).argmin())
+        assert float(way[eye] + rest[eye]) == pytest.approx(1, abs=1e-5)
+        assert 0.1 - 1e-5 <= float(way[eye]) <= 0.9 + 1e-5
+    assert torch.equal(with_outliers(cloud, views, 50, seed=3).points, found.points)
+    assert not torch.equal(with_outliers(cloud, views, 50, seed=4).points, found.points)
+    assert torch.equal(with_outliers(cloud, views, 0).points, cloud.points)
+    for count, some in ((-1, views), (1, [])):
+        with pytest.raises(InvalidValueError, match="count, views and points"):
+            with_outliers(cloud, some, count)
+
+
+def test_a_training_is_set_up_without_reading_pictures(tmp_path: Path) -> None:
+    dataset = write_set(tmp_path / "set")
+    views = load_dataset(dataset)
+    before, start = scene_extent(list(views)), random_points(list(views), 5)
+    views = load_dataset(dataset)
+    for path in views.paths:
+        path.unlink()
+    assert scene_extent(views) == before
+    assert torch.equal(random_points(views, 5).means, start.means)

@@ -1,0 +1,50 @@
+"""The loss that training descends."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.metrics import ssim as reported_ssim
+from mi_splat.training.losses import blur, photometric_loss, ssim
+
+
+def pictures(seed: int, height: int = 24, width: int = 30) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    first = torch.rand(height, width, 3, generator=generator, dtype=torch.float64)
+    return first, (first + 0.2 * torch.rand(first.shape, generator=generator, dtype=torch.float64)).clamp(0, 1)
+
+
+def test_ssim_has_its_derivative() -> None:
+    image, reference = pictures(0, 13, 17)
+    assert torch.autograd.gradcheck(lambda x: ssim(x, reference), image.requires_grad_(True))
+
+
+def test_ssim_is_that_of_the_library_away_from_the_rim() -> None:
+    image, reference = (p.float() for p in pictures(1, 200, 200))
+    assert float(ssim(image, reference)) == pytest.approx(float(reported_ssim(image, reference)), abs=5e-3)
+    assert float(ssim(image, image)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_blur_is_its_own_adjoint() -> None:
+    generator = torch.Generator().manual_seed(3)
+    a, b = (torch.randn(2, 14, 19, generator=generator, dtype=torch.float64) for _ in range(2))
+    assert float((blur(a) * b).sum()) == pytest.approx(float((a * blur(b)).sum()), rel=1e-12)
+    flat = torch.ones(1, 30, 30, dtype=torch.float64)
+    assert float(blur(flat)[0, 15, 15]) == pytest.approx(1.0)
+
+
+def test_photometric_weighs_its_two_terms() -> None:
+    image, reference = pictures(2)
+    plain = (image - reference).abs().mean()
+    assert torch.equal(photometric_loss(image, reference, lambda_dssim=0), plain)
+    both = photometric_loss(image, reference, lambda_dssim=0.25)
+    assert float(both) == pytest.approx(float(0.75 * plain + 0.25 * (1 - ssim(image, reference))))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 9, 3)])
+def test_ssim_of_unlike_pictures_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InvalidValueError, match="image: expected shape"):
+        ssim(torch.zeros(shape), torch.zeros(8, 8, 3))

@@ -1,0 +1,135 @@
+"""What one call of each strategy does to the tensors."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.training.strategies import ClassicConfig, Edit, MCMCConfig
+from mi_splat.training.strategies.classic import densify_and_prune, reset_opacities
+from mi_splat.training.strategies.mcmc import explore, relocate
+
+
+def rows(edit: Edit) -> Tensor:
+    assert edit.source is not None
+    return edit.source
+
+
+def fresh(edit: Edit) -> Tensor:
+    assert edit.fresh is not None
+    return edit.fresh
+
+
+def values(count: int, seed: int = 0) -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    return {
+        "means": torch.randn(count, 3, generator=generator),
+        "scales": torch.randn(count, 3, generator=generator) * 0.5 - 3,
+        "rotations": torch.randn(count, 4, generator=generator),
+        "opacities": torch.randn(count, generator=generator) + 1,
+        "sh0": torch.randn(count, 1, 3, generator=generator),
+        "shN": torch.randn(count, 3, 3, generator=generator),
+    }
+
+
+def test_classic_round_keeps_clones_and_splits() -> None:
+    before = values(6)
+    before["scales"][:3] = -1.0  # 0.37, large
+    before["scales"][3:] = -6.0
+    before["opacities"][5] = -9.0  # dead
+    gradient = torch.tensor([1.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    edit = densify_and_prune(
+        before,
+        gradient,
+        scene_extent=1.0,
+        config=ClassicConfig(densify_grad_threshold=0.5, percent_dense=0.1),
+        prune_large=False,
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert rows(edit).tolist() == [1, 3, 4, 3, 0, 0, 2, 2]  # 5 is pruned, 0 and 2 are split, 3 is cloned
+    assert fresh(edit).tolist() == [False] * 3 + [True] * 5
+    after = edit.parameters
+    for name, tensor in after.items():
+        assert torch.equal(tensor[:4], before[name][[1, 3, 4, 3]])
+    assert torch.allclose(after["scales"][4:], before["scales"][[0, 0, 2, 2]] - torch.tensor(1.6).log(), atol=1e-6)
+    assert (after["means"][4] - after["means"][5]).norm() > 0
+    assert ((after["means"][4:] - before["means"][[0, 0, 2, 2]]).norm(dim=1) < 4 * 0.37).all()
+
+
+def test_classic_round_respects_its_limit() -> None:
+    before = values(20, seed=1)
+    edit = densify_and_prune(
+        before,
+        torch.arange(20.0),
+        scene_extent=1.0,
+        config=ClassicConfig(densify_grad_threshold=0.5, max_gaussians=23, prune_opacity=0.0),
+        prune_large=False,
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert len(rows(edit)) == 23
+    assert set(rows(edit)[fresh(edit)].tolist()) <= {17, 18, 19}
+
+
+def test_large_gaussians_go_once_opacities_were_reset() -> None:
+    before = values(4, seed=2)
+    before["scales"][1] = 0.0
+    for prune_large, left in ((False, [0, 1, 2, 3]), (True, [0, 2, 3])):
+        edit = densify_and_prune(
+            before,
+            torch.zeros(4),
+            scene_extent=1.0,
+            config=ClassicConfig(prune_opacity=0.0, prune_scale=0.5),
+            prune_large=prune_large,
+            generator=torch.Generator(),
+        )
+        assert rows(edit).tolist() == left
+
+
+def test_reset_lowers_opacities_only() -> None:
+    logits = torch.tensor([-9.0, -4.0, 3.0])
+    after = reset_opacities(logits).sigmoid()
+    assert torch.equal(after[0], logits[0].sigmoid())
+    assert after.max() <= 0.01 + 1e-6
+
+
+def test_relocated_gaussians_look_like_the_one_they_came_from() -> None:
+    """The line integral of opacity through n coinciding Gaussians is that of the one they replace."""
+    before = values(5, seed=4)
+    before["opacities"][:] = 2.0
+    before["opacities"][4] = -9.0
+    edit = relocate(before, config=MCMCConfig(growth=0.0), generator=torch.Generator().manual_seed(1))
+    assert len(rows(edit)) == 5
+    (parent,) = set(rows(edit).tolist()) & {int(rows(edit)[4])}
+    assert fresh(edit).nonzero().flatten().tolist() == sorted({parent, 4})
+    after = edit.parameters
+    assert torch.equal(after["means"][4], before["means"][parent])
+    x = torch.linspace(-6, 6, 4001, dtype=torch.float64)
+
+    def line(logit: Tensor, log_scale: Tensor, count: int) -> float:
+        alpha = logit.double().sigmoid() * torch.exp(-0.5 * (x / log_scale.double().exp()) ** 2)
+        return float(torch.trapezoid(1 - (1 - alpha) ** count, x))
+
+    old = line(before["opacities"][parent], before["scales"][parent, 0] * 0, 1)
+    relative = after["scales"][4, 0] - before["scales"][parent, 0]
+    assert line(after["opacities"][4], relative, 2) == pytest.approx(old, rel=1e-3)
+    untouched = [i for i in range(4) if i != parent]
+    for name, tensor in after.items():
+        assert torch.equal(tensor[untouched], before[name][untouched])
+
+
+def test_mcmc_grows_to_its_limit() -> None:
+    state = values(40, seed=5)
+    for _ in range(20):
+        edit = relocate(state, config=MCMCConfig(max_gaussians=61), generator=torch.Generator().manual_seed(2))
+        state = state | edit.parameters
+    assert len(state["means"]) == 61
+
+
+def test_noise_spares_opaque_gaussians() -> None:
+    state = values(30, seed=6)
+    state["opacities"][:15], state["opacities"][15:] = 5.0, -9.0
+    moved = explore(state, lr_means=1e-3, config=MCMCConfig(), generator=torch.Generator().manual_seed(0))
+    far = (moved - state["means"]).norm(dim=1)
+    assert float(far[:15].max()) < 1e-6
+    assert float(far[15:].min()) > 0
