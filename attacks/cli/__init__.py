@@ -64,6 +64,21 @@ COMMANDS = {
         "detectors",
         "the detectors, their classes, and whether the weights are there",
     ),
+    "train-detector": Command(
+        "attacks.cli", "TrainDetectorOptions", "train_detector", "train one of the project's small detectors"
+    ),
+    "evaluate-detector": Command(
+        "attacks.cli",
+        "EvaluateDetectorOptions",
+        "evaluate_detector",
+        "mAP and false positives per picture of a small detector on held-out pictures",
+    ),
+    "plot-detector-training": Command(
+        "attacks.cli",
+        "PlotDetectorTrainingOptions",
+        "plot_detector_training",
+        "draw losses and validation mAP of a detector's training",
+    ),
     "doctor": Command(
         "attacks.cli",
         "DoctorOptions",

@@ -152,6 +152,7 @@ def _noise_control(
 def _origin(clean_hash: str, detector: Detector) -> dict[str, Any]:
     return {
         "detector": detector.name,
+        "detector_fingerprint": detector.fingerprint,
         "scene_hash": clean_hash,
         "versions": provenance.versions(),
         "variant": provenance.variant(),

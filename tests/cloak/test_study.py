@@ -52,8 +52,10 @@ class Redness:
 
     name: str = "redness"
     classes: tuple[str, ...] = ("car", "stop sign")
+    fingerprint: str = "0123456789abcdef"
+    min_confidence: float = 0.0
 
-    def candidates(self, images: Tensor, *, extra: Any = None) -> list[Candidates]:
+    def candidates(self, images: Tensor) -> list[Candidates]:
         raise NotImplementedError
 
     def detect(self, images: Tensor) -> list[Detections]:

@@ -132,7 +132,7 @@ def test_a_job_with_another_setting_is_done_again(change: dict[str, Any], tmp_pa
 
 def test_the_fingerprint_follows_the_scene_the_cameras_and_the_detector() -> None:
     class Other(ColourDetector):
-        sizes = (12, 18)
+        fingerprint = "another"
 
     place = toy()
     another, _ = toy_scene(seed=1)

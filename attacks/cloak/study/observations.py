@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -142,25 +141,13 @@ def observe_splat(pipeline: StudyPipeline, which: str, seed: int, detectors: Seq
         study.scene.class_name,
         essentials(study.evaluation),
         tuple(map(essentials, study.attack)),
-        tuple((detector.name, weights_digest(detector)) for detector in detectors),
+        tuple((detector.name, detector.fingerprint) for detector in detectors),
     )
 
     def make(path: Path) -> None:
         save_json(asdict(_seen(pipeline, which, seed, detectors)), path / "observed.json", indent=0)
 
     return _parsed(json.loads((pipeline.cached("observed", parts, make) / "observed.json").read_text()))
-
-
-def weights_digest(detector: Detector) -> str:
-    """16 digits that stand for a detector's weights; its name where it has no network."""
-    model = getattr(detector, "model", None)
-    if not isinstance(model, torch.nn.Module):
-        return detector.name
-    total = hashlib.sha256()
-    for name, value in model.state_dict().items():
-        total.update(name.encode())
-        total.update(value.detach().cpu().contiguous().numpy().tobytes())
-    return total.hexdigest()[:16]
 
 
 def _seen(pipeline: StudyPipeline, which: str, seed: int, detectors: Sequence[Detector]) -> ObservedSplat:

@@ -15,7 +15,7 @@ from attacks.cloak.poisoning import assign
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig, one_of
 from attacks.cloak.study.markdown import markdown
-from attacks.cloak.study.observations import ObservedSplat, observe_splat, overhead, weights_digest
+from attacks.cloak.study.observations import ObservedSplat, observe_splat, overhead
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, OnStep, StudyPipeline, fit_config, snapshot
 from attacks.cloak.study.plots import need_matplotlib, write_figures
 from attacks.cloak.study.rates import figures
@@ -165,7 +165,7 @@ def run_study(
         **figures(study, observed),
         "files": ["clean.ply", "cloaked.ply", "manifest.json", *pictures, "table.md"],
         "splats": [vars_of(item) for item in observed],
-        "detectors": {detector.name: weights_digest(detector) for detector in detectors},
+        "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
         "study": snapshot(study),
         "versions": provenance.versions(),
