@@ -15,7 +15,15 @@ if TYPE_CHECKING:
     from attacks.dagger.attack import attack
     from attacks.dagger.config import DaggerConfig
     from attacks.dagger.result import Result
-    from attacks.detectors import DETECTORS, Candidates, Detections, Detector, load_detector
+    from attacks.detectors import (
+        DETECTORS,
+        Candidates,
+        Detections,
+        Detector,
+        DetectorSpec,
+        load_detector,
+        register_detector,
+    )
     from attacks.objectives import Objective, Target, hide, relabel, untargeted
 
 __all__ = [
@@ -25,6 +33,7 @@ __all__ = [
     "DaggerConfig",
     "Detections",
     "Detector",
+    "DetectorSpec",
     "Objective",
     "Poisoned",
     "Poisoning",
@@ -34,6 +43,7 @@ __all__ = [
     "hide",
     "load_detector",
     "poison",
+    "register_detector",
     "relabel",
     "untargeted",
 ]
@@ -45,7 +55,15 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.cloak.poisoning": ("Poisoned", "Poisoning", "poison"),
         "attacks.dagger.config": ("DaggerConfig",),
         "attacks.dagger.attack": ("attack",),
-        "attacks.detectors": ("DETECTORS", "Candidates", "Detections", "Detector", "load_detector"),
+        "attacks.detectors": (
+            "DETECTORS",
+            "Candidates",
+            "Detections",
+            "Detector",
+            "DetectorSpec",
+            "load_detector",
+            "register_detector",
+        ),
         "attacks.objectives": ("Objective", "Target", "hide", "relabel", "untargeted"),
         "attacks.dagger.result": ("Result",),
     },

@@ -2,7 +2,8 @@
 
 A perturbation lives in the space of the splat file: SH coefficients, means in world units, log-scales, quaternions
 before normalisation, logit opacities. A norm is a small value that measures a perturbation, shrinks it into the ball,
-gives the steepest direction, and draws from the ball; everything else is the same for all norms.
+gives the steepest direction, and draws from the ball; everything else is the same for all norms. Parameters are one
+tensor for each attribute that may move, whose first dimension is the Gaussian.
 """
 
 from __future__ import annotations
@@ -10,18 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import torch
 from torch import Generator, Tensor
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.scene import ATTRIBUTES
-
-Parameters = dict[str, Tensor]
-"""One tensor per attacked attribute; the first dimension is the Gaussian."""
-
-NormName = Literal["linf", "l2", "l2_per_gaussian"]
+from attacks.limits import NormName, check_limits
+from attacks.pgd import Parameters
+from mi_splat.errors import MiSplatError, message
 
 _SLACK = 1e-12
 """Projection aims this much inside, relative to the radius: float64 rounding of the norm cannot leave the ball."""
@@ -174,28 +171,14 @@ class Budget:
         norm: `linf`, `l2` (one ball over the object) or `l2_per_gaussian` (a ball per row).
 
     Raises:
-        InvalidValueError: An attribute or norm is unknown, or a radius is negative or not finite.
+        InvalidValueError: An attribute or the norm is unknown, nothing may move, or a radius is negative or not finite.
     """
 
     radius: Mapping[str, float]
     norm: NormName = "l2"
 
     def __post_init__(self) -> None:
-        if self.norm not in NORMS:
-            raise InvalidValueError(message("norm", f"one of {', '.join(NORMS)}", self.norm, "choose one of these"))
-        if not self.radius:
-            raise InvalidValueError(
-                message("radius", "at least one attribute", "none", "say what may move, and how far")
-            )
-        for name, radius in self.radius.items():
-            if name not in ATTRIBUTES:
-                raise InvalidValueError(
-                    message("attribute", f"one of {', '.join(ATTRIBUTES)}", name, "choose among these")
-                )
-            if not (math.isfinite(radius) and radius >= 0):
-                raise InvalidValueError(
-                    message(f"radius of {name}", "a finite number >= 0", radius, "use a large one for 'no limit'")
-                )
+        check_limits(self.radius, self.norm)
 
     def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
         """The nearest parameters inside the budget; what is inside comes back unchanged, bit for bit."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from attacks.budgets import Parameters
+from attacks.pgd import Parameters
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import ATTRIBUTES, GaussianScene

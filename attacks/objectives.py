@@ -20,6 +20,12 @@ from mi_splat.errors import InvalidValueError, message
 _TINY = 1e-30
 """Probabilities are clamped here before a logarithm."""
 
+REPORTED = 0.7
+"""Confidence from which a class counts as what the detector sees there."""
+
+GONE = 0.3
+"""Confidence below which a detection counts as none."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Target:
@@ -153,7 +159,7 @@ class Relabel:
     """
 
     label: str
-    confidence: float = 0.7
+    confidence: float = REPORTED
     iou: float = 0.5
     near: float = 0.5
     top: int = 3
@@ -187,7 +193,7 @@ class Relabel:
         return loss
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
-        """The label is reported on the object with enough confidence; clearly so, if nothing else there has more."""
+        """The label is reported on the object with enough confidence; unambiguous if no other class there has more."""
         score = confidence(detections, target.box, labels=[self.label], iou=self.iou)
         others = [label for label in detections.labels if label != self.label]
         beaten = confidence(detections, target.box, labels=others, iou=self.iou) > score
@@ -206,7 +212,7 @@ class Suppression:
         top: Number of candidates pushed.
     """
 
-    confidence: float = 0.3
+    confidence: float = GONE
     iou: float = 0.3
     top: int = 16
 
@@ -266,16 +272,16 @@ class Untargeted(Suppression):
         return self._judge(detections, target, [target.original])
 
 
-def relabel(to: str, *, confidence: float = 0.7, iou: float = 0.5) -> Relabel:
+def relabel(to: str, *, confidence: float = REPORTED, iou: float = 0.5) -> Relabel:
     """The object shall be detected as `to` with at least `confidence`, in a box of at least `iou` overlap with it."""
     return Relabel(label=to, confidence=confidence, iou=iou)
 
 
-def hide(*, confidence: float = 0.3) -> Hide:
+def hide(*, confidence: float = GONE) -> Hide:
     """The object shall not be detected as anything with `confidence` or more."""
     return Hide(confidence=confidence)
 
 
-def untargeted(*, confidence: float = 0.3) -> Untargeted:
+def untargeted(*, confidence: float = GONE) -> Untargeted:
     """The object shall not be detected as what it is with `confidence` or more."""
     return Untargeted(confidence=confidence)

@@ -1,8 +1,14 @@
-"""Projected gradient descent on a dictionary of tensors. It knows nothing of splats, pictures or detectors."""
+"""Projected gradient descent on a dictionary of tensors. It knows nothing of splats, pictures or detectors.
+
+PGD after Madry et al., "Towards Deep Learning Models Resistant to Adversarial Attacks", ICLR 2018: steps along the
+steepest direction of the ball's norm, each followed by a projection, from one starting point or several. What a step
+does with the gradient is a function that can be exchanged (`Optimiser`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -39,7 +45,7 @@ class Evaluation:
         gradients: Derivative of the loss by each parameter.
         success: Whether the attack has its aim here, judged by what counts, which is not the loss.
         score: How near it is, in [0, 1].
-        unambiguous: Whether success leaves nothing to wish for; an early stop waits for it.
+        unambiguous: Whether it has its aim and nothing speaks against it; an early stop waits for this.
     """
 
     loss: float
@@ -54,11 +60,11 @@ class Step:
     """One line of the trace.
 
     Attributes:
-        index: 0 is the start; after n steps the index is n.
+        index: 0 is the start of a run; after n steps the index is n.
         loss: Lower is better for the attacker.
         score: In [0, 1], higher is better for the attacker.
         success: Whether the attack has its aim here.
-        unambiguous: Whether it has it clearly.
+        unambiguous: Whether it has its aim and nothing speaks against it.
         zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero.
         restart: Number of the run, 0 for the first.
     """
@@ -74,17 +80,33 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outcome:
-    """The best point of a run and how it was found.
+    """The best point of all runs and how it was found.
 
     Attributes:
         parameters: The best point: success first, then unambiguous success, then the score, then the loss.
         best: Its line of the trace.
-        trace: Every point in order, the start included.
+        trace: Every point in order, the starts included.
     """
 
     parameters: Parameters
     best: Step
     trace: tuple[Step, ...]
+
+
+Update = Callable[[Parameters], Parameters]
+"""From the gradients at a point to the change of the parameters. It may remember the gradients of its run."""
+
+Optimiser = Callable[[Ball, Mapping[str, float]], Update]
+"""Makes the `Update` of one run from the ball and the length of a step by parameter."""
+
+
+def steepest_descent(ball: Ball, step: Mapping[str, float]) -> Update:
+    """Steps of fixed length against the steepest direction of the ball's norm (Madry et al. 2018)."""
+
+    def update(gradients: Parameters) -> Parameters:
+        return {name: -step[name] * direction for name, direction in ball.steepest(gradients).items()}
+
+    return update
 
 
 def pgd(
@@ -94,45 +116,52 @@ def pgd(
     *,
     step: Mapping[str, float],
     steps: int,
-    start: Parameters | None = None,
+    starts: Iterable[Parameters] | None = None,
+    optimiser: Optimiser = steepest_descent,
     early_stop: bool = True,
     on_step: Callable[[Step], None] | None = None,
 ) -> Outcome:
-    """Descend along the steepest direction of the ball's norm and project after every step.
+    """Descend from every start, project after every step, and keep the best point of all.
 
     Args:
-        evaluate: Loss, gradients, success and score at a point; at most steps + 1 calls.
+        evaluate: Loss, gradients, success and score at a point; at most steps + 1 calls for each start.
         reference: Centre of the ball, one tensor for each parameter.
         ball: Projection and direction; `Budget` is one.
         step: Length of a step for each parameter, in the ball's norm.
-        steps: Number of steps.
-        start: First point, the reference if None.
-        early_stop: Stop at the first unambiguous success; otherwise spend all steps and keep the best point.
-        on_step: Called with every line of the trace.
+        steps: Number of steps from each start.
+        starts: First point of each run, taken when the run begins; the reference alone if None.
+        optimiser: What makes a step of the gradient; asked anew for each run.
+        early_stop: End everything at the first unambiguous success; otherwise take all steps from all starts.
+        on_step: Called with every line of the trace as it happens.
 
     Raises:
-        InvalidValueError: A gradient or the loss is not finite, or steps is negative.
+        InvalidValueError: A gradient or the loss is not finite, steps is negative, or there is no start.
         BudgetError: The best point is outside the ball (`Ball.check`).
     """
     if steps < 0:
         raise InvalidValueError(message("steps", "a number >= 0", steps, "ask for at least one step"))
-    point = ball.project({k: v.detach().clone() for k, v in (start or reference).items()}, reference)
-    best, kept, trace = None, point, []
-    for index in range(steps + 1):
-        found = evaluate(point)
-        line = _line(index, found)
-        trace.append(line)
-        if on_step is not None:
-            on_step(line)
-        if best is None or rank(line) > rank(best):
-            best, kept = line, point
-        if index == steps or (early_stop and found.success and found.unambiguous):
+    best, found, trace = None, reference, list[Step]()
+    for restart, start in enumerate([reference] if starts is None else starts):
+        update = optimiser(ball, step)
+        point = ball.project({name: value.detach().clone() for name, value in start.items()}, reference)
+        for index in range(steps + 1):
+            here = evaluate(point)
+            line = _line(here, index, restart)
+            trace.append(line)
+            if on_step is not None:
+                on_step(line)
+            if best is None or rank(line) > rank(best):
+                best, found = line, point
+            if index == steps or (early_stop and _ended(line)):
+                break
+            change = update(here.gradients)
+            point = ball.project({name: value + change[name] for name, value in point.items()}, reference)
+        if early_stop and best is not None and _ended(best):
             break
-        direction = ball.steepest(found.gradients)
-        point = ball.project({k: v - step[k] * direction[k] for k, v in point.items()}, reference)
-    assert best is not None  # the loop ran at least once
-    ball.check(kept, reference)
-    return Outcome(parameters=kept, best=best, trace=tuple(trace))
+    if best is None:
+        raise InvalidValueError(message("starts", "at least one point", "none", "pass the reference, or nothing"))
+    ball.check(found, reference)
+    return Outcome(parameters=found, best=best, trace=tuple(trace))
 
 
 def rank(line: Step) -> tuple[bool, bool, float, float]:
@@ -140,7 +169,12 @@ def rank(line: Step) -> tuple[bool, bool, float, float]:
     return line.success, line.unambiguous, line.score, -line.loss
 
 
-def _line(index: int, found: Evaluation) -> Step:
+def _ended(line: Step) -> bool:
+    """Whether a search that stops early stops here."""
+    return line.success and line.unambiguous
+
+
+def _line(found: Evaluation, index: int, restart: int) -> Step:
     zeros = total = 0
     for name, gradient in found.gradients.items():
         if not bool(torch.isfinite(gradient).all()):
@@ -150,14 +184,14 @@ def _line(index: int, found: Evaluation) -> Step:
                 )
             )
         zeros, total = zeros + int((gradient == 0).sum()), total + gradient.numel()
-    if found.loss != found.loss or abs(found.loss) == float("inf"):
+    if not math.isfinite(found.loss):
         raise InvalidValueError(message("loss", "a finite number", found.loss, "look at the objective"))
-    fraction = zeros / total if total else 1.0
     return Step(
         index=index,
         loss=found.loss,
         score=found.score,
         success=found.success,
         unambiguous=found.unambiguous,
-        zero_gradient_fraction=fraction,
+        zero_gradient_fraction=zeros / total if total else 1.0,
+        restart=restart,
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
@@ -35,18 +33,16 @@ class ColourDetector:
 
     name: str = "fake_colour"
     classes: tuple[str, ...] = ("car", "person", "stop sign")
+    fingerprint: str = "00000000c0104e5f"
+    min_confidence: float = 0.05
     sizes: tuple[int, ...] = (12, 16, 20, 24)
     stride = 2
 
-    def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
+    def candidates(self, images: Tensor) -> list[Candidates]:
         found = []
-        for index, image in enumerate(images):
+        for image in images:
             grids = [self._grid(image, size) for size in self.sizes]
             boxes, means = (torch.cat(column) for column in zip(*grids, strict=True))
-            for box in () if extra is None else extra[index]:
-                x0, y0, x1, y1 = (round(float(value)) for value in box)
-                boxes = torch.cat([boxes, box[None].to(boxes)])
-                means = torch.cat([means, image[y0:y1, x0:x1].reshape(-1, 3).mean(0)[None]])
             area = (boxes[:, 2:] - boxes[:, :2]).prod(-1, keepdim=True) / (image.shape[0] * image.shape[1])
             logits = torch.cat([150 * (means - 0.25) * area, torch.full_like(area, 5.0)], -1)
             scores = logits.softmax(-1)[:, :3]
@@ -62,11 +58,11 @@ class ColourDetector:
         return torch.cat([corner, corner + size], -1), means.permute(1, 2, 0).reshape(-1, 3)
 
     def detect(self, images: Tensor) -> list[Detections]:
-        """The best box of each class, if it scores 0.05 or more."""
+        """The best box of each class, if it scores `min_confidence` or more."""
         results = []
         for found in self.candidates(images):
             best = found.scores.detach().max(0)
-            order = [int(c) for c in best.values.argsort(descending=True) if best.values[c] >= 0.05]
+            order = [int(c) for c in best.values.argsort(descending=True) if best.values[c] >= self.min_confidence]
             rows = best.indices[order]
             boxes = found.boxes.detach()[rows, order] if order else torch.zeros(0, 4)
             results.append(Detections(boxes, best.values[order], tuple(self.classes[c] for c in order)))

@@ -60,12 +60,30 @@ COMMANDS = {
     "example-scenes": Command(
         "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
     ),
+    "dagger-study": Command(
+        "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
+    ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "attacks.cli",
         "DetectorsOptions",
         "detectors",
         "the detectors, their classes, and whether the weights are there",
+    ),
+    "train-detector": Command(
+        "attacks.cli", "TrainDetectorOptions", "train_detector", "train one of the project's small detectors"
+    ),
+    "evaluate-detector": Command(
+        "attacks.cli",
+        "EvaluateDetectorOptions",
+        "evaluate_detector",
+        "mAP and false positives per picture of a small detector on held-out pictures",
+    ),
+    "plot-detector-training": Command(
+        "attacks.cli",
+        "PlotDetectorTrainingOptions",
+        "plot_detector_training",
+        "draw losses and validation mAP of a detector's training",
     ),
     "doctor": Command(
         "attacks.cli",

@@ -8,7 +8,6 @@ from typing import Any
 
 from attacks.cli.options import DaggerOptions
 from attacks.dagger.attack import attack
-from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.dagger.result import Result
 from attacks.detectors import load_detector
@@ -23,7 +22,7 @@ from mi_splat.scene_files import SplatScene, choose_camera, open_scene
 def run(options: DaggerOptions) -> int:
     """Attack, write the report, and say in three lines what happened."""
     limit_threads((os.cpu_count() or 1) // 2)
-    config = _config(options)
+    config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
         rows = _object_rows(loaded, options)
@@ -46,24 +45,6 @@ def run(options: DaggerOptions) -> int:
     else:
         _tell(result, options)
     return 0
-
-
-def _config(options: DaggerOptions) -> DaggerConfig:
-    """The options as the attack's configuration; one eps stands for every attribute."""
-    eps = options.eps * len(options.attributes) if len(options.eps) == 1 else options.eps
-    return DaggerConfig(
-        attributes=options.attributes,
-        eps=eps,
-        norm=options.norm,
-        steps=options.steps,
-        step_factor=options.step_factor,
-        restarts=options.restarts,
-        early_stop=not options.all_steps,
-        required_views=options.required_views,
-        noise_draws=options.noise_draws,
-        sh_degree=options.sh_degree,
-        seed=options.seed,
-    )
 
 
 def _objective(options: DaggerOptions) -> Objective:
@@ -93,7 +74,7 @@ def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
 
 
 def _tell(result: Result, options: DaggerOptions) -> None:
-    """What happened in three lines, reasons to warning it if there are some, and where to look."""
+    """What happened in three lines, warnings if there are some, and where to look."""
     found = summary(result)
     aim = {"relabel": f"see a {options.target}", "hide": "see nothing"}.get(options.objective, "see something else")
     radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
@@ -104,7 +85,7 @@ def _tell(result: Result, options: DaggerOptions) -> None:
         f"{outcome}: {options.detector} shall {aim} in place of the {options.object}; {reached} of {len(views)} views."
     )
     show(
-        f"{_seen(views[0], found['target'])} after {found['steps']} of {options.steps} steps "
+        f"{_seen(views[0], found['target'])} after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
     )
     show(

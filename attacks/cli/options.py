@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from attacks.cloak.study.ablation_groups import AblationGroup
+from attacks.dagger.config import DaggerConfig
+from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
 
-Attribute = Literal["sh", "means", "scales", "rotations", "opacities"]
-Norm = Literal["linf", "l2", "l2_per_gaussian"]
+SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,34 +37,38 @@ class DaggerOptions:
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
-    attributes: tuple[Attribute, ...] = ("sh",)
-    """What of the Gaussians may change."""
-    norm: Norm = "l2"
-    """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
-    eps: tuple[float, ...] = (5.0,)
-    """Radius of the ball in the units of the splat file: one for all attributes, or one for each."""
-    steps: int = 11
-    """Iterations."""
-    step_factor: float = 2.0
-    """A step is eps * step_factor / steps long."""
-    restarts: int = 1
-    """Runs; the first from the clean object, the others from random points of the ball."""
-    all_steps: bool = False
-    """Take all steps instead of stopping at the first success."""
-    sh_degree: int | None = 3
-    """SH degree of the attacked file, if it has less; coefficients that it lacks start at 0. None keeps its own."""
-    required_views: float = 1.0
-    """Fraction of the views in which the attack has to succeed."""
-    noise_draws: int = 5
-    """Draws of random noise of the same size, as a control."""
+    config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
+    """How to attack."""
     views: tuple[str, ...] = ()
     """Ids of the cameras attacked at once; the first of the scene if none is named."""
-    seed: int = 0
-    """Seed of everything random."""
     out: Path = Path("out/dagger")
     """Folder for the results; made if it is not there."""
     json: bool = False
     """Print the result as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerStudyOptions:
+    """Run many attacks: the paper's pairs, smaller balls, other norms, hiding, every other attribute; make tables.
+
+    A study that was interrupted goes on where it stopped when the same command is given again. Writes jobs/, table.md,
+    table.json and curve.png into --out.
+    """
+
+    seeds: int = 3
+    """Number of seeds."""
+    groups: tuple[str, ...] = ()
+    """Tables to make, all if none is named."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    detector: str = "fasterrcnn_small"
+    """Name of the detector (see `mi-splat detectors`)."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    out: Path = Path("out/studies/dagger")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print the names of the files as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,3 +135,78 @@ class DoctorOptions:
 
     json: bool = False
     """Print the findings as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainDetectorOptions:
+    """Train a small detector from nothing, on path-traced pictures and splats that are made first.
+
+    A training that was interrupted goes on where it stopped when the same command is given again.
+    """
+
+    detector: SmallDetector = "fasterrcnn_small"
+    """Which one; yolov8n_small needs the extra `yolo`."""
+    data: Path = Path("out/detector-data")
+    """Folder of the pictures; what is missing in it is made first."""
+    out: Path = Path("out/detector")
+    """Folder of checkpoint.safetensors, curves.json and best.safetensors, the best weights so far."""
+    sets: TrainingSetConfig = field(default_factory=TrainingSetConfig)
+    """How many pictures of each kind."""
+    validate_every: int = 2
+    """Epochs between two validations."""
+    processes: int = 2
+    """Processes that make pictures; 0 makes them in this one."""
+    threads: int = 2
+    """Threads that train."""
+    only_data: bool = False
+    """Stop when the pictures are made."""
+    start: Path | None = None
+    """Weights to begin from instead of pretraining."""
+    config: TrainConfig = field(default_factory=TrainConfig)
+    """The training itself."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluateDetectorOptions:
+    """Score a small detector on objects, cameras, lights and surroundings that it was not trained on.
+
+    Average precision by class, and false positives per picture at a confidence of 0.5: of pictures with objects, and of
+    streets, parks, rooms, grounds and random surroundings without any.
+    """
+
+    detector: SmallDetector = "fasterrcnn_small"
+    """Which one; yolov8n_small needs the extra `yolo`."""
+    weights: Path | None = None
+    """Weights to score; None takes the shipped ones."""
+    data: Path = Path("out/detector-data")
+    """Folder of the pictures; what is missing in it is made first."""
+    out: Path = Path("out/detector/held-out.json")
+    """JSON file for the figures."""
+    pictures: int = 240
+    """Path-traced pictures with objects."""
+    samples: int = 24
+    """Samples per pixel in them."""
+    splats: int = 32
+    """Scenes that are made into splats; 0 leaves them out."""
+    splat: SplatConfig = field(default_factory=SplatConfig)
+    """How splats are made."""
+    backgrounds: BackgroundConfig = field(default_factory=BackgroundConfig)
+    """Pictures without any object."""
+    scenes: tuple[Path, ...] = ()
+    """Scene XMLs of splats to score as well, from all their cameras; shapes whose id is a class are their objects."""
+    processes: int = 2
+    """Processes that make pictures; 0 makes them in this one."""
+    threads: int = 1
+    """Threads of torch."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlotDetectorTrainingOptions:
+    """Draw losses and validation mAP of a training by epoch; needs the extra `figures`."""
+
+    curves: Positional[Path] = Path("out/detector/curves.json")
+    """JSON file with the history of a training."""
+    out: Path = Path("out/detector/curves.png")
+    """Picture to write."""

@@ -2,34 +2,31 @@
 
 After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector (white box) and edits only the
 Gaussians of one object. The paper's text takes eleven steps of length 2 eps / steps in one l2 ball of radius 5 over the
-SH coefficients.
+SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.pgd`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from torch import Generator, Tensor
 
-from attacks.budgets import Parameters
-from attacks.dagger.config import Attribute, DaggerConfig
-from attacks.dagger.problem import AttackProblem, AttackView, together
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.problem import AttackProblem, AttackView, joint_verdict
 from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import as_saved
 from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective
-from attacks.pgd import Outcome, Step, pgd, rank
+from attacks.pgd import Outcome, Parameters, Step, pgd
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, scene_hash
-
-__all__ = ["Attribute", "DaggerConfig", "Result", "attack"]
 
 
 def attack(
@@ -80,7 +77,7 @@ def attack(
     attacked = subset.applied(outcome.parameters)
     saved = as_saved(attacked)
     results = problem.judge(saved, clean_views)
-    verdict = together([result.verdict for result in results], config.required_views)
+    verdict = joint_verdict([result.verdict for result in results], config.required_views)
     result = Result(
         scene=attacked,
         verdict=verdict,
@@ -88,15 +85,17 @@ def attack(
         trace=outcome.trace,
         best=outcome.best,
         used=config.budget.measure(outcome.parameters, reference),
-        in_file=config.budget.measure(GaussianSubset.of(saved, subset.rows).parameters(config.attributes), reference),
-        size=len(subset.rows),
-        changed=subset.changed(attacked),
+        used_in_file=config.budget.measure(
+            GaussianSubset.of(saved, subset.rows).parameters(config.attributes), reference
+        ),
+        object_gaussians=len(subset.rows),
+        changed_gaussians=subset.changed(attacked),
         image=image_change(
             [view.image for view in clean_views],
-            [result.after for result in results],
+            [result.after.image for result in results],
             [view.weight for view in clean_views],
         ),
-        clamped=sum(clamped_fraction(subset, view.camera) for view in clean_views) / len(clean_views),
+        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in clean_views) / len(clean_views),
         noise=_noise_control(problem, clean_views, outcome.parameters, config),
         warnings=(),
         objective=objective,
@@ -114,45 +113,36 @@ def _search(
     config: DaggerConfig,
     on_step: Callable[[Step], None] | None,
 ) -> Outcome:
-    """All restarts; the best point of all, and the trace of all."""
-    generator = Generator().manual_seed(config.seed)
-    step = {name: eps * config.step_factor / config.steps for name, eps in config.budget.radius.items()}
-    found: list[Outcome] = []
-    for restart in range(config.restarts):
+    """The attacker's search, on pictures as the renderer makes them."""
+    budget, generator = config.budget, Generator().manual_seed(config.seed)
 
-        def numbered(line: Step, restart: int = restart) -> None:
-            if on_step is not None:
-                on_step(dataclasses.replace(line, restart=restart))
+    def starts() -> Iterator[Parameters]:
+        for restart in range(config.restarts):
+            yield budget.uniform(reference, generator) if restart or config.random_start else reference
 
-        run = pgd(
-            lambda parameters: problem.evaluate(parameters, views),
-            reference,
-            config.budget,
-            step=step,
-            steps=config.steps,
-            start=config.budget.uniform(reference, generator) if restart or config.random_start else None,
-            early_stop=config.early_stop,
-            on_step=numbered,
-        )
-        lines = tuple(dataclasses.replace(line, restart=restart) for line in run.trace)
-        found.append(dataclasses.replace(run, best=dataclasses.replace(run.best, restart=restart), trace=lines))
-        if config.early_stop and run.best.success:
-            break
-    best = max(found, key=lambda run: rank(run.best))
-    return dataclasses.replace(best, trace=tuple(line for run in found for line in run.trace))
+    return pgd(
+        lambda parameters: problem.evaluate(parameters, views),
+        reference,
+        budget,
+        step=config.step,
+        steps=config.steps,
+        starts=starts(),
+        early_stop=config.early_stop,
+        on_step=on_step,
+    )
 
 
 def _noise_control(
     problem: AttackProblem, views: Sequence[AttackView], parameters: Parameters, config: DaggerConfig
 ) -> NoiseControl:
-    """Random noise of the same size in the same norm, judged like the attack."""
-    generator = Generator().manual_seed(config.seed + 1)
+    """Random noise of the same size in the same norm, judged on 8-bit pictures."""
+    generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
     reference = problem.subset.parameters(config.attributes)
     verdicts = []
     for _ in range(config.noise_draws):
         noisy = config.budget.noise(parameters, reference, generator)
         results = problem.judge(problem.subset.applied(noisy), views)
-        verdicts.append(together([result.verdict for result in results], config.required_views))
+        verdicts.append(joint_verdict([result.verdict for result in results], config.required_views))
     return NoiseControl(
         scores=tuple(verdict.score for verdict in verdicts),
         successes=sum(verdict.success for verdict in verdicts),
@@ -162,6 +152,7 @@ def _noise_control(
 def _origin(clean_hash: str, detector: Detector) -> dict[str, Any]:
     return {
         "detector": detector.name,
+        "detector_fingerprint": detector.fingerprint,
         "scene_hash": clean_hash,
         "versions": provenance.versions(),
         "variant": provenance.variant(),

@@ -1,35 +1,43 @@
-"""How DAGGER attacks, as one value: the API, the flags of the command line and the snapshot in every result."""
+"""How DAGGER attacks, as one value: the API, the flags of the command line and the snapshot in every result.
+
+Light, so that `--help` is fast: torch is imported when the budget is asked for.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING
 
-from attacks.budgets import Budget, NormName
+from attacks.limits import NormName, check_limits
+from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError, message
 
-Attribute = Literal["means", "scales", "rotations", "opacities", "sh"]
+if TYPE_CHECKING:
+    from attacks.budgets import Budget
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerConfig:
-    """How to attack. The defaults are the paper's.
+    """How to attack. The defaults are those of the paper's text.
 
     Attributes:
-        attributes: What may change of the object's Gaussians.
-        eps: Radius of the budget for each attribute, in the same order and in the units of the splat file.
-        norm: linf, l2 (one ball over the whole object) or l2_per_gaussian (a ball for each).
+        attributes: What of the object's Gaussians may change.
+        eps: Radius of the ball in the units of the splat file: one for all attributes, or one for each.
+        norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
         steps: Number of steps.
         step_factor: A step is eps * step_factor / steps long.
-        restarts: Number of runs; the first starts at the clean splat, the others anywhere in the ball.
-        random_start: Start the first run anywhere in the ball, too.
-        early_stop: Stop at the first success instead of spending every step.
+        restarts: Number of runs; the first starts at the clean object, the others at random points of the ball.
+        random_start: Start the first run at a random point of the ball, too.
+        early_stop: Whether the first unambiguous success ends the search; without, every step of every run is taken.
         required_views: Fraction of the views in which the attack has to succeed.
-        noise_draws: Number of draws of the random-noise control.
-        sh_degree: SH degree that the attacked file has at least, if SH is attacked at all; coefficients that the scene
-            lacks start at 0. 3 is what 3DGS writes and what the paper attacked; the scene's own if None.
-        seed: Seed of restarts and noise; with one run the attack itself is deterministic.
+        noise_draws: Draws of random noise of the same size, as a control.
+        sh_degree: SH degree of the attacked file, if SH may change and the scene has less; coefficients that it lacks
+            start at 0. 3 is what 3DGS writes and what the paper attacked; None keeps the scene's own.
+        seed: Seed of everything random: starting points and the noise control.
+
+    Raises:
+        InvalidValueError: A value is out of its range, or there are not as many radii as attributes.
     """
 
     attributes: tuple[Attribute, ...] = ("sh",)
@@ -46,12 +54,9 @@ class DaggerConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if len(self.attributes) != len(self.eps) or len(set(self.attributes)) != len(self.attributes):
-            raise InvalidValueError(
-                message(
-                    "eps", f"one number for each of {', '.join(self.attributes)}", self.eps, "give each its own radius"
-                )
-            )
+        if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
+            expected = f"one number for all of {', '.join(self.attributes)}, or one for each"
+            raise InvalidValueError(message("eps", expected, self.eps, "name every attribute once"))
         for name, value, least in (
             ("steps", self.steps, 1),
             ("restarts", self.restarts, 1),
@@ -67,9 +72,22 @@ class DaggerConfig:
             raise InvalidValueError(message("step_factor", "a positive number", self.step_factor, "2 is the paper's"))
         if self.sh_degree not in (None, 0, 1, 2, 3):
             raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))
-        _ = self.budget
+        check_limits(self.radius, self.norm)
+
+    @property
+    def radius(self) -> dict[str, float]:
+        """Radius by attribute."""
+        every = self.eps * len(self.attributes) if len(self.eps) == 1 else self.eps
+        return dict(zip(self.attributes, every, strict=True))
+
+    @property
+    def step(self) -> dict[str, float]:
+        """Length of a step by attribute, in the norm."""
+        return {name: eps * self.step_factor / self.steps for name, eps in self.radius.items()}
 
     @property
     def budget(self) -> Budget:
         """Radius and norm as one value."""
-        return Budget(radius=dict(zip(self.attributes, self.eps, strict=True)), norm=self.norm)
+        from attacks.budgets import Budget
+
+        return Budget(radius=self.radius, norm=self.norm)

@@ -1,4 +1,4 @@
-"""Where the attacks of a study are done: scenes are read once, and every attack is one self-contained job."""
+"""One attack of a study as a value, and what runs it: scenes are read once, and the detector is one for all."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Generator
 
-from attacks.budgets import NormName
-from attacks.dagger.attack import Attribute, DaggerConfig, attack
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary
 from attacks.detectors.base import Detector
 from attacks.objectives import Objective, hide, relabel
@@ -31,24 +31,18 @@ class Job:
         scene: Name of the scene file without its suffix.
         object: Id of the object.
         target: Class wanted; None hides the object.
-        attribute: What may change.
-        eps: Radius.
-        norm: Norm of the budget.
+        config: How to attack. Its seed also moves the cameras, see `jittered`.
         camera: Position of the first camera that is attacked, in the order of the scene file.
         views: Number of the scene's cameras that are attacked together, from that one on; 0 is all of them.
-        seed: See `attacks.dagger.study`.
     """
 
     group: str
     scene: str
     object: str
     target: str | None
-    attribute: Attribute = "sh"
-    eps: float = 5.0
-    norm: NormName = "l2"
+    config: DaggerConfig = field(default_factory=DaggerConfig)
     camera: int = 0
     views: int = 1
-    seed: int = 0
 
     @property
     def name(self) -> str:
@@ -57,11 +51,11 @@ class Job:
             self.group,
             self.object,
             self.target or "hide",
-            self.attribute,
-            self.norm,
-            f"{self.eps:g}",
+            *self.config.attributes,
+            self.config.norm,
+            *(f"{eps:g}" for eps in self.config.eps),
             *([f"camera{self.camera}"] if self.camera else []),
-            str(self.seed),
+            str(self.config.seed),
         )
         return "-".join(word.replace(" ", "_") for word in words)
 
@@ -84,54 +78,40 @@ class AttackScene:
 
 
 class JobRunner:
-    """Executes jobs: scenes are read once, the detector is one for all."""
+    """Runs jobs on scenes that `read` finds by name, against one detector."""
 
     def __init__(self, read: Callable[[str], AttackScene], detector: Detector) -> None:
         self._read, self._detector = read, detector
-        self._settings: dict[str, AttackScene] = {}
-        self._marks: dict[str, str] = {}
+        self._scenes: dict[str, AttackScene] = {}
+        self._fingerprints: dict[str, str] = {}
 
     def fingerprint(self, job: Job) -> str:
-        """Hash of the scene, the cameras and the detector's answers to a fixed picture."""
-        if job.scene not in self._marks:
-            setting = self._setting(job)
-            with torch.no_grad():
-                picture = setting.render(setting.scene, setting.cameras[0]).clamp(0, 1)
-                answer = self._detector.candidates(picture[None])[0].scores
-            words = (
-                scene_hash(setting.scene),
-                str(setting.cameras),
-                self._detector.name,
-                hashlib.sha256((answer * 1e3).round().to("cpu", torch.int32).numpy().tobytes()).hexdigest(),
-            )
-            self._marks[job.scene] = hashlib.sha256("\n".join(words).encode()).hexdigest()
-        return self._marks[job.scene]
+        """Hash of what a result depends on besides the job: the scene, its cameras, and the detector's weights."""
+        if job.scene not in self._fingerprints:
+            place = self._scene(job)
+            words = (scene_hash(place.scene), str(place.cameras), self._detector.name, self._detector.fingerprint)
+            self._fingerprints[job.scene] = hashlib.sha256("\n".join(words).encode()).hexdigest()
+        return self._fingerprints[job.scene]
 
-    def execute(self, job: Job) -> dict[str, Any]:
+    def run(self, job: Job) -> dict[str, Any]:
         """Attack, and return the summary."""
-        setting = self._setting(job)
-        rows = setting.objects[job.object]
-        config = DaggerConfig(
-            attributes=(job.attribute,), eps=(job.eps,), norm=job.norm, seed=job.seed, random_start=job.seed > 0
-        )
-        centre = setting.scene.means[rows].mean(0)
-        chosen = setting.cameras[job.camera :][: job.views or None]
-        cameras = [jittered(camera, centre, seed=job.seed) for camera in chosen]
+        place = self._scene(job)
+        rows = place.objects[job.object]
+        centre = place.scene.means[rows].mean(0)
+        chosen = place.cameras[job.camera :][: job.views or None]
+        cameras = [jittered(camera, centre, seed=job.config.seed) for camera in chosen]
         objective: Objective = hide() if job.target is None else relabel(job.target)
-        found = attack(setting.scene, rows, cameras, self._detector, objective, render=setting.render, config=config)
+        found = attack(place.scene, rows, cameras, self._detector, objective, render=place.render, config=job.config)
         return summary(found)
 
-    def _setting(self, job: Job) -> AttackScene:
-        if job.scene not in self._settings:
-            self._settings[job.scene] = self._read(job.scene)
-        setting = self._settings[job.scene]
-        if job.object not in setting.objects:
-            raise InvalidValueError(
-                message(
-                    f"object of {job.scene}", f"one of {', '.join(setting.objects)}", job.object, "fix the scene file"
-                )
-            )
-        return setting
+    def _scene(self, job: Job) -> AttackScene:
+        if job.scene not in self._scenes:
+            self._scenes[job.scene] = self._read(job.scene)
+        place = self._scenes[job.scene]
+        if job.object not in place.objects:
+            expected = f"one of {', '.join(place.objects)}"
+            raise InvalidValueError(message(f"object of {job.scene}", expected, job.object, "fix the scene file"))
+        return place
 
 
 def jittered(
@@ -146,7 +126,7 @@ def jittered(
         centre: (3,) world units, what it looks at.
         seed: Seed of the draw.
         degrees: Largest angle.
-        fraction: Largest change of the distance.
+        fraction: Largest change of the distance, as a fraction of it.
     """
     if seed == 0:
         return camera

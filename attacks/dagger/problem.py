@@ -1,6 +1,7 @@
-"""The problem that an attack solves: one object, its views, the victim, the aim; seen as the attacker and as the judge.
+"""The problem that an attack solves: one object, the detector, the aim; as the attacker sees it and as it is judged.
 
-The attacker differentiates candidates in the float picture. The judge looks at detections in pictures of 8 bits.
+The attacker differentiates what the detector considers in the picture as it is rendered. Judged are the detections in
+pictures of 8 bits.
 """
 
 from __future__ import annotations
@@ -13,13 +14,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.budgets import Parameters
 from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.views import detect_views
+from attacks.evaluation.views import ViewDetections, detect_views
 from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Target, Verdict, confidence, overlap
-from attacks.pgd import Evaluation
+from attacks.pgd import Evaluation, Parameters
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.images import quantise
@@ -50,20 +50,18 @@ class ViewResult:
     """One view before and after an attack.
 
     Attributes:
-        before: The view before.
-        after: (H, W, 3) attacked picture, 8 bits in [0, 1].
-        attacked: Detections in it.
+        before: The clean scene.
+        after: The attacked scene, from the same camera.
         verdict: Success and score.
     """
 
     before: AttackView
-    after: Tensor
-    attacked: Detections
+    after: ViewDetections
     verdict: Verdict
 
     def confidence(self, label: str | None, *, attacked: bool) -> float:
         """Highest score with which `label` (any class if None) is detected on the object, clean or attacked."""
-        detections = self.attacked if attacked else self.before.detections
+        detections = self.after.detections if attacked else self.before.detections
         return confidence(detections, self.before.target.box, labels=None if label is None else [label])
 
 
@@ -73,7 +71,7 @@ class AttackProblem:
 
     Attributes:
         subset: The object in its scene.
-        detector: The victim.
+        detector: The one attacked.
         objective: The aim.
         render: The renderer.
         required_views: Fraction of the views in which the aim has to be reached.
@@ -114,13 +112,8 @@ class AttackProblem:
         cameras = [view.camera for view in views]
         seen = detect_views(scene, cameras, [self.detector], render=self.render, batch=1)
         return tuple(
-            ViewResult(
-                before=view,
-                after=found.image,
-                attacked=found.detections,
-                verdict=self.objective.verdict(found.detections, view.target),
-            )
-            for view, found in zip(views, seen, strict=True)
+            ViewResult(before=view, after=after, verdict=self.objective.verdict(after.detections, view.target))
+            for view, after in zip(views, seen, strict=True)
         )
 
     def evaluate(self, parameters: Parameters, views: Sequence[AttackView]) -> Evaluation:
@@ -139,31 +132,33 @@ class AttackProblem:
             for name, gradient in zip(leaves, found, strict=True):
                 gradients[name] += gradient
             loss += float(here.detach())
-            detections = self._detect(quantise(picture))
+            with torch.no_grad():
+                detections = self.detector.detect(quantise(picture)[None])[0]
             verdicts.append(self.objective.verdict(detections, view.target))
-        whole = together(verdicts, self.required_views)
+        whole = joint_verdict(verdicts, self.required_views)
         return Evaluation(
             loss=loss, gradients=gradients, success=whole.success, score=whole.score, unambiguous=whole.unambiguous
         )
 
-    def _detect(self, picture: Tensor) -> Detections:
-        with torch.no_grad():
-            return self.detector.detect(picture[None])[0]
 
-
-def together(verdicts: Sequence[Verdict], fraction: float) -> Verdict:
+def joint_verdict(verdicts: Sequence[Verdict], required_views: float) -> Verdict:
     """Success in at least a fraction of the views, and the score that so many views reach."""
-    needed = math.ceil(fraction * len(verdicts) - 1e-9)
+    needed = _needed(len(verdicts), required_views)
     return Verdict(
         success=sum(verdict.success for verdict in verdicts) >= needed,
-        score=reached([verdict.score for verdict in verdicts], fraction),
+        score=reached_by([verdict.score for verdict in verdicts], required_views),
         unambiguous=sum(verdict.unambiguous for verdict in verdicts) >= needed,
     )
 
 
-def reached(values: Sequence[float], fraction: float) -> float:
-    """The largest value that at least a fraction of all values reach."""
-    return sorted(values, reverse=True)[math.ceil(fraction * len(values) - 1e-9) - 1]
+def reached_by(values: Sequence[float], required_views: float) -> float:
+    """The largest value that at least a fraction of the views reach."""
+    return sorted(values, reverse=True)[_needed(len(values), required_views) - 1]
+
+
+def _needed(views: int, required_views: float) -> int:
+    # 0.07 * 100 is a little more than 7: rounding must not ask for one view more.
+    return math.ceil(required_views * views - 1e-9)
 
 
 def _label_on(detections: Detections, box: Tensor) -> str | None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from attacks.dagger.attack import Result
 from attacks.dagger.problem import ViewResult
+from attacks.dagger.result import Result
 from attacks.detectors.base import Detections
 from attacks.evaluation.drawing import annotated, difference, stacked
 from mi_splat.io import save_splat
@@ -37,9 +37,9 @@ def write_report(result: Result, folder: Path) -> dict[str, Path]:
     folder.mkdir(parents=True, exist_ok=True)
     images = {
         "before.png": stacked([to_bytes(view.before.image) for view in result.views]),
-        "after.png": stacked([to_bytes(view.after) for view in result.views]),
+        "after.png": stacked([to_bytes(view.after.image) for view in result.views]),
         "difference.png": difference(
-            [view.before.image for view in result.views], [view.after for view in result.views]
+            [view.before.image for view in result.views], [view.after.image for view in result.views]
         ),
         "detections.png": stacked([before_and_after(view) for view in result.views]),
     }
@@ -51,7 +51,7 @@ def write_report(result: Result, folder: Path) -> dict[str, Path]:
 
 
 def summary(result: Result) -> dict[str, Any]:
-    """The result as JSON-ready values; every key is explained in docs of `Result` and `DaggerConfig`."""
+    """The result as JSON can hold it; keys are explained in `Result` and `DaggerConfig`."""
     config, image = result.config, result.image
     return {
         "attack": "dagger",
@@ -64,15 +64,15 @@ def summary(result: Result) -> dict[str, Any]:
         "steps": result.best.index,
         "norm": config.norm,
         "eps": config.eps[0] if len(config.eps) == 1 else None,
-        "radius": dict(config.budget.radius),
+        "radius": config.radius,
         "used": result.used,
-        "used_in_file": result.in_file,
+        "used_in_file": result.used_in_file,
         "space": "splat file: SH, world units, log-scales, quaternions before normalisation, logit opacities",
-        "changed_gaussians": result.changed,
-        "object_gaussians": result.size,
+        "changed_gaussians": result.changed_gaussians,
+        "object_gaussians": result.object_gaussians,
         "image_psnr": image.psnr,
         "image": dataclasses.asdict(image),
-        "clamped_fraction": result.clamped,
+        "clamped_fraction": result.clamped_fraction,
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
         "noise": {**dataclasses.asdict(result.noise), "draws": len(result.noise.scores)},
         "warnings": list(result.warnings),
@@ -101,7 +101,7 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
         "target_confidence_clean": view.confidence(label, attacked=False) if label else None,
         "box": [round(float(x), 2) for x in target.box],
         "clean": _listed(view.before.detections),
-        "attacked": _listed(view.attacked),
+        "attacked": _listed(view.after.detections),
         "camera": {
             "to_world": camera.to_world.tolist(),
             "focal": [camera.fx, camera.fy],
@@ -118,5 +118,5 @@ def _listed(found: Detections) -> list[dict[str, Any]]:
 
 def before_and_after(view: ViewResult, *, least: float = 0.3) -> NDArray[np.uint8]:
     """Boxes and confidences before (left) and after (right), of detections that score at least `least`."""
-    sides = ((view.before.image, view.before.detections, "before"), (view.after, view.attacked, "after"))
+    sides = ((view.before.image, view.before.detections, "before"), (view.after.image, view.after.detections, "after"))
     return np.concatenate([annotated(*side, least=least) for side in sides], axis=1)

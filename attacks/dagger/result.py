@@ -1,4 +1,4 @@
-"""What an attack did, and what there is to warning about it."""
+"""What an attack did, and the warnings about it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.problem import ViewResult, reached
+from attacks.dagger.problem import ViewResult, reached_by
 from attacks.evaluation.visibility import ImageChange
 from attacks.objectives import Objective, Verdict
 from attacks.pgd import Step
@@ -21,11 +21,11 @@ _CLAMPED_LIMIT = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseControl:
-    """Random noise of the size of the attack in the same norm; an attack worth its name does better.
+    """Random noise of the size of the attack in the same norm; an attack has to do better.
 
     Attributes:
-        scores: Score of every draw (the confidence in the wanted class, or 1 minus what is still detected).
-        successes: Number of draws that had the attacker's aim.
+        scores: Score of every draw, as `Verdict.score`.
+        successes: Number of draws that reached the attacker's aim.
     """
 
     scores: tuple[float, ...]
@@ -38,19 +38,19 @@ class Result:
 
     Attributes:
         scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
-        verdict: Whether the aim was reached in enough views, whether clearly so, and the score that enough views reach:
-            the confidence in the wanted class, or 1 minus what is still detected.
+        verdict: Whether the aim was reached in enough views, whether without ambiguity, and the score that enough views
+            reach: the confidence in the wanted class, or 1 minus the confidence in what is still detected.
         views: Every view before and after.
-        trace: Every point that was visited, all runs, in order.
+        trace: Every point that was looked at, all runs, in order.
         best: The line of the trace whose point was kept.
         used: Size of the perturbation by attribute; never above its radius.
-        in_file: The same, measured on the saved file, where quaternions have been normalised and logits rounded.
-        size: Number of Gaussians of the object.
-        changed: Number of Gaussians that differ.
+        used_in_file: The same, measured on the saved file, where quaternions have been normalised and logits rounded.
+        object_gaussians: Number of Gaussians of the object.
+        changed_gaussians: Number of Gaussians that differ.
         image: Size of the change in the pictures.
-        clamped: Fraction of the object's colour channels at the clamp (clean, mean over views).
+        clamped_fraction: Fraction of the object's colour channels at the clamp (clean, mean over views).
         noise: The control.
-        warnings: Reasons not to trust the result at its face, in words.
+        warnings: Reasons to look twice before the result is believed, in words.
         objective: The aim and its settings.
         config: The full configuration.
         origin: Detector, versions, variant, commit, scene hash.
@@ -63,11 +63,11 @@ class Result:
     trace: tuple[Step, ...]
     best: Step
     used: dict[str, float]
-    in_file: dict[str, float]
-    size: int
-    changed: int
+    used_in_file: dict[str, float]
+    object_gaussians: int
+    changed_gaussians: int
     image: ImageChange
-    clamped: float
+    clamped_fraction: float
     noise: NoiseControl
     warnings: tuple[str, ...]
     objective: Objective
@@ -91,7 +91,7 @@ class Result:
         if self.objective.label is None:
             return None
         scores = [view.confidence(self.objective.label, attacked=True) for view in self.views]
-        return reached(scores, self.config.required_views)
+        return reached_by(scores, self.config.required_views)
 
 
 def find_warnings(result: Result) -> tuple[str, ...]:
@@ -108,8 +108,10 @@ def find_warnings(result: Result) -> tuple[str, ...]:
         found.append(f"up to {fraction:.0%} of the gradient's elements are exactly zero")
     if len(result.trace) > 1 and min(line.loss for line in result.trace[1:]) >= first.loss:
         found.append("the loss did not fall")
-    if "sh" in result.config.attributes and result.clamped > _CLAMPED_LIMIT:
-        found.append(f"{result.clamped:.0%} of the object's colour channels are clamped at 0, where SH has no gradient")
+    if "sh" in result.config.attributes and result.clamped_fraction > _CLAMPED_LIMIT:
+        found.append(
+            f"{result.clamped_fraction:.0%} of the object's colour channels are clamped at 0, where SH has no gradient"
+        )
     if result.best.success and not result.success:
         found.append("success in the search did not survive the saved file and 8-bit pictures")
     if result.success and not result.verdict.unambiguous:

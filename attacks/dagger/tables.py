@@ -44,14 +44,19 @@ _COLUMNS = (
 
 
 def rows(records: Iterable[Record]) -> list[dict[str, Any]]:
-    """One row for each setting, over its seeds; numbers are medians unless they are called otherwise."""
+    """One row for each setting, over its seeds; figures are medians unless they are called otherwise."""
     groups: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         job = record["job"]
-        key = tuple(job[name] for name in ("group", "scene", "object", "target", "attribute", "norm", "eps"))
-        groups.setdefault(key, []).append(record["result"])
-    names = ("group", "scene", "object", "target", "attribute", "norm", "eps")
-    return [{**dict(zip(names, key, strict=True)), **_row(results)} for key, results in groups.items()]
+        config = job["config"]
+        setting = {
+            **{name: job[name] for name in ("group", "scene", "object", "target")},
+            "attribute": ", ".join(config["attributes"]),
+            "norm": config["norm"],
+            "eps": config["eps"][0],
+        }
+        groups.setdefault(tuple(setting.items()), []).append(record["result"])
+    return [{**dict(setting), **_row(results)} for setting, results in groups.items()]
 
 
 def _row(results: Sequence[Record]) -> dict[str, Any]:
@@ -140,9 +145,9 @@ def _preamble(records: Sequence[Record]) -> list[str]:
     steps, factor = first["config"]["steps"], first["config"]["step_factor"]
     versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
     return [
-        f"Detector {first['detector']}; {steps} steps of eps x {factor:g} / {steps}, stopped at "
-        "the first success. Success: see `config.objective` in the JSONs; every run is judged on the saved file and an "
-        "8-bit PNG. Medians over seeds; noise is random noise of the size of the attack in the same norm.",
+        f"Detector {first['detector']}; {steps} steps of eps x {factor:g} / {steps}, stopped at the first unambiguous "
+        "success. Success: see `config.objective` in the JSONs; every run is judged on the saved file and an 8-bit "
+        "PNG. Medians over seeds; noise is random noise of the size of the attack in the same norm.",
         "",
         f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.",
         "",

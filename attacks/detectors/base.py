@@ -6,13 +6,15 @@ sRGB, as the renderer makes them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, message
+
+_ROUNDING = 1e-3
+"""How far values of a picture may lie outside [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,22 +78,34 @@ class Detections:
 class Detector(Protocol):
     """A detector with frozen weights in evaluation mode.
 
-    Attributes:
-        name: Key in `attacks.detectors.DETECTORS`.
-        classes: Foreground classes by COCO name; the second axis of `Candidates.scores`.
+    An implementation may have plain attributes where this has properties.
     """
 
-    name: str
-    classes: tuple[str, ...]
+    @property
+    def name(self) -> str:
+        """Key in `attacks.detectors.DETECTORS`."""
+        ...
 
-    def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Foreground classes by COCO name; the second axis of `Candidates.scores`."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """16 hex digits that stand for the weights (see `attacks.detectors.weights.fingerprint`); in every result."""
+        ...
+
+    @property
+    def min_confidence(self) -> float:
+        """Confidence below which `detect` reports nothing."""
+        ...
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
         """Boxes and scores before thresholds, differentiable in the images.
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
-            extra: One (E, 4) tensor of pixel boxes per image that are scored as well, whether or not the detector's own
-                proposals found them: an objective on a known object then always has a candidate there. They are the
-                last E candidates of their image.
         """
         ...
 
@@ -108,7 +122,8 @@ def check_images(images: Tensor) -> None:
     """Raise unless `images` is a stack that a detector takes.
 
     Raises:
-        InvalidValueError: It is not floating point of shape (B, H, W, 3), or empty.
+        InvalidValueError: It is not floating point of shape (B, H, W, 3), is empty, or holds values that are not finite
+            or not in [0, 1]; rounding may exceed that by 1e-3.
     """
     if images.ndim != 4 or images.shape[-1] != 3 or not images.is_floating_point() or 0 in images.shape:
         raise InvalidValueError(
@@ -118,4 +133,10 @@ def check_images(images: Tensor) -> None:
                 f"{images.dtype} {tuple(images.shape)}",
                 "stack channels-last sRGB pictures in [0, 1]",
             )
+        )
+    low, high = (float(value) for value in images.detach().aminmax())
+    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
+        got = f"values from {low:g} to {high:g}"
+        raise InvalidValueError(
+            message("images", "sRGB in [0, 1]", got, "divide 8-bit values by 255, and clamp what a renderer gives")
         )

@@ -17,11 +17,7 @@ from torchvision.models.detection.faster_rcnn import FastRCNNPredictor
 from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
-CLASSES = ("car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase")
-"""Foreground classes by COCO name; label i + 1 is CLASSES[i]."""
-
-SIZE = 256
-"""Shorter image side, in pixels, that the network works at."""
+from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
 
 _STEM = (24, 48)
 _STAGES = ((96, 2), (160, 2), (256, 2))
@@ -116,8 +112,8 @@ def build() -> FasterRCNN:
     anchors = AnchorGenerator(sizes=((28,), (56,), (112,), (200,)), aspect_ratios=((0.4, 1.0, 2.2),) * 4)
     return FasterRCNN(
         Backbone(),
-        min_size=SIZE,
-        max_size=2 * SIZE,
+        min_size=SMALL_SIDE,
+        max_size=2 * SMALL_SIDE,
         rpn_anchor_generator=anchors,
         rpn_pre_nms_top_n_train=400,
         rpn_pre_nms_top_n_test=400,
@@ -126,5 +122,5 @@ def build() -> FasterRCNN:
         rpn_batch_size_per_image=128,
         box_roi_pool=MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
         box_head=Head(_PYRAMID * _POOL**2, _HEAD),
-        box_predictor=FastRCNNPredictor(_HEAD, len(CLASSES) + 1),
+        box_predictor=FastRCNNPredictor(_HEAD, len(SMALL_CLASSES) + 1),
     )

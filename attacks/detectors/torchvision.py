@@ -16,19 +16,26 @@ from torchvision.ops.boxes import clip_boxes_to_image
 
 from attacks.detectors import small
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.weights import DetectorError, apply_weights, read_weights
-from mi_splat.errors import InvalidValueError, message
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.registry import SMALL_RCNN_WEIGHTS
+from attacks.detectors.weights import apply_weights, fingerprint, read_weights
+from mi_splat.errors import message
 
-SHIPPED = Path(__file__).with_name("fasterrcnn_small.safetensors")
-_COCO: tuple[str, ...] = tuple(detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"])
 _PUBLISHED = {
     "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
     "fasterrcnn_resnet50_fpn_v2": detection.FasterRCNN_ResNet50_FPN_V2_Weights.COCO_V1,
     "fasterrcnn_mobilenet_v3_large_fpn": detection.FasterRCNN_MobileNet_V3_Large_FPN_Weights.COCO_V1,
     "fasterrcnn_mobilenet_v3_large_320_fpn": detection.FasterRCNN_MobileNet_V3_Large_320_FPN_Weights.COCO_V1,
 }
+_BUILDERS: dict[str, Callable[..., FasterRCNN]] = {
+    "fasterrcnn_resnet50_fpn": detection.fasterrcnn_resnet50_fpn,
+    "fasterrcnn_resnet50_fpn_v2": detection.fasterrcnn_resnet50_fpn_v2,
+    "fasterrcnn_mobilenet_v3_large_fpn": detection.fasterrcnn_mobilenet_v3_large_fpn,
+    "fasterrcnn_mobilenet_v3_large_320_fpn": detection.fasterrcnn_mobilenet_v3_large_320_fpn,
+}
 _FROZEN_EPS = {"fasterrcnn_resnet50_fpn": 0.0}  # the library evaluates these weights with eps 0 in its frozen norms
-_NOT_A_CLASS = ("__background__", "N/A")
+_BACKGROUND, _UNUSED = "__background__", "N/A"
 
 
 class RCNNDetector:
@@ -40,20 +47,33 @@ class RCNNDetector:
         model: The library's model, in evaluation mode, its weights without gradients.
     """
 
+    name: str
+    classes: tuple[str, ...]
+
     def __init__(self, name: str, model: FasterRCNN, labels: Sequence[str]) -> None:
         """Wrap `model`, whose label number i means labels[i]; labels[0] is the background."""
         self.name = name
         self.model = model.eval().requires_grad_(False)
         self._labels = tuple(labels)
-        self._columns = [i for i, label in enumerate(labels) if label not in _NOT_A_CLASS]
+        self._columns = [i for i, label in enumerate(labels) if label not in (_BACKGROUND, _UNUSED)]
         self.classes = tuple(labels[i] for i in self._columns)
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Detector`."""
+        return fingerprint(self.model.state_dict())
+
+    @property
+    def min_confidence(self) -> float:
+        """See `Detector`; 0.05 unless the model was built otherwise."""
+        return float(self.model.roi_heads.score_thresh)
 
     def to(self, device: torch.device | str) -> RCNNDetector:
         """Move the weights to a device, in place."""
         self.model.to(device)
         return self
 
-    def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
+    def candidates(self, images: Tensor) -> list[Candidates]:
         """Every proposal as every class, before score threshold and non-maximum suppression.
 
         The choice of proposals is constant for the gradient, as in the library's own training; scores and boxes are
@@ -61,10 +81,9 @@ class RCNNDetector:
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
-            extra: One (E, 4) tensor of pixel boxes per image to score besides the proposals, as the last candidates.
 
         Raises:
-            InvalidValueError: images or extra have another shape.
+            InvalidValueError: The images have another shape, or values outside [0, 1].
         """
         pictures = _channels_first(images)
         size = (images.shape[1], images.shape[2])
@@ -72,12 +91,6 @@ class RCNNDetector:
         features = self.model.backbone(batch.tensors)
         with torch.no_grad():
             proposals, _ = self.model.rpn(batch, OrderedDict((k, v.detach()) for k, v in features.items()))
-        if extra is not None:
-            _check_extra(extra, len(pictures))
-            proposals = [
-                torch.cat([own, resize_boxes(more.detach().to(own), size, inner)])
-                for own, more, inner in zip(proposals, extra, batch.image_sizes, strict=True)
-            ]
         heads = self.model.roi_heads
         logits, deltas = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes)))
         counts = [len(p) for p in proposals]
@@ -94,7 +107,7 @@ class RCNNDetector:
             images: (B, H, W, 3) sRGB in [0, 1].
 
         Raises:
-            InvalidValueError: images have another shape.
+            InvalidValueError: The images have another shape, or values outside [0, 1].
         """
         with torch.no_grad():
             results = self.model(_channels_first(images))
@@ -112,9 +125,9 @@ class RCNNDetector:
 def load_small(weights: Path | None = None) -> RCNNDetector:
     """The project's own small detector, with the shipped weights unless told otherwise."""
     model = small.build()
-    path = SHIPPED if weights is None else Path(weights)
+    path = SMALL_RCNN_WEIGHTS if weights is None else Path(weights)
     apply_weights(model, read_weights(path), path)
-    return RCNNDetector("fasterrcnn_small", model, (_NOT_A_CLASS[0], *small.CLASSES))
+    return RCNNDetector("fasterrcnn_small", model, (_BACKGROUND, *SMALL_CLASSES))
 
 
 def load_published(name: str, weights: Path | None = None) -> RCNNDetector:
@@ -127,12 +140,17 @@ def load_published(name: str, weights: Path | None = None) -> RCNNDetector:
     Raises:
         DetectorError: the file does not fit, or the hub cannot be reached.
     """
-    model = _builder(name)(weights=None, weights_backbone=None)
+    model = _BUILDERS[name](weights=None, weights_backbone=None)
     if name in _FROZEN_EPS:
         _freeze_norms(model, _FROZEN_EPS[name])
     state = _from_hub(name) if weights is None else read_weights(Path(weights))
     apply_weights(model, state, name if weights is None else weights)
-    return RCNNDetector(name, model, _COCO)
+    return RCNNDetector(name, model, published_labels(name))
+
+
+def published_labels(name: str) -> tuple[str, ...]:
+    """What the library's label numbers mean; COCO's numbers have gaps, which it calls N/A."""
+    return tuple(_PUBLISHED[name].meta["categories"])
 
 
 def random_detector(name: str, *, seed: int = 0) -> RCNNDetector:
@@ -143,9 +161,9 @@ def random_detector(name: str, *, seed: int = 0) -> RCNNDetector:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         is_small = name == "fasterrcnn_small"
-        model = small.build() if is_small else _builder(name)(weights=None, weights_backbone=None)
+        model = small.build() if is_small else _BUILDERS[name](weights=None, weights_backbone=None)
         _warm_up(model.eval())
-    return RCNNDetector(name, model, (_NOT_A_CLASS[0], *small.CLASSES) if is_small else _COCO)
+    return RCNNDetector(name, model, (_BACKGROUND, *SMALL_CLASSES) if is_small else published_labels(name))
 
 
 def _warm_up(model: FasterRCNN, *, batches: int = 8, side: int = 64) -> None:
@@ -162,11 +180,6 @@ def _warm_up(model: FasterRCNN, *, batches: int = 8, side: int = 64) -> None:
         for _ in range(batches):
             model(list(torch.rand(2, 3, side, side)))
     transform.min_size, heads.score_thresh = usual
-
-
-def _builder(name: str) -> Callable[..., FasterRCNN]:
-    builder: Callable[..., FasterRCNN] = getattr(detection, name)
-    return builder
 
 
 def _from_hub(name: str) -> dict[str, Tensor]:
@@ -196,15 +209,3 @@ def _freeze_norms(module: nn.Module, eps: float) -> None:
 def _channels_first(images: Tensor) -> list[Tensor]:
     check_images(images)
     return list(images.permute(0, 3, 1, 2))
-
-
-def _check_extra(extra: Sequence[Tensor], count: int) -> None:
-    if len(extra) != count or any(e.ndim != 2 or e.shape[-1] != 4 for e in extra):
-        raise InvalidValueError(
-            message(
-                "extra",
-                f"{count} tensors (E, 4)",
-                [tuple(e.shape) for e in extra],
-                "give one tensor of boxes per image",
-            )
-        )

@@ -16,12 +16,12 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from PIL import Image
 from torch import Tensor, nn
-from torchvision.models.detection import FasterRCNN_ResNet50_FPN_Weights
-from torchvision.ops import box_iou
 
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.small import CLASSES, SIZE
-from attacks.detectors.weights import SMALL_YOLO, DetectorError, apply_weights, read_weights
+from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.registry import SMALL_YOLO_WEIGHTS
+from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.errors import message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -54,12 +54,9 @@ finally:
     Image.open, torch.save = _open, _save
 
 USUAL_SIDE = 640
-"""Longer image side, in pixels, that the published ones work at; the small one works at `SIZE`."""
-_CONFIDENCE, _OVERLAP, _MOST = 0.25, 0.7, 300
+"""Longer image side, in pixels, that the published ones work at; the small one works at `SMALL_SIDE`."""
+_MIN_CONFIDENCE, _MAX_IOU, _MAX_DETECTIONS = 0.25, 0.7, 300
 """The library's own settings of prediction: least confidence, largest IoU of two boxes, most boxes."""
-_COCO = tuple(
-    name for name in FasterRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"] if name not in ("__background__", "N/A")
-)
 
 
 class YOLODetector:
@@ -70,35 +67,44 @@ class YOLODetector:
         classes: Foreground classes.
         model: The library's model, in evaluation mode, its weights without gradients.
         side: Longer image side that the network works at, pixels.
-        least: Confidence below which `detect` drops a box.
+        min_confidence: Confidence below which `detect` reports nothing.
     """
 
     def __init__(
-        self, name: str, model: nn.Module, classes: Sequence[str], *, side: int, least: float = _CONFIDENCE
+        self, name: str, model: nn.Module, classes: Sequence[str], *, side: int, min_confidence: float = _MIN_CONFIDENCE
     ) -> None:
-        """Wrap `model`, whose class number i is classes[i]."""
-        self.name, self.classes, self.side, self.least = name, tuple(classes), side, least
+        """Wrap `model`.
+
+        Args:
+            name: Of the detector.
+            model: A network of the library.
+            classes: Its class number i is classes[i].
+            side: Longer image side that the network works at, pixels.
+            min_confidence: Confidence below which `detect` reports nothing.
+        """
+        self.name, self.classes, self.side, self.min_confidence = name, tuple(classes), side, min_confidence
         self.model = model.eval().requires_grad_(False)
         strides: Any = model.stride
         self._stride = int(strides.max())
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Detector`."""
+        return fingerprint(self.model.state_dict())
 
     def to(self, device: torch.device | str) -> YOLODetector:
         """Move the weights to a device, in place."""
         self.model.to(device)
         return self
 
-    def candidates(self, images: Tensor, *, extra: Sequence[Tensor] | None = None) -> list[Candidates]:
+    def candidates(self, images: Tensor) -> list[Candidates]:
         """Every cell of the three grids, before threshold and non-maximum suppression.
-
-        YOLO has no second stage that could score a box of our choice: in the place of an `extra` box comes the cell
-        whose box overlaps it most.
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
-            extra: See `Detector`.
 
         Raises:
-            InvalidValueError: The images have another shape.
+            InvalidValueError: The images have another shape, or values outside [0, 1].
         """
         check_images(images)
         height, width = images.shape[1:3]
@@ -110,13 +116,10 @@ class YOLODetector:
         gain = corners.new_tensor([inner[1] / width, inner[0] / height] * 2)
         pixels = (corners - corners.new_tensor([left, top, left, top])) / gain
         boxes = torch.minimum(pixels.clamp(min=0), pixels.new_tensor([width, height, width, height]))
-        found = []
-        for i, (own, scores) in enumerate(zip(boxes, out[:, :, 4:], strict=True)):
-            if extra is not None:
-                nearest = box_iou(extra[i].to(own), own.detach()).argmax(1)
-                own, scores = torch.cat([own, own[nearest]]), torch.cat([scores, scores[nearest]])
-            found.append(Candidates(own[:, None].expand(-1, len(self.classes), -1), scores))
-        return found
+        return [
+            Candidates(own[:, None].expand(-1, len(self.classes), -1), scores)
+            for own, scores in zip(boxes, out[:, :, 4:], strict=True)
+        ]
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What the library's own `predict` gives for the pictures at 8 bits.
@@ -125,7 +128,7 @@ class YOLODetector:
             images: (B, H, W, 3) sRGB in [0, 1].
 
         Raises:
-            InvalidValueError: The images have another shape.
+            InvalidValueError: The images have another shape, or values outside [0, 1].
         """
         check_images(images)
         frame = LetterBox((self.side, self.side), auto=True, stride=self._stride)
@@ -133,7 +136,7 @@ class YOLODetector:
         planes = torch.from_numpy(np.stack([frame(image=picture) for picture in pictures])).permute(0, 3, 1, 2)
         with torch.no_grad():
             raw = self._decoded(planes.to(images.device).float() / 255).transpose(1, 2)
-        kept = non_max_suppression(raw, self.least, _OVERLAP, max_det=_MOST)
+        kept = non_max_suppression(raw, self.min_confidence, _MAX_IOU, max_det=_MAX_DETECTIONS)
         found = []
         for rows in kept:
             boxes = scale_boxes(planes.shape[2:], rows[:, :4], images.shape[1:3])
@@ -167,19 +170,23 @@ def build(size: str, classes: int) -> nn.Module:
     return model
 
 
-def load_small(weights: Path | None = None) -> YOLODetector:
+def load_small(weights: Path | None = None, *, min_confidence: float = _MIN_CONFIDENCE) -> YOLODetector:
     """The project's own small YOLOv8.
+
+    Args:
+        weights: File of its weights; None: those of a checkout.
+        min_confidence: Confidence below which `detect` reports nothing.
 
     Raises:
         DetectorError: There are no weights, or they do not fit.
     """
-    path = SMALL_YOLO if weights is None else Path(weights)
+    path = SMALL_YOLO_WEIGHTS if weights is None else Path(weights)
     if weights is None and not path.is_file():
         do = "pass --weights with scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
         raise DetectorError(message("weights of yolov8n_small", "a file", "none: the wheel has none", do))
-    model = build("n", len(CLASSES))
+    model = build("n", len(SMALL_CLASSES))
     apply_weights(model, read_weights(path), path)
-    return YOLODetector("yolov8n_small", model, CLASSES, side=SIZE)
+    return YOLODetector("yolov8n_small", model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=min_confidence)
 
 
 def load_published(name: str, weights: Path | None = None) -> YOLODetector:
@@ -194,9 +201,9 @@ def load_published(name: str, weights: Path | None = None) -> YOLODetector:
         DetectorError: The file does not fit, or the hub cannot be reached.
     """
     if weights is not None and Path(weights).suffix == ".safetensors":
-        model = build(name[-1], len(_COCO))
+        model = build(name[-1], len(COCO_CLASSES))
         apply_weights(model, read_weights(Path(weights)), weights)
-        return YOLODetector(name, model, _COCO, side=USUAL_SIDE)
+        return YOLODetector(name, model, COCO_CLASSES, side=USUAL_SIDE)
     model = _unpickled(name, weights)
     named = [model.names[number] for number in sorted(model.names)]
     return YOLODetector(name, model, named, side=USUAL_SIDE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,16 +12,20 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from mi_splat.errors import MiSplatError, message
+from attacks.detectors.errors import DetectorError
+from mi_splat.errors import message
 
 SUFFIXES = (".safetensors", ".pth", ".pt")
-SMALL_YOLO = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
-"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
 _SHOWN = 4
 
 
-class DetectorError(MiSplatError):
-    """A detector that cannot be loaded: unknown name, missing or unsuitable weights."""
+def fingerprint(state: Mapping[str, Tensor]) -> str:
+    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order."""
+    total = hashlib.sha256()
+    for name, value in state.items():
+        total.update(name.encode())
+        total.update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+    return total.hexdigest()[:16]
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:

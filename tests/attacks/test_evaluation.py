@@ -8,7 +8,8 @@ import torch
 from scipy.stats import binomtest
 from torch import Tensor
 
-from attacks.dagger.attack import DaggerConfig, attack
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections
 from attacks.evaluation.drawing import annotated, difference, stacked
 from attacks.evaluation.rates import Rate, rates

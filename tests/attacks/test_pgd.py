@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 import pytest
 import torch
 from torch import Tensor
 
-from attacks.budgets import Budget, BudgetError, NormName, Parameters
-from attacks.pgd import Evaluation, Step, pgd
+from attacks.budgets import Budget, BudgetError
+from attacks.limits import NormName
+from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd
 from mi_splat.errors import InvalidValueError
 
 Oracle = Callable[[Parameters], Evaluation]
@@ -49,7 +50,7 @@ def test_every_point_that_is_evaluated_is_inside() -> None:
         return plain(point)
 
     start = {"sh": torch.full((4, 3), 9.0)}
-    pgd(watched, REFERENCE, budget, step={"sh": 0.5}, steps=20, start=start)
+    pgd(watched, REFERENCE, budget, step={"sh": 0.5}, steps=20, starts=[start])
     assert len(sizes) == 21
     assert max(sizes) <= 1.0
 
@@ -99,7 +100,7 @@ def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
     assert budget.measure(found.parameters, REFERENCE)["sh"] == pytest.approx(4.0)
 
 
-def test_early_stop_waits_for_a_clear_success() -> None:
+def test_early_stop_waits_for_a_unambiguous_success() -> None:
     calls = iter([(False, False), (True, False), (True, False), (True, True), (True, True)])
 
     def scripted(point: Parameters) -> Evaluation:
@@ -162,3 +163,90 @@ def test_what_is_not_finite_is_an_error(bad: float) -> None:
 def test_a_negative_number_of_steps_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="steps: expected a number >= 0"):
         pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=-1)
+
+
+def scripted(*points: tuple[bool, bool]) -> Oracle:
+    """Success and unambiguity of one point after the other, with a constant gradient."""
+    calls = iter(points)
+
+    def evaluate(point: Parameters) -> Evaluation:
+        success, unambiguous = next(calls)
+        gradients = {"sh": torch.ones_like(point["sh"])}
+        return Evaluation(loss=1.0, gradients=gradients, success=success, score=0.8, unambiguous=unambiguous)
+
+    return evaluate
+
+
+@pytest.mark.parametrize(
+    ("early_stop", "points", "expected"),
+    [
+        (True, [(False, False), (True, False), (False, False), (True, True)], [(0, 0), (0, 1), (1, 0), (1, 1)]),
+        (True, [(True, True)], [(0, 0)]),
+        (False, [(True, True)] * 6, [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]),
+    ],
+)
+def test_restarts_end_where_steps_end(
+    early_stop: bool, points: list[tuple[bool, bool]], expected: list[tuple[int, int]]
+) -> None:
+    """At an unambiguous success, not at any."""
+    budget = Budget(radius={"sh": 10.0})
+    starts = [REFERENCE] * 3
+    found = pgd(scripted(*points), REFERENCE, budget, step={"sh": 1.0}, steps=1, starts=starts, early_stop=early_stop)
+    assert [(line.restart, line.index) for line in found.trace] == expected
+
+
+def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are_needed() -> None:
+    taken: list[float] = []
+
+    def starts() -> Iterator[Parameters]:
+        for value in (-1.0, 0.5, 0.0):
+            taken.append(value)
+            yield {"sh": torch.full((4, 3), value)}
+
+    budget = Budget(radius={"sh": 10.0})
+    found = pgd(bowl(), REFERENCE, budget, step={"sh": 0.1}, steps=0, starts=starts())
+    assert taken == [-1.0, 0.5, 0.0]
+    assert [line.loss for line in found.trace] == pytest.approx([28.25, 14.75 - 0.0, 13.25], abs=2.0)
+    assert found.best.restart == 2
+    assert torch.equal(found.parameters["sh"], torch.zeros(4, 3))
+    taken.clear()
+    pgd(bowl(aim=99.0), REFERENCE, budget, step={"sh": 0.1}, steps=0, starts=starts())
+    assert taken == [-1.0]
+
+
+def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
+    """Momentum as in Dong et al. 2018: the sum of the gradients so far, each over its l1 norm."""
+    made: list[float] = []
+
+    def momentum(ball: Ball, step: Mapping[str, float]) -> Update:
+        made.append(step["sh"])
+        total = torch.zeros(4, 3)
+
+        def update(gradients: Parameters) -> Parameters:
+            nonlocal total
+            total = total + gradients["sh"] / gradients["sh"].abs().sum()
+            return {"sh": -step["sh"] * ball.steepest({"sh": total})["sh"]}
+
+        return update
+
+    points: list[Tensor] = []
+    plain = bowl()
+
+    def watched(point: Parameters) -> Evaluation:
+        points.append(point["sh"])
+        return plain(point)
+
+    budget = Budget(radius={"sh": 9.0}, norm="linf")
+    start = {"sh": torch.full((4, 3), 0.1)}
+    pgd(watched, REFERENCE, budget, step={"sh": 0.25}, steps=3, starts=[start, start], optimiser=momentum)
+    assert made == [0.25, 0.25]
+    for first, second in zip(points[:4], points[4:], strict=True):
+        assert torch.equal(first, second)
+    # The third element is 0.1 from its goal: the plain sign step would turn around at once, momentum carries on.
+    assert points[1][0, 1] == points[0][0, 1] - 0.25
+    assert points[2][0, 1] == points[1][0, 1] + 0.25
+
+
+def test_without_a_start_there_is_nothing_to_return() -> None:
+    with pytest.raises(InvalidValueError, match="starts: expected at least one point"):
+        pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=1, starts=[])

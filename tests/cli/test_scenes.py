@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -13,6 +14,7 @@ from PIL import Image
 
 from attacks import cli
 from attacks.cli import dagger
+from attacks.dagger.config import DaggerConfig
 from mi_splat import scene_files
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.errors import InvalidValueError
@@ -225,8 +227,6 @@ def test_an_attack_that_fails_is_a_result(toy: SplatScene, tmp_path: Path, capsy
         (["--object", "bicycle"], "rest, thing"),
         (["--object", "thing", "--target", "unicorn"], "unicorn"),
         (["--object", "thing", "--views", "behind"], "front, aside"),
-        (["--object", "thing", "--eps", "1", "2"], "eps"),
-        (["--object", "thing", "--eps", "-1"], "radius"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -238,3 +238,48 @@ def test_dagger_says_what_is_wrong(
     assert says in captured.err
     assert len(captured.err.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--eps", "1", "2"], "eps: expected one number for all of sh"),
+        (["--eps", "-1"], "radius of sh: expected a finite number >= 0"),
+        (["--steps", "0"], "steps: expected a number >= 1"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_setting_out_of_range_is_wrong_usage(
+    words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["dagger", *words, "--out", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert says in " ".join(captured.err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) -> None:
+    words = ["--object", "thing", "--attributes", "sh", "means", "--eps", "3", "--norm", "linf", "--steps", "2"]
+    words += ["--step-factor", "1.5", "--restarts", "2", "--random-start", "--no-early-stop", "--required-views", "0.5"]
+    words += ["--noise-draws", "0", "--sh-degree", "None", "--seed", "7"]
+    assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
+    config = DaggerConfig(
+        attributes=("sh", "means"),
+        eps=(3.0,),
+        norm="linf",
+        steps=2,
+        step_factor=1.5,
+        restarts=2,
+        random_start=True,
+        early_stop=False,
+        required_views=0.5,
+        noise_draws=0,
+        sh_degree=None,
+        seed=7,
+    )
+    snapshot = json.loads((tmp_path / "result.json").read_text())["config"]
+    snapshot.pop("objective")
+    assert snapshot == json.loads(json.dumps(dataclasses.asdict(config)))
+    defaults = dataclasses.asdict(DaggerConfig())
+    assert not {name for name, value in dataclasses.asdict(config).items() if value == defaults[name]}

@@ -51,8 +51,9 @@ class Redness:
     name: str = "redness"
     classes: tuple[str, ...] = ("car", "stop sign")
     fingerprint: str = "0" * 16
+    min_confidence: float = 0.0
 
-    def candidates(self, images: Tensor, *, extra: Any = None) -> list[Candidates]:
+    def candidates(self, images: Tensor) -> list[Candidates]:
         raise NotImplementedError
 
     def detect(self, images: Tensor) -> list[Detections]:

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from attacks.dagger.attack import DaggerConfig, attack
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector

@@ -11,8 +11,10 @@ import pytest
 import torch
 from PIL import Image
 
-from attacks.dagger.attack import DaggerConfig, Result, attack
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
+from attacks.dagger.result import Result
 from attacks.objectives import Objective, Verdict, hide, relabel
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat

@@ -11,63 +11,79 @@ from typing import Any
 import pytest
 import torch
 
+from attacks import cli
+from attacks.cli import dagger_study
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import AttackScene, Job, JobRunner, jittered
-from attacks.dagger.study import CAMERAS, OTHERS, PAIRS, dagger_jobs, main, run
-from attacks.dagger.tables import by_radius, markdown, rows, write_tables
+from attacks.dagger.study import CAMERAS, PAIRS, as_json, run_jobs, study_jobs
+from attacks.dagger.tables import TITLES, by_radius, markdown, rows, write_tables
+from attacks.limits import NORM_NAMES
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import project_points
 from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
+RANDOM = DaggerConfig(eps=(12.0,), seed=1, random_start=True)
 JOBS = [
-    Job(group="pairs", scene="toy", object="thing", target="person", eps=12.0, seed=0),
-    Job(group="pairs", scene="toy", object="thing", target="person", eps=12.0, seed=1),
-    Job(group="curve", scene="toy", object="thing", target="person", eps=0.5, seed=0),
-    Job(group="hide", scene="toy", object="thing", target=None, eps=12.0, seed=0),
-    Job(group="views", scene="toy", object="thing", target="stop sign", eps=12.0, views=0),
+    Job(group="pairs", scene="toy", object="thing", target="person", config=DaggerConfig(eps=(12.0,))),
+    Job(
+        group="pairs",
+        scene="toy",
+        object="thing",
+        target="person",
+        config=DaggerConfig(eps=(12.0,), seed=1, random_start=True),
+    ),
+    Job(group="curve", scene="toy", object="thing", target="person", config=DaggerConfig(eps=(0.5,))),
+    Job(group="hide", scene="toy", object="thing", target=None, config=DaggerConfig(eps=(12.0,))),
+    Job(group="views", scene="toy", object="thing", target="stop sign", config=DaggerConfig(eps=(12.0,)), views=0),
 ]
 
 
-def job_runner() -> JobRunner:
+def toy() -> AttackScene:
     scene, _ = toy_scene()
-    setting = AttackScene(
+    return AttackScene(
         scene=scene,
         objects={"rest": slice(0, 10), "thing": slice(10, 40)},
         cameras=(camera(), camera(offset=0.4)),
         render=blobs,
     )
-    return JobRunner(lambda name: setting, ColourDetector())
+
+
+def runner() -> JobRunner:
+    return JobRunner(lambda name: toy(), ColourDetector())
 
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    lab = job_runner()
-    return run(JOBS, tmp_path_factory.mktemp("study"), lab.execute, fingerprint=lab.fingerprint)
+    one = runner()
+    return run_jobs(JOBS, tmp_path_factory.mktemp("study"), one.run, fingerprint=one.fingerprint)
 
 
 def test_the_study_holds_what_the_paper_leaves_open() -> None:
-    jobs = dagger_jobs(3)
+    jobs = study_jobs(3)
     assert len({job.name for job in jobs}) == len(jobs)
     paper = [job for job in jobs if job.group == "pairs"]
     assert len(paper) == 18
     assert {(job.scene, job.object, job.target) for job in paper} == set(PAIRS)
-    assert {(job.attribute, job.eps, job.norm) for job in paper} == {("sh", 5.0, "l2")}
-    assert {job.eps for job in jobs if job.group == "curve"} == {0.5, 1.0, 2.0}
-    assert {job.attribute for job in jobs} == {"sh", *OTHERS}
-    assert {job.norm for job in jobs} == {"l2", "linf", "l2_per_gaussian"}
-    assert any(job.target is None for job in jobs)
-    assert len(dagger_jobs(1)) * 3 == len(jobs)
+    assert {job.config for job in paper} == {DaggerConfig(seed=seed, random_start=seed > 0) for seed in range(3)}
+    assert {job.config.eps for job in jobs if job.group == "curve"} == {(0.5,), (1.0,), (2.0,)}
+    assert {job.config.attributes for job in jobs} == {(name,) for name in ATTRIBUTES}
+    assert {job.config.norm for job in jobs} == set(NORM_NAMES)
+    assert {job.group for job in jobs} == set(TITLES)
+    assert {job.object for job in jobs if job.target is None} == {"car", "stop_sign"}
+    assert len(study_jobs(1)) * 3 == len(jobs)
 
 
 @pytest.mark.parametrize("scene", sorted({scene for scene, _, _ in PAIRS}))
 def test_every_camera_of_the_scenes_is_studied(scene: str) -> None:
     path = Path(__file__).parents[2] / "scenes" / f"{scene}.xml"
     assert path.read_text().count("<sensor ") == CAMERAS
-    looked = {job.camera for job in dagger_jobs(1) if job.scene == scene and job.views == 1}
+    looked = {job.camera for job in study_jobs(1) if job.scene == scene and job.views == 1}
     assert looked == set(range(CAMERAS))
 
 
 def test_records_are_complete(records: list[dict[str, Any]]) -> None:
-    assert [record["job"] for record in records] == [dataclasses.asdict(job) for job in JOBS]
+    assert [record["job"] for record in records] == [as_json(job) for job in JOBS]
     assert [record["result"]["success"] for record in records] == [True, True, False, True, True]
     assert [len(record["result"]["views"]) for record in records] == [1, 1, 1, 1, 2]
     assert [record["result"]["config"]["random_start"] for record in records] == [False, True, False, False, False]
@@ -76,42 +92,55 @@ def test_records_are_complete(records: list[dict[str, Any]]) -> None:
 def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     done: list[str] = []
 
-    def execute(job: Job) -> dict[str, Any]:
+    def run(job: Job) -> dict[str, Any]:
         done.append(job.name)
-        if job.seed == 1 and len(done) == 2:
+        if job.config.seed == 1 and len(done) == 2:
             raise KeyboardInterrupt
-        return {"seed": job.seed}
+        return {"seed": job.config.seed}
 
     with pytest.raises(KeyboardInterrupt):
-        run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a")
+        run_jobs(JOBS[:3], tmp_path, run, fingerprint=lambda job: "a")
     first = list(done)
     heard: list[Job] = []
-    again = run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a", on_job=heard.append)
+    again = run_jobs(JOBS[:3], tmp_path, run, fingerprint=lambda job: "a", on_job=heard.append)
     assert done[2:] == [first[1], JOBS[2].name]
     assert heard == JOBS[:3]
-    assert run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a") == again
+    assert run_jobs(JOBS[:3], tmp_path, run, fingerprint=lambda job: "a") == again
     assert len(done) == 4
     (tmp_path / "jobs" / f"{JOBS[0].name}.json").write_text('{"job": 1')
-    run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "a")
+    run_jobs(JOBS[:3], tmp_path, run, fingerprint=lambda job: "a")
     assert done[4:] == [JOBS[0].name]
-    run(JOBS[:3], tmp_path, execute, fingerprint=lambda job: "b")
+    run_jobs(JOBS[:3], tmp_path, run, fingerprint=lambda job: "b")
     assert len(done) == 8
 
 
-def test_the_fingerprint_follows_the_scene_and_the_detector() -> None:
-    class Other(ColourDetector):
-        sizes = (12, 18)
+@pytest.mark.parametrize("change", [{"steps": 12}, {"step_factor": 1.0}, {"sh_degree": None}, {"early_stop": False}])
+def test_a_job_with_another_setting_is_done_again(change: dict[str, Any], tmp_path: Path) -> None:
+    """Settings that are in no file's name count too, so that a changed default reuses nothing."""
+    done: list[DaggerConfig] = []
 
-    lab = job_runner()
-    scene, _ = toy_scene(seed=1)
-    setting = lab._setting(JOBS[0])
-    marks = {
-        lab.fingerprint(JOBS[0]),
-        job_runner().fingerprint(JOBS[1]),
-        JobRunner(lambda name: setting, Other()).fingerprint(JOBS[0]),
-        JobRunner(lambda name: dataclasses.replace(setting, scene=scene), ColourDetector()).fingerprint(JOBS[0]),
-    }
-    assert len(marks) == 3
+    def run(job: Job) -> dict[str, Any]:
+        done.append(job.config)
+        return {}
+
+    other = dataclasses.replace(JOBS[0], config=dataclasses.replace(JOBS[0].config, **change))
+    assert other.name == JOBS[0].name
+    for job in (JOBS[0], other, other):
+        run_jobs([job], tmp_path, run, fingerprint=lambda job: "a")
+    assert done == [JOBS[0].config, other.config]
+
+
+def test_the_fingerprint_follows_the_scene_the_cameras_and_the_detector() -> None:
+    class Other(ColourDetector):
+        fingerprint = "another"
+
+    place = toy()
+    another, _ = toy_scene(seed=1)
+    places = [place, place, dataclasses.replace(place, scene=another)]
+    places.append(dataclasses.replace(place, cameras=place.cameras[:1]))
+    found = [JobRunner({"toy": one}.__getitem__, ColourDetector()).fingerprint(JOBS[0]) for one in places]
+    assert found[0] == found[1] == runner().fingerprint(JOBS[1])
+    assert len({*found, JobRunner({"toy": place}.__getitem__, Other()).fingerprint(JOBS[0])}) == 4
 
 
 def test_rows_and_radii_count_right(records: list[dict[str, Any]]) -> None:
@@ -159,13 +188,23 @@ def test_jitter_keeps_the_object_in_the_middle() -> None:
 
 def test_an_object_that_is_not_there_is_named() -> None:
     with pytest.raises(InvalidValueError, match="object of toy: expected one of rest, thing, got tree"):
-        job_runner().execute(dataclasses.replace(JOBS[0], object="tree"))
+        runner().run(dataclasses.replace(JOBS[0], object="tree"))
 
 
-def test_the_command_refuses_unknown_tables(
-    capsys: pytest.CaptureFixture[str],
+def test_the_command_runs_the_tables_that_are_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["dagger", "--groups", "colours"]) == 1
+    monkeypatch.setattr(dagger_study, "study_jobs", lambda seeds: JOBS[:1] * seeds + JOBS[3:4])
+    monkeypatch.setattr(dagger_study, "load_detector", lambda name, weights: ColourDetector())
+    monkeypatch.setattr(dagger_study, "_read", lambda path: toy())
+    words = ["dagger-study", "--seeds", "1", "--groups", "hide", "--out", str(tmp_path), "--json"]
+    assert cli.main(words) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["jobs"] == 1
+    assert str(tmp_path / "table.md") in document["files"]
+    assert [path.stem for path in (tmp_path / "jobs").iterdir()] == [JOBS[3].name]
+
+
+def test_the_command_refuses_unknown_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["dagger-study", "--groups", "colours"]) == 1
     assert "groups: expected some of pairs, curve" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["cloak"])

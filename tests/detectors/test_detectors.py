@@ -1,17 +1,20 @@
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 import torch
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 from torchvision.models import detection
 from torchvision.ops import FrozenBatchNorm2d, batched_nms, box_iou
 from torchvision.ops.boxes import remove_small_boxes
 
 from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
-from attacks.detectors.torchvision import SHIPPED, RCNNDetector, random_detector
+from attacks.detectors.registry import SMALL_RCNN_WEIGHTS
+from attacks.detectors.torchvision import RCNNDetector, random_detector
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose
@@ -40,6 +43,22 @@ def pictures(count: int = 2, height: int = 96, width: int = 128) -> Tensor:
     coarse = torch.rand((count, 3, 12, 16), generator=generator)
     smooth = torch.nn.functional.interpolate(coarse, size=(height, width), mode="bilinear")
     return smooth.permute(0, 2, 3, 1).contiguous()
+
+
+class CarPicture(NamedTuple):
+    image: Tensor
+    box: Tensor
+
+
+@cache
+def car_picture() -> CarPicture:
+    """A path-traced car that no training used."""
+    asset = build("car", 512_345)
+    camera = Camera(
+        to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0), focal=300, width=256, height=256
+    )
+    photo = photograph([asset], camera, light=daylight(512_345), backdrop=plain(512_345), samples=8)
+    return CarPicture(photo.view.image, photo.boxes)
 
 
 def test_the_protocol_holds(detector: RCNNDetector) -> None:
@@ -80,30 +99,20 @@ def test_candidates_with_threshold_and_suppression_are_the_detections() -> None:
 
 
 def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
-    detector = random_detector("fasterrcnn_small", seed=3)
-    image = pictures(1, 64, 64)
-    box = torch.tensor([[8.0, 4.0, 40.0, 60.0]])
-    (small,) = detector.candidates(image, extra=[box])
-    double = image.repeat_interleave(2, 1).repeat_interleave(2, 2)
-    (large,) = detector.candidates(double, extra=[2 * box])
-    assert float(small.boxes[-1].max()) <= 64
-    assert float((2 * small.boxes[-1] - large.boxes[-1]).abs().max()) < 6
-
-
-def test_extra_boxes_are_the_last_candidates(detector: RCNNDetector) -> None:
-    images = pictures()
-    extra = [torch.tensor([[10.0, 10.0, 60.0, 60.0], [0.0, 0.0, 90.0, 90.0]]), torch.empty(0, 4)]
-    without = detector.candidates(images)
-    first, second = detector.candidates(images, extra=extra)
-    assert len(first) == len(without[0]) + 2
-    assert len(second) == len(without[1])
-    torch.testing.assert_close(first.scores[:-2], without[0].scores)
-    assert first.boxes.shape == (len(first), len(detector.classes), 4)
+    detector = load_detector("fasterrcnn_small")
+    image = car_picture().image
+    (small,) = detector.candidates(image[None])
+    double = image.repeat_interleave(2, 0).repeat_interleave(2, 1)
+    (large,) = detector.candidates(double[None])
+    car = detector.classes.index("car")
+    ours, theirs = (found.boxes[int(found.scores[:, car].argmax()), car] for found in (small, large))
+    assert float(ours.max()) <= 256
+    assert float((2 * ours - theirs).abs().max()) < 6
 
 
 def test_scores_and_boxes_are_differentiable_in_the_picture(detector: RCNNDetector) -> None:
     images = pictures().requires_grad_()
-    candidates = detector.candidates(images, extra=[torch.tensor([[10.0, 10.0, 60.0, 60.0]])] * 2)
+    candidates = detector.candidates(images)
     loss = candidates[0].scores[:, 0].sum() + candidates[1].scores[:, 0].sum() + candidates[1].boxes.mean()
     loss.backward()  # type: ignore[no-untyped-call]
     assert images.grad is not None
@@ -112,16 +121,24 @@ def test_scores_and_boxes_are_differentiable_in_the_picture(detector: RCNNDetect
         assert (gradient != 0).float().mean() > 0.9
 
 
+class FixedProposals(nn.Module):
+    """Always the same box, where the library's network proposes boxes that move with the picture."""
+
+    def forward(self, batch: Any, features: Any) -> tuple[list[Tensor], dict[str, Tensor]]:
+        return [torch.tensor([[50.0, 50.0, 240.0, 210.0]], dtype=torch.float64)], {}
+
+
 def test_the_gradient_agrees_with_finite_differences() -> None:
+    """Proposals are constant for the gradient, so they are held fixed for the differences."""
     detector = random_detector("fasterrcnn_small", seed=2)
     detector.model.double()
-    extra = [torch.tensor([[20.0, 20.0, 90.0, 80.0]])]
+    detector.model.rpn = FixedProposals()
 
     def confidence(image: Tensor) -> Tensor:
-        (candidates,) = detector.candidates(image, extra=extra)
+        (candidates,) = detector.candidates(image)
         return candidates.scores[-1, 2] + 1e-3 * candidates.boxes[-1, 2].sum()
 
-    image = pictures(1, 96, 96).double()
+    image = pictures(1, 96, 96).double().clamp(0.01, 0.99)
     leaf = image.clone().requires_grad_()
     confidence(leaf).backward()  # type: ignore[no-untyped-call]
     assert leaf.grad is not None
@@ -138,11 +155,6 @@ def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tu
         detector.candidates(torch.zeros(shape))
     with pytest.raises(InvalidValueError, match="images"):
         detector.detect(torch.zeros(shape))
-
-
-def test_extra_boxes_of_another_shape_are_refused(detector: RCNNDetector) -> None:
-    with pytest.raises(InvalidValueError, match="extra: expected 2 tensors"):
-        detector.candidates(pictures(), extra=[torch.zeros(1, 4)])
 
 
 def test_shapes_of_candidates_and_detections_are_checked() -> None:
@@ -246,16 +258,11 @@ def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.Monke
 
 
 def test_the_shipped_detector_finds_a_car_that_it_was_not_trained_on() -> None:
-    asset = build("car", 512_345)
-    camera = Camera(
-        to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0), focal=300, width=256, height=256
-    )
-    photo = photograph([asset], camera, light=daylight(512_345), backdrop=plain(512_345), samples=8)
-    (found,) = load_detector("fasterrcnn_small").detect(photo.view.image[None])
+    (found,) = load_detector("fasterrcnn_small").detect(car_picture().image[None])
     assert found.labels[0] == "car"
     assert float(found.scores[0]) > 0.5
-    assert float(box_iou(found.boxes[:1], photo.boxes)) > 0.6
+    assert float(box_iou(found.boxes[:1], car_picture().box)) > 0.6
 
 
 def test_the_shipped_weights_are_small() -> None:
-    assert SHIPPED.stat().st_size <= 12_000_000
+    assert SMALL_RCNN_WEIGHTS.stat().st_size <= 12_000_000

@@ -12,15 +12,17 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections
-from attacks.detectors.small import CLASSES
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.errors import DetectorError
 from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
 from attacks.detectors.training.average_precision import average_precision, match, score
-from attacks.detectors.training.dataset import check_note, load, make, save_samples
-from attacks.detectors.training.faster_rcnn import RCNNTrainee
-from attacks.detectors.training.loop import TrainConfig, Training, export_weights
-from attacks.detectors.training.pictures import SPLITS, Photographer, PictureSetConfig, Sample, place, take
-from attacks.detectors.weights import DetectorError, read_weights
+from attacks.detectors.training.config import SPLITS, PictureSetConfig, TrainConfig
+from attacks.detectors.training.dataset import check_note, load, make, save_pictures
+from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
+from attacks.detectors.training.loop import Training, export_weights
+from attacks.detectors.training.pictures import LabelledPicture, SceneRenderer, random_scene, scene_pictures
+from attacks.detectors.weights import read_weights
 from mi_splat.errors import InvalidValueError
 
 TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
@@ -35,19 +37,19 @@ def seeded(number: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(number)
 
 
-def drawn(box: tuple[int, int, int, int], *, size: int = 96, label: int = 1) -> Sample:
+def drawn(box: tuple[int, int, int, int], *, size: int = 96, label: int = 1) -> LabelledPicture:
     """A grey picture with one bright rectangle."""
     image = torch.full((size, size, 3), 60, dtype=torch.uint8)
     x0, y0, x1, y1 = box
     image[y0:y1, x0:x1] = torch.tensor([250, 40 * label, 30], dtype=torch.uint8)
-    return Sample(image, torch.tensor([box], dtype=torch.float32), torch.tensor([label]))
+    return LabelledPicture(image, torch.tensor([box], dtype=torch.float32), torch.tensor([label]))
 
 
-# PictureSetConfig and data set
+# Pictures and data sets
 
 
-def test_a_scene_is_a_function_of_the_recipe_and_its_number() -> None:
-    first, second = place(TINY, 5), place(TINY, 5)
+def test_a_scene_is_a_function_of_the_configuration_and_its_number() -> None:
+    first, second = random_scene(TINY, 5), random_scene(TINY, 5)
     assert [a.name for a in first.assets] == [a.name for a in second.assets]
     for one, other in zip((*first.assets, first.surroundings), (*second.assets, second.surroundings), strict=True):
         assert np.array_equal(one.vertices, other.vertices)
@@ -55,7 +57,7 @@ def test_a_scene_is_a_function_of_the_recipe_and_its_number() -> None:
 
 
 def test_pictures_are_reproduced_to_the_bit() -> None:
-    for one, other in zip(take(TINY, 0), take(TINY, 0), strict=True):
+    for one, other in zip(scene_pictures(TINY, 0), scene_pictures(TINY, 0), strict=True):
         assert torch.equal(one.image, other.image)
         assert torch.equal(one.boxes, other.boxes)
         assert torch.equal(one.labels, other.labels)
@@ -65,7 +67,7 @@ def test_splits_use_other_objects_and_lights() -> None:
     ranges = sorted(SPLITS.values())
     assert all(low < high for low, high in ranges)
     assert all(ours[1] <= theirs[0] for ours, theirs in itertools.pairwise(ranges))
-    train, held_out = place(TINY, 0), place(replace(TINY, split="held-out"), 0)
+    train, held_out = random_scene(TINY, 0), random_scene(replace(TINY, split="held-out"), 0)
     assert train.light.seed != held_out.light.seed
 
 
@@ -75,8 +77,8 @@ def test_an_unknown_split_is_refused() -> None:
 
 
 def test_cameras_reach_from_the_street_to_straight_down() -> None:
-    photographer = Photographer(replace(TINY, empty=1.0), 0)
-    cameras = [photographer.aim() for _ in range(300)]
+    renderer = SceneRenderer(replace(TINY, empty=1.0), 0)
+    cameras = [renderer.choose_camera() for _ in range(300)]
     elevations = torch.tensor([math.degrees(math.asin(-float(c.to_world[2, 2]))) for c in cameras])
     counts = torch.histc(elevations, 6, 0, 90)
     assert float(counts.min()) > 25
@@ -84,8 +86,8 @@ def test_cameras_reach_from_the_street_to_straight_down() -> None:
 
 
 def test_boxes_are_tight_and_inside_the_picture() -> None:
-    for sample in take(replace(TINY, size=64, empty=0.0, street=0.0), 3):
-        assert CLASSES[int(sample.labels[0]) - 1] == CLASSES[3]
+    for sample in scene_pictures(replace(TINY, size=64, empty=0.0, street=0.0), 3):
+        assert SMALL_CLASSES[int(sample.labels[0]) - 1] == SMALL_CLASSES[3]
         low, high = sample.boxes[:, :2], sample.boxes[:, 2:]
         assert bool(((low >= 0) & (high <= 64) & (high > low)).all())
 
@@ -99,15 +101,15 @@ def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
     assert (tmp_path / "00000.png").stat().st_mtime_ns == before
     samples = load(tmp_path)
     assert len(samples) == 4
-    for ours, theirs in zip(samples, [*take(TINY, 0), *take(TINY, 1)], strict=True):
+    for ours, theirs in zip(samples, [*scene_pictures(TINY, 0), *scene_pictures(TINY, 1)], strict=True):
         assert torch.equal(ours.image, theirs.image)
         assert torch.equal(ours.boxes, theirs.boxes)
     assert json.loads((tmp_path / "labels.json").read_text())["recipe"]["count"] == 4
 
 
-def test_a_folder_of_another_recipe_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_of_another_configuration_is_left_alone(tmp_path: Path) -> None:
     make(replace(TINY, count=2), tmp_path, processes=0)
-    with pytest.raises(InvalidValueError, match="choose an empty folder or the same recipe"):
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
         make(replace(TINY, seed=1), tmp_path, processes=0)
     with pytest.raises(InvalidValueError, match=r"expected a labels\.json, got none"):
         load(tmp_path / "nothing")
@@ -185,7 +187,7 @@ def test_scores_are_kept_apart_by_class_and_picture() -> None:
     samples = [drawn((10, 10, 50, 50), label=1), drawn((10, 10, 50, 50), label=2)]
     box = torch.tensor([[10.0, 10.0, 50.0, 50.0]])
     right, wrong = Detections(box, torch.tensor([0.8]), ("car",)), Detections(box, torch.tensor([0.9]), ("car",))
-    result = score([right, wrong], samples, CLASSES)
+    result = score([right, wrong], samples, SMALL_CLASSES)
     assert result.counts == {"car": 1, "person": 1}
     assert result.ap == {"car": 0.5, "person": 0.0}
     assert result.recall == {"car": 1.0, "person": 0.0}
@@ -194,25 +196,25 @@ def test_scores_are_kept_apart_by_class_and_picture() -> None:
 
 # Training
 
-PLAIN = TrainConfig(epochs=2, batch=2, coarse_side=96, coarse_share=1.0, seed=3)
+PLAIN = TrainConfig(epochs=2, batch=2, low_resolution=96, low_resolution_fraction=1.0, seed=3)
 
 
-def few() -> list[Sample]:
+def few() -> list[LabelledPicture]:
     return [drawn((20 + 4 * i, 30, 70, 80), label=1 + i % 2) for i in range(4)]
 
 
 def test_training_lowers_the_loss() -> None:
-    training = Training(replace(PLAIN, epochs=8, rate=1e-3, warm_up=0.01), RCNNTrainee())
+    training = Training(replace(PLAIN, epochs=8, learning_rate=1e-3, warm_up=0.01), FasterRCNNTrainer())
     losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
     assert min(losses[-2:]) < 0.7 * losses[0]
 
 
 def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
-    straight = Training(PLAIN, RCNNTrainee())
+    straight = Training(PLAIN, FasterRCNNTrainer())
     straight.run_epoch(few())
     straight.save(tmp_path)
     straight.run_epoch(few())
-    resumed = Training.resume(tmp_path, PLAIN, RCNNTrainee())
+    resumed = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
     assert resumed.epoch == 1
     resumed.run_epoch(few())
     for name, value in straight.model.state_dict().items():
@@ -222,30 +224,32 @@ def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN, RCNNTrainee()).save(tmp_path)
+    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
     with pytest.raises(DetectorError, match="use the same one or another folder"):
-        Training.resume(tmp_path, replace(PLAIN, rate=1.0), RCNNTrainee())
+        Training.resume(tmp_path, replace(PLAIN, learning_rate=1.0), FasterRCNNTrainer())
 
 
 def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN, RCNNTrainee()).save(tmp_path)
-    other = RCNNTrainee()
+    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
+    other = FasterRCNNTrainer()
     other.name = "another"
     with pytest.raises(DetectorError, match="a run of another"):
         Training.resume(tmp_path, PLAIN, other)
 
 
 def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
-    sample = Sample(torch.zeros(8, 8, 3, dtype=torch.uint8), torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
+    sample = LabelledPicture(
+        torch.zeros(8, 8, 3, dtype=torch.uint8), torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
+    )
     note: dict[str, object] = {"splats": {"views": 3, "rates": (1.0, 2.0)}}
-    save_samples([sample], tmp_path, note)
+    save_pictures([sample], tmp_path, note)
     check_note(tmp_path, note)
-    with pytest.raises(InvalidValueError, match="choose an empty folder or the same recipe"):
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
         check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})
 
 
 def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
-    training = Training(PLAIN, RCNNTrainee())
+    training = Training(PLAIN, FasterRCNNTrainer())
     path = tmp_path / "w.safetensors"
     export_weights(training.averaged, path, notes={"seed": "3"})
     detector = training.snapshot()

@@ -14,13 +14,14 @@ from torch import Tensor, nn
 
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.base import Detector
-from attacks.detectors.small import CLASSES
-from attacks.detectors.training.loop import TrainConfig, Training
-from attacks.detectors.training.pictures import Sample
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.loop import Training
+from attacks.detectors.training.pictures import LabelledPicture
 
 try:
     from attacks.detectors import ultralytics
-    from attacks.detectors.training.yolo import YOLOTrainee, mosaic, with_mosaics
+    from attacks.detectors.training.yolo import YOLOTrainer, mosaic, with_mosaics
 except DetectorError as error:  # ultralytics is not installed, or not usable without some system library
     pytest.skip(str(error), allow_module_level=True)
 
@@ -54,7 +55,7 @@ def model() -> Any:
 
 @pytest.fixture(scope="module")
 def detector(model: Any) -> ultralytics.YOLODetector:
-    return ultralytics.YOLODetector("yolov8n_small", model, CLASSES, side=128)
+    return ultralytics.YOLODetector("yolov8n_small", model, SMALL_CLASSES, side=128)
 
 
 def pictures(height: int, width: int, count: int = 2) -> Tensor:
@@ -81,7 +82,7 @@ def test_detections_are_those_of_the_library(
         # The library fuses convolutions and norms, which moves the last digits.
         assert torch.allclose(found.boxes, other.boxes.xyxy, atol=0.1)
         assert torch.allclose(found.scores, other.boxes.conf, atol=1e-4)
-        assert found.labels == tuple(CLASSES[int(number)] for number in other.boxes.cls)
+        assert found.labels == tuple(SMALL_CLASSES[int(number)] for number in other.boxes.cls)
 
 
 @pytest.mark.parametrize("size", [(128, 128), (90, 160), (75, 50)])
@@ -94,7 +95,7 @@ def test_candidates_are_what_detections_come_from(detector: Detector, size: tupl
         # Rounding to 8 bits and OpenCV's fixed-point scaling stand between the two.
         assert float(gap[near]) < 1.5
         assert float(best[near]) == pytest.approx(float(found.scores[0]), abs=0.05)
-        assert CLASSES[int(label[near])] == found.labels[0]
+        assert SMALL_CLASSES[int(label[near])] == found.labels[0]
 
 
 def test_gradients_reach_the_picture(detector: Detector) -> None:
@@ -109,7 +110,7 @@ def test_candidates_agree_with_finite_differences(model: Any) -> None:
     """Of one score, along one direction, in double precision."""
     import copy
 
-    double = ultralytics.YOLODetector("x", copy.deepcopy(model).double(), CLASSES, side=128)
+    double = ultralytics.YOLODetector("x", copy.deepcopy(model).double(), SMALL_CLASSES, side=128)
     image = pictures(96, 128, 1).double()
     direction = torch.rand(image.shape, dtype=torch.float64) - 0.5
 
@@ -121,19 +122,6 @@ def test_candidates_agree_with_finite_differences(model: Any) -> None:
     step = 1e-6
     difference = (score(image + step * direction) - score(image - step * direction)) / (2 * step)
     assert float((gradient * direction).sum()) == pytest.approx(float(difference), rel=1e-4)
-
-
-def test_a_wanted_box_gets_the_cell_that_overlaps_it_most(detector: Detector) -> None:
-    images = pictures(128, 128, 1)
-    box = torch.tensor([[20.0, 30.0, 90.0, 100.0]])
-    (plain,) = detector.candidates(images)
-    (more,) = detector.candidates(images, extra=[box])
-    assert len(more) == len(plain) + 1
-    from torchvision.ops import box_iou
-
-    overlaps = box_iou(box, plain.boxes[:, 0])[0]
-    assert float(box_iou(box, more.boxes[-1:, 0])) == float(overlaps.max())
-    assert torch.equal(more.scores[-1], plain.scores[int(overlaps.argmax())])
 
 
 def test_weights_come_from_a_file_of_tensors(tmp_path: Path, model: Any) -> None:
@@ -171,7 +159,7 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path) -> None:
 def test_missing_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DetectorError, match="nothing there"):
         load_detector("yolov8s", weights=tmp_path / "none.pt")
-    monkeypatch.setattr(ultralytics, "SMALL_YOLO", tmp_path / "none.safetensors")
+    monkeypatch.setattr(ultralytics, "SMALL_YOLO_WEIGHTS", tmp_path / "none.safetensors")
     with pytest.raises(DetectorError, match="the wheel has none"):
         load_detector("yolov8n_small")
 
@@ -188,22 +176,24 @@ def test_other_libraries_stay_as_they_are(tmp_path: Path) -> None:
 # Training
 
 
-def drawn(label: int) -> Sample:
+def drawn(label: int) -> LabelledPicture:
     """A grey picture with one coloured square."""
     image = torch.full((96, 96, 3), 60, dtype=torch.uint8)
     image[24:72, 20:76] = torch.tensor([250, 40 * label, 30], dtype=torch.uint8)
-    return Sample(image, torch.tensor([[20.0, 24.0, 76.0, 72.0]]), torch.tensor([label]))
+    return LabelledPicture(image, torch.tensor([[20.0, 24.0, 76.0, 72.0]]), torch.tensor([label]))
 
 
 def test_training_lowers_the_loss_and_goes_on_to_the_bit(tmp_path: Path) -> None:
-    config = TrainConfig(epochs=5, batch=4, rate=2e-3, coarse_side=96, coarse_share=1.0, seed=3, warm_up=0.01)
+    config = TrainConfig(
+        epochs=5, batch=4, learning_rate=2e-3, low_resolution=96, low_resolution_fraction=1.0, seed=3, warm_up=0.01
+    )
     samples = [drawn(1 + i % 2) for i in range(8)]
-    straight = Training(config, YOLOTrainee())
+    straight = Training(config, YOLOTrainer())
     losses = [sum(straight.run_epoch(samples).values()) for _ in range(3)]
     straight.save(tmp_path)
     losses.append(sum(straight.run_epoch(samples).values()))
     assert losses[-1] < 0.8 * losses[0]
-    resumed = Training.resume(tmp_path, config, YOLOTrainee())
+    resumed = Training.resume(tmp_path, config, YOLOTrainer())
     resumed.run_epoch(samples)
     for name, value in straight.model.state_dict().items():
         assert torch.equal(value, resumed.model.state_dict()[name]), name

@@ -30,7 +30,10 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "capture": ("mi_splat.capture",),
     "example scenes": ("mi_splat.example_scenes",),
     "commands of mi_splat": ("mi_splat.cli",),
-    "interfaces of attacks": ("attacks.pgd", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
+    "interfaces of attacks": (
+        "attacks.limits",
+        *("attacks.pgd", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
+    ),
     "detectors": ("attacks.detectors",),
     "subset": ("attacks.gaussian_subset",),
     "evaluation": ("attacks.evaluation",),

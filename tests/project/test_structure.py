@@ -23,7 +23,7 @@ LONGEST_MODULE = 400
 RENDERERS = ("mi_splat.rasterization", "mi_splat.plugins", "mi_splat.variant", "mi_splat.rendering")
 """Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
 PATH_TRACERS = ("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes", "mi_splat.scene_files")
-LOADERS = ("attacks.detectors", "attacks.dagger.study", "attacks.cli", "attacks.cloak.experiments")
+LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.experiments")
 """Parts of attacks that may know a particular detector; all others see `detectors.base` only."""
 
 
@@ -194,9 +194,9 @@ def test_wheel_works_outside_a_checkout(wheel: Path, tmp_path: Path) -> None:
     code = f"""
 import sys
 sys.path.insert(0, {str(site)!r})
-import attacks.cli, attacks.detectors.torchvision, mi_splat
+import attacks.cli, attacks.detectors.registry, mi_splat
 assert attacks.__file__.startswith({str(site)!r}) and mi_splat.__file__.startswith({str(site)!r})
-assert attacks.detectors.torchvision.SHIPPED.is_file()
+assert attacks.detectors.registry.SMALL_RCNN_WEIGHTS.is_file()
 sys.exit(attacks.cli.main(["detectors", "--json"]))
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True)

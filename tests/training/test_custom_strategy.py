@@ -12,7 +12,7 @@ from torch import Tensor
 
 from attacks import cli
 from attacks.cloak.study.config import TrainingConfig
-from attacks.cloak.study.pipeline import fit_config
+from attacks.cloak.study.dependencies import fit_config
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer

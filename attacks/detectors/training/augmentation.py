@@ -11,12 +11,12 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor
 
-from attacks.detectors.training.pictures import Sample
+from attacks.detectors.training.pictures import LabelledPicture
 
-_LEAST_SIDE, _LEAST_SHARE = 5.0, 0.3
+_MIN_SIDE, _MIN_VISIBLE = 5.0, 0.3
 
 
-def augment(sample: Sample, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
+def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
     """A training example from a labelled picture.
 
     Returns:
@@ -54,7 +54,7 @@ def reframe(image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator) 
     inside = whole.clamp(min=0).minimum(2 * centre)
     size, full = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
     fraction = size.clamp(min=0).prod(1) / full.prod(1)
-    keep = (size.amin(1) >= _LEAST_SIDE) & (fraction >= _LEAST_SHARE)
+    keep = (size.amin(1) >= _MIN_SIDE) & (fraction >= _MIN_VISIBLE)
     return moved, inside[keep], labels[keep]
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchvision.ops import box_iou
 
 from attacks.detectors.base import Detections, Detector
-from attacks.detectors.training.pictures import Sample
+from attacks.detectors.training.pictures import LabelledPicture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,15 +69,15 @@ def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.
     return correct
 
 
-def score(results: Sequence[Detections], samples: Sequence[Sample], classes: Sequence[str]) -> Score:
-    """Compare detections with labelled pictures; `samples` labels count from 1 in `classes`."""
+def score(results: Sequence[Detections], pictures: Sequence[LabelledPicture], classes: Sequence[str]) -> Score:
+    """Compare detections with labelled pictures, whose labels count from 1 in `classes`."""
     ap, recall, counts = {}, {}, {}
     for number, name in enumerate(classes, start=1):
         confidences, correct, objects = [torch.empty(0)], [torch.empty(0, dtype=torch.bool)], 0
-        for found, sample in zip(results, samples, strict=True):
+        for found, picture in zip(results, pictures, strict=True):
             mine = torch.tensor([label == name for label in found.labels], dtype=torch.bool)
             boxes, scores = found.boxes[mine].cpu(), found.scores[mine].cpu()
-            truth = sample.boxes[sample.labels == number]
+            truth = picture.boxes[picture.labels == number]
             confidences.append(scores)
             correct.append(match(boxes, scores, truth))
             objects += len(truth)
@@ -89,10 +89,15 @@ def score(results: Sequence[Detections], samples: Sequence[Sample], classes: Seq
     return Score(ap=ap, recall=recall, counts=counts)
 
 
-def evaluate(detector: Detector, samples: Sequence[Sample], *, batch: int = 16) -> Score:
-    """Run `detector` over labelled pictures of one size and score it."""
+def detect_all(detector: Detector, pictures: Sequence[LabelledPicture], *, batch: int = 16) -> list[Detections]:
+    """What a detector reports on pictures of one size, `batch` of them at a time."""
     results: list[Detections] = []
-    for start in range(0, len(samples), batch):
-        pictures = torch.stack([s.image for s in samples[start : start + batch]]).float() / 255
-        results += detector.detect(pictures)
-    return score(results, samples, detector.classes)
+    for start in range(0, len(pictures), batch):
+        stack = torch.stack([picture.image for picture in pictures[start : start + batch]]).float() / 255
+        results += detector.detect(stack)
+    return results
+
+
+def evaluate(detector: Detector, pictures: Sequence[LabelledPicture]) -> Score:
+    """Run `detector` over labelled pictures of one size and score it."""
+    return score(detect_all(detector, pictures), pictures, detector.classes)

@@ -1,34 +1,47 @@
-"""`python -m attacks.detectors.training.curves`: the picture of a training run in the model card."""
+"""The picture of a training in the model cards: losses and validation mAP by epoch."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import tyro
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 
-_HERE = Path(__file__).parents[1]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawing:
-    """Draw losses and validation mAP by epoch; needs matplotlib.
-
-    Attributes:
-        curves: JSON file with the history of a run.
-        out: Picture to write.
-    """
-
-    curves: Path = _HERE / "fasterrcnn_small.json"
-    out: Path = _HERE / "fasterrcnn_small.png"
-
-
-def main(drawing: Drawing) -> None:
-    """Draw one picture."""
+if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    epochs = [record for record in json.loads(drawing.curves.read_text())["history"] if record["epoch"] > 0]
+
+def read_history(path: Path) -> list[dict[str, Any]]:
+    """The epochs of a curves.json, or of the JSON beside a model card.
+
+    Raises:
+        InvalidValueError: The file holds no such history, or no epoch with a validation.
+    """
+    try:
+        history = json.loads(path.read_text())["history"]
+    except (ValueError, KeyError, TypeError) as error:
+        do = "name the curves.json of a training"
+        raise InvalidValueError(message(f"file {path}", "JSON with a history", repr(error), do)) from error
+    epochs: list[dict[str, Any]] = [record for record in history if record["epoch"] > 0]
+    if not any("validation" in record for record in epochs):
+        raise InvalidValueError(message(f"file {path}", "an epoch with a validation", "none", "train on"))
+    return epochs
+
+
+def draw_curves(path: Path) -> Figure:
+    """Losses, and average precision by class, over the epochs of a history.
+
+    Raises:
+        InvalidValueError: See `read_history`.
+        MiSplatError: matplotlib is not installed.
+    """
+    epochs = read_history(path)
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        do = "pip install 'mi-splat[figures]'"
+        raise MiSplatError(message("plot", "the package matplotlib", "none", do)) from error
     figure = Figure(figsize=(9, 3.2), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2)
     for name in epochs[0]["losses"]:
@@ -42,8 +55,4 @@ def main(drawing: Drawing) -> None:
     right.plot([r["epoch"] for r in scored], [r["map"] for r in scored], "k", linewidth=2.5, label="mean")
     right.set(xlabel="epoch", ylabel="AP at IoU 0.5, validation", ylim=(0, 1.02))
     right.legend(fontsize=8, ncols=2)
-    figure.savefig(drawing.out)
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Drawing))
+    return figure

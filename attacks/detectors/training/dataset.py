@@ -19,74 +19,77 @@ import numpy as np
 import torch
 from PIL import Image
 
-from attacks.detectors.small import CLASSES
-from attacks.detectors.training.pictures import PictureSetConfig, Sample, take
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.config import PictureSetConfig
+from attacks.detectors.training.pictures import LabelledPicture, scene_pictures
 from mi_splat.errors import InvalidValueError, message
 
 OnStep = Callable[[int, int], None]
 Record = dict[str, list[list[float]] | list[int]]
 
 
-def _take_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
-    recipe, number, folder = job
-    return {i: _save(s, folder, i) for i, s in enumerate(take(recipe, number), start=number * recipe.shots)}
+def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
+    config, number, folder = job
+    return {
+        i: _save(one, folder, i) for i, one in enumerate(scene_pictures(config, number), start=number * config.shots)
+    }
 
 
-def _save(sample: Sample, folder: Path, number: int) -> Record:
+def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
     temporary = folder / f".{number:05d}.{os.getpid()}.png"
-    Image.fromarray(sample.image.numpy()).save(temporary)
+    Image.fromarray(picture.image.numpy()).save(temporary)
     temporary.replace(folder / f"{number:05d}.png")
-    return {"boxes": sample.boxes.tolist(), "labels": sample.labels.tolist()}
+    return {"boxes": picture.boxes.tolist(), "labels": picture.labels.tolist()}
 
 
-def save_samples(samples: Sequence[Sample], folder: Path, recipe: dict[str, object]) -> None:
-    """Write a whole data set; `recipe` is a note of how it was made."""
+def save_pictures(pictures: Sequence[LabelledPicture], folder: Path, note: dict[str, object]) -> None:
+    """Write a whole data set; `note` says how it was made."""
     folder.mkdir(parents=True, exist_ok=True)
-    _write(folder, recipe, {i: _save(sample, folder, i) for i, sample in enumerate(samples)})
+    _write(folder, note, {i: _save(picture, folder, i) for i, picture in enumerate(pictures)})
 
 
-def check_note(folder: Path, recipe: dict[str, object]) -> None:
-    """Raise unless a data set was made as `recipe` notes.
+def check_note(folder: Path, note: dict[str, object]) -> None:
+    """Raise unless a data set was made as `note` says.
 
     Raises:
         InvalidValueError: It was made otherwise.
     """
     noted = json.loads((folder / "labels.json").read_text())["recipe"]
-    if noted != json.loads(json.dumps(recipe)):
-        do = "choose an empty folder or the same recipe"
-        raise InvalidValueError(message(f"folder {folder}", recipe, noted, do))
+    if noted != json.loads(json.dumps(note)):
+        do = "choose an empty folder or the same configuration"
+        raise InvalidValueError(message(f"folder {folder}", note, noted, do))
 
 
 def _single_thread() -> None:
     torch.set_num_threads(1)
 
 
-def make(recipe: PictureSetConfig, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
-    """Make the pictures of a recipe that `folder` does not hold yet.
+def make(config: PictureSetConfig, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
+    """Make the pictures of a configuration that `folder` does not hold yet.
 
     Args:
-        recipe: What to make.
+        config: What to make.
         folder: Where; it is made if need be.
         processes: How many processes share the work; 0 does it in this one.
         on_step: Called with the number of pictures there are and the number wanted.
 
     Raises:
-        InvalidValueError: the folder holds pictures of another recipe.
+        InvalidValueError: the folder holds pictures of another configuration.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    records = _records(folder, recipe)
-    scenes = math.ceil(recipe.count / recipe.shots)
-    missing = [n for n in range(scenes) if any(n * recipe.shots + i not in records for i in range(recipe.shots))]
+    records = _records(folder, config)
+    scenes = math.ceil(config.count / config.shots)
+    missing = [n for n in range(scenes) if any(n * config.shots + i not in records for i in range(config.shots))]
     if not missing:
         return
     with _mapper(processes) as each:
-        for done, new in enumerate(each(_take_to_disk, [(recipe, n, folder) for n in missing])):
+        for done, new in enumerate(each(_scene_to_disk, [(config, n, folder) for n in missing])):
             records |= new
             if done % 20 == 19:
-                _write(folder, asdict(recipe), records)
+                _write(folder, asdict(config), records)
             if on_step is not None:
-                on_step(len(records), scenes * recipe.shots)
-    _write(folder, asdict(recipe), records)
+                on_step(len(records), scenes * config.shots)
+    _write(folder, asdict(config), records)
 
 
 @contextlib.contextmanager
@@ -99,10 +102,10 @@ def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]
         yield pool.imap_unordered
 
 
-def _write(folder: Path, recipe: dict[str, object], records: dict[int, Record]) -> None:
+def _write(folder: Path, note: dict[str, object], records: dict[int, Record]) -> None:
     content = {
-        "recipe": recipe,
-        "classes": list(CLASSES),
+        "recipe": note,
+        "classes": list(SMALL_CLASSES),
         "pictures": {f"{i:05d}.png": records[i] for i in sorted(records)},
     }
     temporary = folder / "labels.json.partial"
@@ -110,7 +113,7 @@ def _write(folder: Path, recipe: dict[str, object], records: dict[int, Record]) 
     temporary.replace(folder / "labels.json")
 
 
-def _records(folder: Path, recipe: PictureSetConfig) -> dict[int, Record]:
+def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
     path = folder / "labels.json"
     if not path.is_file():
         return {}
@@ -118,14 +121,14 @@ def _records(folder: Path, recipe: PictureSetConfig) -> dict[int, Record]:
     noted: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
     }
-    if replace(PictureSetConfig(**noted), count=recipe.count) != recipe:
+    if replace(PictureSetConfig(**noted), count=config.count) != config:
         raise InvalidValueError(
-            message(f"folder {folder}", recipe, content["recipe"], "choose an empty folder or the same recipe")
+            message(f"folder {folder}", config, content["recipe"], "choose an empty folder or the same configuration")
         )
     return {int(Path(name).stem): record for name, record in content["pictures"].items()}
 
 
-def load(folder: Path, *, limit: int | None = None) -> list[Sample]:
+def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     """Read a data set into memory.
 
     Args:
@@ -138,9 +141,9 @@ def load(folder: Path, *, limit: int | None = None) -> list[Sample]:
     path = folder / "labels.json"
     if not path.is_file():
         raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
-    samples = []
+    pictures = []
     for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
         image = torch.from_numpy(np.array(Image.open(folder / name)))
         boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-        samples.append(Sample(image, boxes, torch.tensor(record["labels"], dtype=torch.int64)))
-    return samples
+        pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64)))
+    return pictures

@@ -10,30 +10,32 @@ from torchvision.models.detection._utils import BalancedPositiveNegativeSampler
 
 from attacks.detectors import small
 from attacks.detectors.base import Detector
+from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.torchvision import RCNNDetector
-from attacks.detectors.training.loop import Targets, TrainConfig
-from attacks.detectors.training.pictures import Sample
+from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.loop import Targets
+from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.pretraining import pretrain
 
-_EAGER, _SETTLED = (32, 0.5), (96, 0.25)
+_USUAL_SAMPLER, _FINAL_SAMPLER = (32, 0.5), (96, 0.25)
 """Boxes a picture that the box head learns from, and the largest fraction of them with an object."""
 
 
-class RCNNTrainee:
-    """The small Faster R-CNN; its calmer epochs have more boxes a picture, and fewer of them with an object."""
+class FasterRCNNTrainer:
+    """The small Faster R-CNN; in its last epochs the box head learns from more boxes, fewer of them with an object."""
 
     name = "fasterrcnn_small"
 
     def build(self) -> nn.Module:
-        """See `Trainee`."""
+        """See `DetectorTrainer`."""
         model: nn.Module = small.build()
         return model
 
-    def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
-        """See `Trainee`."""
+    def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
+        """See `DetectorTrainer`."""
         assert isinstance(model, FasterRCNN)
-        model.transform.min_size = (side or small.SIZE,)
-        model.roi_heads.fg_bg_sampler = BalancedPositiveNegativeSampler(*(_SETTLED if settled else _EAGER))
+        model.transform.min_size = (side or SMALL_SIDE,)
+        model.roi_heads.fg_bg_sampler = BalancedPositiveNegativeSampler(*(_FINAL_SAMPLER if final else _USUAL_SAMPLER))
 
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
@@ -45,22 +47,22 @@ class RCNNTrainee:
     def pretrain(
         self,
         model: nn.Module,
-        samples: Sequence[Sample],
+        samples: Sequence[LabelledPicture],
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """Name cut-outs; see `attacks.detectors.training.pretraining`."""
+        """Classify cut-outs; see `attacks.detectors.training.pretraining`."""
         assert isinstance(model, FasterRCNN)
         return pretrain(
             model.backbone,
             samples,
             steps=config.pretraining,
             seed=config.seed,
-            mixed=config.mixed,
+            mixed=config.mixed_precision,
             on_step=on_step,
         )
 
     def detector(self, model: nn.Module) -> Detector:
-        """See `Trainee`."""
+        """See `DetectorTrainer`."""
         assert isinstance(model, FasterRCNN)
-        return RCNNDetector(self.name, model, ("__background__", *small.CLASSES))
+        return RCNNDetector(self.name, model, ("__background__", *SMALL_CLASSES))

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
@@ -15,57 +15,22 @@ from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
+from attacks.detectors.errors import DetectorError
 from attacks.detectors.training.augmentation import augment
-from attacks.detectors.training.pictures import Sample
-from attacks.detectors.weights import DetectorError, apply_weights, read_weights
+from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.weights import apply_weights, read_weights
 from mi_splat.errors import message
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainConfig:
-    """How the detector is trained.
-
-    Attributes:
-        pretraining: Steps of naming cut-outs before the first epoch.
-        epochs: Passes over the pictures.
-        batch: Pictures a step.
-        rate: Highest learning rate of AdamW, reached after the warm-up and then lowered along a cosine.
-        warm_up: Fraction of the steps over which the rate rises.
-        decay: AdamW's weight decay.
-        average: How much of the averaged weights each step keeps.
-        clip: Largest norm of the gradient.
-        mixed: Convolutions and matrix products in bfloat16.
-        coarse_side: Shorter image side in the first epochs, which are cheaper for it.
-        coarse_share: Fraction of the epochs at that size.
-        settle_share: Fraction of the epochs, the last ones, that are closer to what the network meets in use, hence
-            calmer; what that means, the trainee says.
-        seed: Seed of the weights, of the order and of every random change of the pictures.
-    """
-
-    pretraining: int = 1000
-    epochs: int = 20
-    batch: int = 8
-    rate: float = 1.2e-3
-    warm_up: float = 0.06
-    decay: float = 0.02
-    average: float = 0.998
-    clip: float = 5.0
-    mixed: bool = True
-    coarse_side: int = 160
-    coarse_share: float = 0.4
-    settle_share: float = 0.2
-    seed: int = 0
-
 
 OnStep = Callable[[int, int, dict[str, float]], None]
 """Called with (step in the epoch, steps of an epoch, losses)."""
 
 Targets = list[dict[str, Tensor]]
-"""For each picture `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in CLASSES."""
+"""For each picture `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in SMALL_CLASSES."""
 
 
-class Trainee(Protocol):
-    """A network that can be trained here.
+class DetectorTrainer(Protocol):
+    """What the loop has to know of a detector: its network, its losses, and how its epochs differ.
 
     Attributes:
         name: Of the detector.
@@ -77,13 +42,13 @@ class Trainee(Protocol):
         """The network with random weights, drawn from torch's generator."""
         ...
 
-    def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
+    def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
         """Make the network ready for an epoch.
 
         Args:
             model: The network.
             side: Shorter image side to train at, pixels; None is that of its use.
-            settled: Whether this is one of the calmer last epochs.
+            final: Whether this is one of the last epochs, whose training examples are closer to what it meets in use.
         """
         ...
 
@@ -96,7 +61,7 @@ class Trainee(Protocol):
     def pretrain(
         self,
         model: nn.Module,
-        samples: Sequence[Sample],
+        samples: Sequence[LabelledPicture],
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
@@ -118,24 +83,24 @@ class Training:
         history: One dict of figures a finished epoch.
     """
 
-    def __init__(self, config: TrainConfig, trainee: Trainee) -> None:
+    def __init__(self, config: TrainConfig, trainer: DetectorTrainer) -> None:
         torch.manual_seed(config.seed)
-        self.config, self.trainee = config, trainee
-        self.model = trainee.build().to(memory_format=torch.channels_last)
+        self.config, self.trainer = config, trainer
+        self.model = trainer.build().to(memory_format=torch.channels_last)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.epoch = 0
         self.history: list[dict[str, object]] = []
         groups = [
-            {"params": [p for p in self.model.parameters() if p.ndim > 1], "weight_decay": config.decay},
+            {"params": [p for p in self.model.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
             {"params": [p for p in self.model.parameters() if p.ndim <= 1], "weight_decay": 0.0},
         ]
-        self._optimiser = torch.optim.AdamW(groups, lr=config.rate)
+        self._optimiser = torch.optim.AdamW(groups, lr=config.learning_rate)
 
     def pretrain(
-        self, samples: Sequence[Sample], *, on_step: Callable[[int, int, float], None] | None = None
+        self, samples: Sequence[LabelledPicture], *, on_step: Callable[[int, int, float], None] | None = None
     ) -> float | None:
         """Give the network its head start; returns the fraction of cut-outs that it names right."""
-        right = self.trainee.pretrain(self.model, samples, self.config, on_step)
+        right = self.trainer.pretrain(self.model, samples, self.config, on_step)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
         return right
@@ -151,14 +116,14 @@ class Training:
         digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.history.append({"epoch": 0, "start": weights.name, "sha256": digest})
 
-    def run_epoch(self, samples: Sequence[Sample], *, on_step: OnStep | None = None) -> dict[str, float]:
+    def run_epoch(self, samples: Sequence[LabelledPicture], *, on_step: OnStep | None = None) -> dict[str, float]:
         """Train on every sample once; returns the mean of each loss."""
         config = self.config
         torch.manual_seed(_seed(config.seed, self.epoch))
         self.model.train()
-        coarse = self.epoch < round(config.coarse_share * config.epochs)
-        settled = self.epoch >= config.epochs - round(config.settle_share * config.epochs)
-        self.trainee.begin_epoch(self.model, side=config.coarse_side if coarse else None, settled=settled)
+        low_resolution = self.epoch < round(config.low_resolution_fraction * config.epochs)
+        final = self.epoch >= config.epochs - round(config.final_fraction * config.epochs)
+        self.trainer.begin_epoch(self.model, side=config.low_resolution if low_resolution else None, final=final)
         steps = len(samples) // config.batch
         total: dict[str, float] = {}
         for step, (pictures, targets) in enumerate(self._batches(samples)):
@@ -172,7 +137,7 @@ class Training:
         self.epoch += 1
         return total
 
-    def _batches(self, samples: Sequence[Sample]) -> Iterator[tuple[list[Tensor], Targets]]:
+    def _batches(self, samples: Sequence[LabelledPicture]) -> Iterator[tuple[list[Tensor], Targets]]:
         order = torch.randperm(len(samples)).tolist()
         for start in range(0, len(samples) - self.config.batch + 1, self.config.batch):
             pictures, targets = [], []
@@ -184,14 +149,14 @@ class Training:
             yield pictures, targets
 
     def _step(self, pictures: list[Tensor], targets: Targets, generator: Generator) -> dict[str, float]:
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.mixed):
-            losses = self.trainee.losses(self.model, pictures, targets, generator)
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.mixed_precision):
+            losses = self.trainer.losses(self.model, pictures, targets, generator)
         self._optimiser.zero_grad(set_to_none=True)
         total = torch.stack([v.float() for v in losses.values()]).sum()
         total.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
+        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.max_gradient_norm)
         self._optimiser.step()
-        keep = self.config.average
+        keep = self.config.ema_decay
         for name, value in self.model.state_dict().items():
             if value.is_floating_point():
                 self.averaged[name].lerp_(value, 1 - keep)
@@ -205,14 +170,14 @@ class Training:
         else:
             factor = 0.005 + 0.995 * 0.5 * (1 + math.cos(math.pi * (done - warm) / (1 - warm)))
         for group in self._optimiser.param_groups:
-            group["lr"] = self.config.rate * factor
+            group["lr"] = self.config.learning_rate * factor
 
     def snapshot(self) -> Detector:
         """A detector of the averaged weights, rounded to what is shipped."""
         with torch.random.fork_rng(devices=[]):
-            model = self.trainee.build()
+            model = self.trainer.build()
         model.load_state_dict(rounded(self.averaged), strict=False)
-        return self.trainee.detector(model.eval())
+        return self.trainer.detector(model.eval())
 
     def save(self, folder: Path) -> None:
         """Write everything that the rest of the run depends on; the old checkpoint stays until the new one is whole."""
@@ -222,7 +187,7 @@ class Training:
         for number, state in self._optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser/{number}/{k}": v.contiguous() for k, v in state.items()}
         notes = {
-            "detector": self.trainee.name,
+            "detector": self.trainer.name,
             "config": asdict(self.config),
             "epoch": self.epoch,
             "history": self.history,
@@ -232,19 +197,19 @@ class Training:
         temporary.replace(folder / "checkpoint.safetensors")
 
     @classmethod
-    def resume(cls, folder: Path, config: TrainConfig, trainee: Trainee) -> Training:
+    def resume(cls, folder: Path, config: TrainConfig, trainer: DetectorTrainer) -> Training:
         """Continue from the checkpoint in `folder`, or begin where there is none.
 
         Raises:
             DetectorError: the checkpoint belongs to a run with another configuration.
         """
         path = folder / "checkpoint.safetensors"
-        training = cls(config, trainee)
+        training = cls(config, trainer)
         if not path.is_file():
             return training
         notes = json.loads(_metadata(path)["notes"])
-        if notes.get("detector") != trainee.name:
-            expected, do = f"a run of {trainee.name}", "choose another folder"
+        if notes.get("detector") != trainer.name:
+            expected, do = f"a run of {trainer.name}", "choose another folder"
             raise DetectorError(message(f"checkpoint {path}", expected, notes.get("detector", "an older one"), do))
         if notes["config"] != asdict(config):
             raise DetectorError(

@@ -1,6 +1,6 @@
-"""Training pictures for `fasterrcnn_small`: which objects, seen from where, in what light, in front of what.
+"""Labelled pictures for the small detectors: which objects, seen from where, in what light, in front of what.
 
-Scene n of a split, with all its pictures, is a pure function of (recipe, n): nothing depends on the order or the
+Scene n of a split, with all its pictures, is a pure function of (configuration, n): nothing depends on the order or the
 process in which pictures are made.
 """
 
@@ -16,7 +16,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.detectors.small import CLASSES, SIZE
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.config import SPLITS, PictureSetConfig
 from attacks.detectors.training.surroundings import backdrop, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
@@ -31,10 +32,6 @@ from mi_splat.capture.path_tracer import (
     scene_dict,
     shapes,
 )
-from mi_splat.errors import InvalidValueError, message
-
-SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
-"""Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""
 
 Mask = NDArray[np.bool_]
 _TRIES, _WELL_VISIBLE = 4, 0.5
@@ -44,46 +41,9 @@ _LEAST_PIXELS = 12
 _COARSE = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PictureSetConfig:
-    """What a data set is made of.
-
-    Attributes:
-        split: Key of `SPLITS`.
-        count: Number of pictures.
-        seed: Seed of everything that is random.
-        size: Width and height, pixels.
-        shots: Pictures of each scene.
-        samples: Samples per pixel.
-        empty: Fraction of scenes without any object.
-        pair: Fraction of scenes with two objects.
-        street: Fraction of scenes in the project's own surroundings: street, park, open ground, room.
-        least_visible: Objects of which less than this fraction can be seen are not labelled.
-        elevation: Lowest and highest elevation of the cameras, degrees.
-        focus: Classes that take turns as a scene's first object; one may come several times.
-    """
-
-    split: str = "train"
-    count: int = 2800
-    seed: int = 0
-    size: int = SIZE
-    shots: int = 3
-    samples: int = 6
-    empty: float = 0.06
-    pair: float = 0.3
-    street: float = 0.5
-    least_visible: float = 0.15
-    elevation: tuple[float, float] = (0.0, 90.0)
-    focus: tuple[str, ...] = CLASSES
-
-    def __post_init__(self) -> None:
-        if self.split not in SPLITS:
-            raise InvalidValueError(message("split", " or ".join(SPLITS), repr(self.split), "choose one of them"))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A scene before it is photographed: objects in the world, what is around them, the light."""
+class PictureScene:
+    """What a picture is taken of: objects in the world, what is around them, the light."""
 
     assets: tuple[Asset, ...]
     surroundings: Asset
@@ -91,13 +51,13 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class LabelledPicture:
     """A labelled picture.
 
     Attributes:
         image: (H, W, 3) uint8 sRGB.
         boxes: (B, 4) float32 pixels, tight around visible pixels.
-        labels: (B,) int64, 1 + position in CLASSES.
+        labels: (B,) int64, 1 + position in SMALL_CLASSES.
     """
 
     image: Tensor
@@ -105,25 +65,25 @@ class Sample:
     labels: Tensor
 
 
-def place(recipe: PictureSetConfig, number: int) -> Place:
-    """Scene `number` of a recipe."""
-    low, high = SPLITS[recipe.split]
-    rng = np.random.default_rng([recipe.seed, low, number])
+def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
+    """Scene `number` of a configuration."""
+    low, high = SPLITS[config.split]
+    rng = np.random.default_rng([config.seed, low, number])
     kind = rng.random()
-    names = [recipe.focus[number % len(recipe.focus)], CLASSES[int(rng.integers(len(CLASSES)))]]
-    count = 0 if kind < recipe.empty else 2 if kind < recipe.empty + recipe.pair else 1
+    names = [config.focus[number % len(config.focus)], SMALL_CLASSES[int(rng.integers(len(SMALL_CLASSES)))]]
+    count = 0 if kind < config.empty else 2 if kind < config.empty + config.pair else 1
     seeds = [int(rng.integers(low, high)) for _ in names]
     assets = _arrange([build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng)
     points = np.concatenate([asset.vertices for asset in assets]) if assets else np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
     radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
     light = daylight(int(rng.integers(1 << 30)))
-    if rng.random() < recipe.street:
+    if rng.random() < config.street:
         around = street.backdrop(int(rng.integers(low, high)))
         around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
     else:
         around = backdrop(rng, radius)
-    return Place(tuple(assets), around, light)
+    return PictureScene(tuple(assets), around, light)
 
 
 def _arrange(assets: Sequence[Asset], rng: Generator) -> list[Asset]:
@@ -152,12 +112,12 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def _camera(points: Floats, rng: Generator, recipe: PictureSetConfig) -> Camera:
+def _camera(points: Floats, rng: Generator, config: PictureSetConfig) -> Camera:
     """A camera in which the longer side of the box around `points` is 20 to 100 % of the picture."""
-    size = recipe.size
+    size = config.size
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*recipe.elevation))
+    azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*config.elevation))
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
     extent = size * math.exp(rng.uniform(math.log(0.2), 0.0))
     cloud = torch.from_numpy(np.ascontiguousarray(points, np.float64))
@@ -178,24 +138,24 @@ def _camera(points: Floats, rng: Generator, recipe: PictureSetConfig) -> Camera:
     return Camera(to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal)
 
 
-class Photographer:
-    """Chooses cameras for one scene, takes its pictures and labels them.
+class SceneRenderer:
+    """Chooses cameras for one scene, renders its pictures and labels them.
 
     Attributes:
-        place: What is there.
+        contents: What is there.
         scene: The same as a Mitsuba scene for the `scalar_rgb` variant.
     """
 
-    def __init__(self, recipe: PictureSetConfig, number: int) -> None:
+    def __init__(self, config: PictureSetConfig, number: int) -> None:
         """Build scene `number`."""
-        self._recipe = recipe
-        self.place = place(recipe, number)
-        self._rng = np.random.default_rng([recipe.seed, SPLITS[recipe.split][0], number, 1])
-        self.scene = scene_dict(self.place.assets, light=self.place.light, backdrop=self.place.surroundings)
+        self._config = config
+        self.contents = random_scene(config, number)
+        self._rng = np.random.default_rng([config.seed, SPLITS[config.split][0], number, 1])
+        self.scene = scene_dict(self.contents.assets, light=self.contents.light, backdrop=self.contents.surroundings)
         with scalar_variant():
-            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in self.place.assets]
+            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in self.contents.assets]
 
-    def aim(self) -> Camera:
+    def choose_camera(self) -> Camera:
         """The next camera; objects that are hidden, cut off or seen edge-on make it look for another, a few times."""
         for _ in range(_TRIES):
             camera = self._any_camera()
@@ -204,28 +164,28 @@ class Photographer:
                 break
         return camera
 
-    def take(self, camera: Camera) -> View:
+    def render(self, camera: Camera) -> View:
         """A path-traced picture."""
-        (view,) = capture(self.scene, [camera], samples=self._recipe.samples, seed=int(self._rng.integers(1 << 28)))
+        (view,) = capture(self.scene, [camera], samples=self._config.samples, seed=int(self._rng.integers(1 << 28)))
         return view
 
-    def label(self, camera: Camera, image: Tensor) -> Sample:
+    def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
         boxes, labels = [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
-        for asset, (seen, _), (fraction, _) in zip(self.place.assets, outlines, visible, strict=True):
+        for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):
             rows, columns = np.nonzero(seen)
-            if len(rows) >= _LEAST_PIXELS and fraction >= self._recipe.least_visible:
+            if len(rows) >= _LEAST_PIXELS and fraction >= self._config.least_visible:
                 boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-                labels.append(1 + CLASSES.index(asset.name))
-        return Sample(
+                labels.append(1 + SMALL_CLASSES.index(asset.name))
+        return LabelledPicture(
             (image.clamp(0, 1) * 255).round().to(torch.uint8),
             torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
             torch.tensor(labels, dtype=torch.int64),
         )
 
     def _any_camera(self) -> Camera:
-        assets, rng = self.place.assets, self._rng
+        assets, rng = self.contents.assets, self._rng
         if not assets:
             scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
             points: Floats = (scale * (rng.normal(0, 1, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.9])).astype(np.float32)
@@ -233,7 +193,7 @@ class Photographer:
             points = assets[int(rng.integers(len(assets)))].body.vertices
         else:
             points = np.concatenate([asset.body.vertices for asset in assets])
-        return _camera(points, rng, self._recipe)
+        return _camera(points, rng, self._config)
 
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
@@ -250,9 +210,9 @@ class Photographer:
             principal=(camera.cx / _COARSE, camera.cy / _COARSE),
         )
         fractions = []
-        for asset, (seen, alone) in zip(self.place.assets, self._outlines(small), strict=True):
+        for asset, (seen, alone) in zip(self.contents.assets, self._outlines(small), strict=True):
             pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
-            inside = (pixels >= 0).all(1) & (pixels <= self._recipe.size).all(1) & (depth > 0)
+            inside = (pixels >= 0).all(1) & (pixels <= self._config.size).all(1) & (depth > 0)
             fraction = float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean())
             fractions.append((fraction, _solid(alone)))
         return fractions
@@ -264,8 +224,8 @@ def _solid(outline: Mask) -> bool:
     return len(rows) >= _LEAST_SOLID * side**2
 
 
-def take(recipe: PictureSetConfig, number: int) -> list[Sample]:
+def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
     """The pictures of scene `number`."""
-    photographer = Photographer(recipe, number)
-    cameras = [photographer.aim() for _ in range(recipe.shots)]
-    return [photographer.label(camera, photographer.take(camera).image) for camera in cameras]
+    renderer = SceneRenderer(config, number)
+    cameras = [renderer.choose_camera() for _ in range(config.shots)]
+    return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]

@@ -1,4 +1,4 @@
-"""A head start for the backbone: naming objects that are cut out of the training pictures.
+"""A head start for the backbone: classifying objects that are cut out of the training pictures.
 
 A step of detector training sees some ten objects and spends most of its time on where they are; here a step sees 64
 for the same price, so that features that tell the classes apart come much sooner.
@@ -14,17 +14,18 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor, nn
 from torchvision.ops import roi_align
 
-from attacks.detectors.small import CLASSES, Backbone
-from attacks.detectors.training.pictures import Sample
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.small import Backbone
+from attacks.detectors.training.pictures import LabelledPicture
 
 SIDE = 96
-_PLAIN = 1 / 9
+_BACKGROUND_FRACTION = 1 / 9
 _MARGIN = (0.95, 1.5)
 
 
 def pretrain(
     backbone: Backbone,
-    samples: Sequence[Sample],
+    samples: Sequence[LabelledPicture],
     *,
     steps: int,
     batch: int = 64,
@@ -33,7 +34,7 @@ def pretrain(
     mixed: bool = True,
     on_step: Callable[[int, int, float], None] | None = None,
 ) -> float:
-    """Train the stem and the stages of `backbone`, in place, to name cut-outs.
+    """Train the stem and the stages of `backbone`, in place, to classify cut-outs.
 
     Args:
         backbone: What to train; its pyramid stays as it is.
@@ -43,15 +44,15 @@ def pretrain(
         rate: Highest learning rate of AdamW.
         seed: Seed of everything random.
         mixed: Convolutions in bfloat16.
-        on_step: Called with the steps done, the steps wanted, and the fraction of right names lately.
+        on_step: Called with the steps done, the steps wanted, and the fraction that were right lately.
 
     Returns:
-        Fraction of right names over the last tenth of the steps.
+        Fraction classified right over the last tenth of the steps.
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    namer = nn.Linear(sum(backbone.widths), len(CLASSES) + 1)
-    parameters = [*backbone.stem.parameters(), *backbone.stages.parameters(), *namer.parameters()]
+    classifier = nn.Linear(sum(backbone.widths), len(SMALL_CLASSES) + 1)
+    parameters = [*backbone.stem.parameters(), *backbone.stages.parameters(), *classifier.parameters()]
     optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=0.05)
     backbone.train()
     right = 0.0
@@ -66,7 +67,7 @@ def pretrain(
             for stage in backbone.stages:
                 x = stage(x)
                 pooled.append(x.mean((2, 3)))
-            scores = namer(torch.cat(pooled, 1))
+            scores = classifier(torch.cat(pooled, 1))
         loss = F.cross_entropy(scores.float(), names, label_smoothing=0.1)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
@@ -79,14 +80,14 @@ def pretrain(
     return right
 
 
-def cut_outs(samples: Sequence[Sample], count: int, generator: Generator) -> tuple[Tensor, Tensor]:
+def cut_outs(samples: Sequence[LabelledPicture], count: int, generator: Generator) -> tuple[Tensor, Tensor]:
     """(count, 3, SIDE, SIDE) squares of pictures, most around an object, and (count,) labels, 0 for none."""
     pictures, regions, names = [], [], []
     for i in torch.randint(len(samples), (count,), generator=generator).tolist():
         sample = samples[i]
         number = int(torch.randint(max(len(sample.labels), 1), (), generator=generator))
         a, b, c = torch.rand(3, generator=generator).tolist()
-        if len(sample.labels) == 0 or float(torch.rand((), generator=generator)) < _PLAIN:
+        if len(sample.labels) == 0 or float(torch.rand((), generator=generator)) < _BACKGROUND_FRACTION:
             box, name = _anywhere(sample, a, b, c)
         else:
             box, name = _around(sample.boxes[number], a, b, c), int(sample.labels[number])
@@ -111,7 +112,7 @@ def _around(box: Tensor, a: float, b: float, c: float) -> Tensor:
     return torch.cat([centre - side / 2, centre + side / 2])
 
 
-def _anywhere(sample: Sample, a: float, b: float, c: float) -> tuple[Tensor, int]:
+def _anywhere(sample: LabelledPicture, a: float, b: float, c: float) -> tuple[Tensor, int]:
     """A square anywhere that holds little of any object, with name 0; an object's own square if it holds much."""
     size = sample.image.shape[0]
     side = size * (0.15 + 0.3 * a)

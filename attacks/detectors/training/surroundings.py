@@ -123,7 +123,7 @@ def scatter(rng: Generator, radius: float) -> list[Mesh]:
 
 
 def backdrop(rng: Generator, radius: float) -> Asset:
-    """A random place around objects that reach `radius` metres from the origin."""
+    """Random surroundings of objects that reach `radius` metres from the origin."""
     meshes = scatter(rng, radius)
     if rng.random() < 0.9:
         meshes.append(ground(rng, radius * rng.uniform(15, 40)))

@@ -1,172 +1,147 @@
-"""`python -m attacks.detectors.training.train`: make the pictures, train a small detector, write weights and curves."""
+"""What the small detectors are trained on, and their training from the first picture to the exported weights."""
 
 from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import Protocol
 
-import torch
-import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-from attacks.detectors.small import CLASSES
-from attacks.detectors.training.average_precision import Score, evaluate
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.average_precision import evaluate
+from attacks.detectors.training.config import PictureSetConfig, SplatConfig, TrainingSetConfig
 from attacks.detectors.training.dataset import load, make
-from attacks.detectors.training.faster_rcnn import RCNNTrainee
-from attacks.detectors.training.loop import TrainConfig, Trainee, Training, export_weights
-from attacks.detectors.training.pictures import PictureSetConfig, Sample
-from attacks.detectors.training.splat_pictures import SplatConfig, splat_set
+from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
+from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.training.splat_pictures import splat_set
+
+OnWork = Callable[[str, int, int], None]
+"""Called with what is going on, the units of it that are done, and the number wanted."""
+
+TRAINING_SPLATS = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
+"""Splats of the training set, coarser than those of the evaluation."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """Train a small detector from nothing.
+def trainer_of(name: str) -> DetectorTrainer:
+    """The trainer of a small detector.
 
-    Attributes:
-        detector: Which one; yolov8n_small needs the extra `yolo`.
-        data: Folder of the pictures; what is missing in it is made first.
-        out: Folder of checkpoint, curves.json and the best weights so far.
-        pictures: Number of training pictures.
-        places: Number of further ones of the project's streets, parks and rooms, many of them without any object.
-        overhead: Number of further ones from above, of cars and trains more than of others.
-        splats: Number of further scenes that are made into splats, eight renders of each.
-        validation: Number of pictures by which the best epoch is chosen.
-        every: Epochs between two validations.
-        processes: Processes that make pictures.
-        threads: Threads that train.
-        only_data: Stop when the pictures are made.
-        start: Weights to begin from instead of pretraining.
-        config: The training itself.
+    Raises:
+        DetectorError: It needs a package that is not there.
     """
+    from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
 
-    detector: Literal["fasterrcnn_small", "yolov8n_small"] = "fasterrcnn_small"
-    data: Path = Path("out/detector-data")
-    out: Path = Path("out/detector")
-    pictures: int = 3600
-    places: int = 720
-    overhead: int = 720
-    splats: int = 40
-    validation: int = 120
-    every: int = 2
-    processes: int = 2
-    threads: int = 2
-    only_data: bool = False
-    start: Path | None = None
-    config: TrainConfig = field(default_factory=TrainConfig)
+    if name == FasterRCNNTrainer.name:
+        return FasterRCNNTrainer()
+    from attacks.detectors.training.yolo import YOLOTrainer
+
+    return YOLOTrainer()
 
 
-def main(run: Run) -> None:
-    """Do the run, continuing an earlier one with the same folders."""
-    torch.set_num_threads(run.threads)
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    ) as bars:
-        validation = _pictures(PictureSetConfig(split="validation", count=run.validation), run, bars)
-        train = _made(run, bars)
-        if run.only_data:
-            return
-        training = Training.resume(run.out, run.config, _trainee(run.detector))
-        while training.epoch < run.config.epochs:
-            if not training.history and run.start is not None:
-                training.begin_from(run.start)
-            elif not training.history and run.config.pretraining:
-                _pretrain(training, train, run, bars, console)
-            _epoch(training, train, validation, run, bars, console)
+def training_pictures(
+    folder: Path, sets: TrainingSetConfig, *, processes: int, on_work: OnWork
+) -> tuple[list[LabelledPicture], list[LabelledPicture]]:
+    """Pictures for training and for validation; what `folder` does not hold yet is made.
 
+    Args:
+        folder: Where the pictures are kept.
+        sets: How many of each kind.
+        processes: How many processes make pictures; 0 makes them in this one.
+        on_work: Hears of the progress.
 
-def _trainee(name: str) -> Trainee:
-    """What is trained."""
-    if name == RCNNTrainee.name:
-        return RCNNTrainee()
-    from attacks.detectors.training.yolo import YOLOTrainee
-
-    return YOLOTrainee()
-
-
-def _made(run: Run, bars: Progress) -> list[Sample]:
-    """All training pictures."""
-    places = PictureSetConfig(split="train", seed=1, count=run.places, empty=0.4, street=1.0)
-    above = PictureSetConfig(
-        split="train", seed=3, count=run.overhead, elevation=(50, 90), focus=("car", "train", *CLASSES), street=0.7
-    )
-    bar = bars.add_task("splats", total=run.splats)
-    config = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
-    return [
-        *_pictures(PictureSetConfig(split="train", count=run.pictures), run, bars),
-        *_pictures(places, run, bars, name="places"),
-        *_pictures(above, run, bars, name="overhead"),
-        *splat_set(
-            PictureSetConfig(split="train", seed=2),
-            range(run.splats),
-            run.data / "train-splats",
-            config,
-            on_step=lambda done, _: bars.update(bar, completed=done),
+    Raises:
+        InvalidValueError: The folder holds pictures that were made otherwise.
+    """
+    overhead_focus = ("car", "train", *SMALL_CLASSES)
+    wanted = {
+        "validation": PictureSetConfig(split="validation", count=sets.validation),
+        "train": PictureSetConfig(split="train", count=sets.pictures),
+        "surroundings": PictureSetConfig(split="train", seed=1, count=sets.surroundings, empty=0.4, street=1.0),
+        "overhead": PictureSetConfig(
+            split="train", seed=3, count=sets.overhead, elevation=(50, 90), focus=overhead_focus, street=0.7
         ),
-    ]
-
-
-def _pictures(recipe: PictureSetConfig, run: Run, bars: Progress, *, name: str = "") -> list[Sample]:
-    name = name or recipe.split
-    folder = run.data / name
-    bar = bars.add_task(f"{name} pictures", total=recipe.count)
-    make(recipe, folder, processes=run.processes, on_step=lambda done, _: bars.update(bar, completed=done))
-    bars.update(bar, completed=recipe.count)
-    return load(folder, limit=recipe.count)
-
-
-def _pretrain(training: Training, train: list[Sample], run: Run, bars: Progress, console: Console) -> None:
-    bar = bars.add_task("pretraining", total=run.config.pretraining)
-    right = training.pretrain(train, on_step=lambda done, _, __: bars.update(bar, completed=done))
-    training.save(run.out)
-    if right is not None:
-        console.print(f"pretraining: {right:.1%} of the cut-outs named right")
-
-
-def _epoch(
-    training: Training, train: list[Sample], validation: list[Sample], run: Run, bars: Progress, console: Console
-) -> None:
-    """One epoch, its validation, its checkpoint, and a line about it."""
-    start = time.monotonic()
-    bar = bars.add_task(f"epoch {training.epoch + 1} of {run.config.epochs}", total=len(train) // run.config.batch)
-    losses = training.run_epoch(train, on_step=lambda done, _, __: bars.update(bar, completed=done))
-    record: dict[str, object] = {
-        "epoch": training.epoch,
-        "pictures": len(train),
-        "losses": losses,
-        "seconds": time.monotonic() - start,
     }
-    if training.epoch % run.every == 0 or training.epoch == run.config.epochs:
-        result = evaluate(training.snapshot(), validation)
-        record |= {"validation": asdict(result), "map": result.mean}
-        if result.mean >= max((float(str(r["map"])) for r in training.history if "map" in r), default=0.0):
-            notes = {"epoch": str(training.epoch), "seed": str(run.config.seed)}
-            export_weights(training.averaged, run.out / "best.safetensors", notes=notes)
-    training.history.append(record)
-    training.save(run.out)
-    curves = {"config": asdict(run.config), "history": training.history}
-    (run.out / "curves.json").write_text(json.dumps(curves, indent=1))
-    console.print(_line(record, result if "map" in record else None))
+    found: dict[str, list[LabelledPicture]] = {}
+    for name, config in wanted.items():
+        make(config, folder / name, processes=processes, on_step=_named(f"{name} pictures", on_work))
+        found[name] = load(folder / name, limit=config.count)
+    splats = splat_set(
+        PictureSetConfig(split="train", seed=2),
+        range(sets.splats),
+        folder / "train-splats",
+        TRAINING_SPLATS,
+        on_step=_named("splats", on_work),
+    )
+    validation = found.pop("validation")
+    return [*(picture for some in found.values() for picture in some), *splats], validation
 
 
-def _line(record: dict[str, object], result: Score | None) -> str:
-    losses = record["losses"]
-    total = sum(losses.values()) if isinstance(losses, dict) else 0.0
-    line = f"epoch {record['epoch']}: loss {total:.3f}, {record['seconds']:.0f} s"
-    if result is not None:
-        each = " ".join(f"{name} {ap:.2f}" for name, ap in result.ap.items())
-        line += f", mAP {result.mean:.3f} ({each})"
-    return line
+def train(
+    training: Training,
+    pictures: Sequence[LabelledPicture],
+    validation: Sequence[LabelledPicture],
+    folder: Path,
+    *,
+    validate_every: int = 2,
+    start: Path | None = None,
+    on_work: OnWork,
+    on_epoch: Callable[[Mapping[str, object]], None],
+) -> None:
+    """Do what is left of a training; write checkpoint, curves.json and the best weights so far after each epoch.
+
+    Args:
+        training: A new one, or one that was resumed.
+        pictures: To train on.
+        validation: To choose the best epoch by.
+        folder: Where the files go.
+        validate_every: Epochs between two validations.
+        start: Weights that a new training begins from instead of pretraining.
+        on_work: Hears of the progress.
+        on_epoch: Called with the figures of each finished epoch, and of the pretraining as epoch 0.
+
+    Raises:
+        DetectorError: The weights to start from are missing or do not fit.
+    """
+    config = training.config
+    while training.epoch < config.epochs:
+        if not training.history and start is not None:
+            training.begin_from(start)
+        elif not training.history and config.pretraining:
+            training.pretrain(pictures, on_step=_named("pretraining", on_work))
+            training.save(folder)
+            on_epoch(training.history[-1])
+        begun = time.monotonic()
+        losses = training.run_epoch(pictures, on_step=_named(f"epoch {training.epoch + 1} of {config.epochs}", on_work))
+        record: dict[str, object] = {
+            "epoch": training.epoch,
+            "pictures": len(pictures),
+            "losses": losses,
+            "seconds": time.monotonic() - begun,
+        }
+        if training.epoch % validate_every == 0 or training.epoch == config.epochs:
+            record |= _validated(training, validation, folder)
+        training.history.append(record)
+        training.save(folder)
+        curves = {"config": asdict(config), "history": training.history}
+        (folder / "curves.json").write_text(json.dumps(curves, indent=1))
+        on_epoch(record)
 
 
-if __name__ == "__main__":
-    main(tyro.cli(Run))
+def _validated(training: Training, validation: Sequence[LabelledPicture], folder: Path) -> dict[str, object]:
+    """Score the averaged weights, and export them if none were better."""
+    result = evaluate(training.snapshot(), validation)
+    if result.mean >= max((float(str(r["map"])) for r in training.history if "map" in r), default=0.0):
+        notes = {"epoch": str(training.epoch), "seed": str(training.config.seed)}
+        folder.mkdir(parents=True, exist_ok=True)
+        export_weights(training.averaged, folder / "best.safetensors", notes=notes)
+    return {"validation": asdict(result), "map": result.mean}
+
+
+class _OnStep(Protocol):
+    def __call__(self, done: int, total: int, figures: object = None, /) -> None: ...
+
+
+def _named(text: str, on_work: OnWork) -> _OnStep:
+    """Tells `on_work` of the steps of what `text` names."""
+    return lambda done, total, figures=None, /: on_work(text, done, total)

@@ -9,39 +9,40 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
-from attacks.detectors.small import CLASSES, SIZE
-from attacks.detectors.training.loop import Targets, TrainConfig
-from attacks.detectors.training.pictures import Sample
+from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.loop import Targets
+from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.ultralytics import YOLODetector, build
 
-_LEAST = 0.001
+_MIN_CONFIDENCE = 0.001
 """Confidence of detections that count in an average precision."""
-_MOSAICS = 0.5
-"""Fraction of a batch that is made of four pictures each, but for the calmer epochs."""
+_MOSAIC_FRACTION = 0.5
+"""Fraction of a batch that is made of four pictures each, but for the last epochs."""
 
 
-class YOLOTrainee:
+class YOLOTrainer:
     """The small YOLOv8. A cell learns from every picture, so four pictures in one teach four times as much."""
 
     name = "yolov8n_small"
 
     def __init__(self) -> None:
         self._side: int | None = None
-        self._share = _MOSAICS
+        self._mosaic_fraction = _MOSAIC_FRACTION
 
     def build(self) -> nn.Module:
-        """See `Trainee`."""
-        return build("n", len(CLASSES))
+        """See `DetectorTrainer`."""
+        return build("n", len(SMALL_CLASSES))
 
-    def begin_epoch(self, model: nn.Module, *, side: int | None, settled: bool) -> None:
-        """See `Trainee`; calmer epochs have no mosaics."""
-        self._side, self._share = side, 0.0 if settled else _MOSAICS
+    def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
+        """See `DetectorTrainer`; the last epochs have no mosaics."""
+        self._side, self._mosaic_fraction = side, 0.0 if final else _MOSAIC_FRACTION
 
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
         """The library's three, per picture."""
-        pictures, targets = with_mosaics(pictures, targets, self._share, generator)
+        pictures, targets = with_mosaics(pictures, targets, self._mosaic_fraction, generator)
         planes = torch.stack(pictures)
         height, width = planes.shape[2:]
         if self._side is not None:
@@ -65,7 +66,7 @@ class YOLOTrainee:
     def pretrain(
         self,
         model: nn.Module,
-        samples: Sequence[Sample],
+        samples: Sequence[LabelledPicture],
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
@@ -73,8 +74,8 @@ class YOLOTrainee:
         return None
 
     def detector(self, model: nn.Module) -> Detector:
-        """See `Trainee`."""
-        return YOLODetector(self.name, model, CLASSES, side=SIZE, least=_LEAST)
+        """See `DetectorTrainer`."""
+        return YOLODetector(self.name, model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=_MIN_CONFIDENCE)
 
 
 def with_mosaics(
@@ -102,8 +103,8 @@ def mosaic(pictures: Sequence[Tensor], targets: Targets) -> tuple[Tensor, dict[s
     half = (height // 2, width // 2)
     whole = torch.zeros_like(pictures[0])
     boxes, labels = [], []
-    for place, (picture, target) in enumerate(zip(pictures, targets, strict=True)):
-        top, left = (place // 2) * half[0], (place % 2) * half[1]
+    for quarter, (picture, target) in enumerate(zip(pictures, targets, strict=True)):
+        top, left = (quarter // 2) * half[0], (quarter % 2) * half[1]
         small = F.interpolate(picture[None], size=half, mode="bilinear", antialias=True)[0]
         whole[:, top : top + half[0], left : left + half[1]] = small
         scale = torch.tensor([half[1] / width, half[0] / height] * 2)

@@ -1,0 +1,252 @@
+"""Which detectors there are: what each one is called, what it sees, where its weights come from, and how to load it.
+
+Light, so that detectors can be listed without importing torch. A detector of your own becomes one of them in a script
+by `register_detector(DetectorSpec(...))`, and for every command by an entry point of an installed package of yours:
+
+    [project.entry-points."mi_splat.detectors"]
+    my_detector = "my_package.detector:SPEC"
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
+from attacks.detectors.errors import DetectorError
+from mi_splat.errors import message
+
+if TYPE_CHECKING:
+    from attacks.detectors.base import Detector
+
+ENTRY_POINTS = "mi_splat.detectors"
+"""Group of entry points, each of which is a `DetectorSpec` of the same name."""
+SMALL_RCNN_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
+"""Weights of `fasterrcnn_small`, a part of the package."""
+SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
+"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
+
+_DOWNLOADED = "not here; downloaded when first used, or name a file with --weights"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorSpec:
+    """A detector that can be loaded by its name.
+
+    Attributes:
+        name: What it is called, in `load_detector` and in every command.
+        load: Makes the detector, in evaluation mode, from a file of weights, or from its usual ones for None. Import
+            what is heavy in it, not beside it.
+        classes: Foreground classes that it sees.
+        origin: Where its usual weights come from.
+        licence: Licence of the weights and of the library that runs them.
+        weights: Gives the file in which its usual weights are, or would be; None where no file has them.
+        advice: What to do where that file is missing.
+        requires: Packages, by the names they are imported by, that it needs besides those of mi-splat.
+        install: What to do where one of these is missing.
+    """
+
+    name: str
+    load: Callable[[Path | None], Detector]
+    classes: tuple[str, ...]
+    origin: str
+    licence: str
+    weights: Callable[[], Path] | None = None
+    advice: str = "see its documentation"
+    requires: tuple[str, ...] = ()
+    install: str = ""
+
+    def missing(self) -> str:
+        """What keeps it from being loaded now and what to do about it; empty if nothing does."""
+        absent = [name for name in self.requires if importlib.util.find_spec(name) is None]
+        if absent:
+            packages = f"needs the package {', '.join(absent)}"
+            return f"{packages}: {self.install}" if self.install else packages
+        return "" if self.weights is None or self.weights().is_file() else self.advice
+
+
+class _Registry(Mapping[str, DetectorSpec]):
+    """The detectors of this project, those that were registered, and those of entry points, in this order.
+
+    An entry point is imported when its detector is asked for, so that a broken one does not break the others; one whose
+    name is taken is left out.
+    """
+
+    def __init__(self) -> None:
+        self._specs: dict[str, DetectorSpec] = {}
+
+    def __getitem__(self, name: str) -> DetectorSpec:
+        """The spec of a detector.
+
+        Raises:
+            KeyError: There is no such detector.
+            DetectorError: It is an entry point's that cannot be imported, or that is something else.
+        """
+        if name in self._specs:
+            return self._specs[name]
+        return _spec_of(_entry_points()[name])
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._specs
+        yield from (name for name in _entry_points() if name not in self._specs)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._specs or name in _entry_points()
+
+    def add(self, spec: DetectorSpec) -> None:
+        """Register a detector under a name that is free."""
+        if spec.name in self._specs:
+            raise DetectorError(message("detector", "a name that is free", repr(spec.name), "choose another name"))
+        self._specs[spec.name] = spec
+
+
+def _entry_points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+
+
+def _spec_of(point: EntryPoint) -> DetectorSpec:
+    what = f"entry point {point.name} = {point.value} of {ENTRY_POINTS}"
+    try:
+        spec = point.load()
+    except (ImportError, AttributeError) as error:
+        do = "repair or uninstall the package that has it"
+        raise DetectorError(message(what, "something that can be imported", str(error), do)) from error
+    if not isinstance(spec, DetectorSpec) or spec.name != point.name:
+        got = f"one of the name {spec.name}" if isinstance(spec, DetectorSpec) else type(spec).__name__
+        raise DetectorError(message(what, f"a DetectorSpec of the name {point.name}", got, "correct it there"))
+    return spec
+
+
+_REGISTRY = _Registry()
+DETECTORS: Mapping[str, DetectorSpec] = _REGISTRY
+"""Name to spec of every detector."""
+
+
+def register_detector(spec: DetectorSpec) -> None:
+    """Make a detector known to `load_detector` and every command of this process.
+
+    Raises:
+        DetectorError: There is one of this name already.
+    """
+    _REGISTRY.add(spec)
+
+
+def load_detector(name: str, *, weights: Path | None = None) -> Detector:
+    """Load a detector in evaluation mode.
+
+    Args:
+        name: Key of `DETECTORS`.
+        weights: .safetensors or .pth file. None: its usual weights, which are shipped with this package
+            (`fasterrcnn_small`), lie in a checkout (`yolov8n_small`), or come from the library's own download.
+
+    Raises:
+        DetectorError: there is no such detector, or its weights are missing or do not fit.
+    """
+    if name not in DETECTORS:
+        near = difflib.get_close_matches(name, DETECTORS, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else "choose one of them"
+        raise DetectorError(message("detector", " or ".join(DETECTORS), repr(name), hint))
+    return DETECTORS[name].load(weights)
+
+
+def _small_rcnn(weights: Path | None) -> Detector:
+    from attacks.detectors.torchvision import load_small
+
+    return load_small(weights)
+
+
+def _published_rcnn(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.torchvision import load_published
+
+    return load_published(name, weights)
+
+
+def _small_yolo(weights: Path | None) -> Detector:
+    from attacks.detectors.ultralytics import load_small
+
+    return load_small(weights)
+
+
+def _published_yolo(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.ultralytics import load_published
+
+    return load_published(name, weights)
+
+
+def torch_download(file: str) -> Path:
+    """Where torch's hub keeps a file that it has downloaded; TORCH_HOME and XDG_CACHE_HOME as torch documents them."""
+    cache = os.environ.get("XDG_CACHE_HOME", "~/.cache")
+    return Path(os.environ.get("TORCH_HOME", f"{cache}/torch")).expanduser() / "hub" / "checkpoints" / file
+
+
+TORCHVISION_FILES = {
+    "fasterrcnn_resnet50_fpn": "fasterrcnn_resnet50_fpn_coco-258fb6c6.pth",
+    "fasterrcnn_resnet50_fpn_v2": "fasterrcnn_resnet50_fpn_v2_coco-dd69338a.pth",
+    "fasterrcnn_mobilenet_v3_large_fpn": "fasterrcnn_mobilenet_v3_large_fpn-fb6a3cc7.pth",
+    "fasterrcnn_mobilenet_v3_large_320_fpn": "fasterrcnn_mobilenet_v3_large_320_fpn-907ea3f9.pth",
+}
+"""Names of torchvision's published COCO weights; a test compares them with the library's own."""
+
+_YOLO_LICENCE = "AGPL-3.0"
+_YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
+
+register_detector(
+    DetectorSpec(
+        name="fasterrcnn_small",
+        load=_small_rcnn,
+        classes=SMALL_CLASSES,
+        origin="a part of mi-splat, trained on its own pictures",
+        licence="Apache-2.0",
+        weights=lambda: SMALL_RCNN_WEIGHTS,
+        advice="missing; they are part of the package, so install it again",
+    )
+)
+for _name, _file in TORCHVISION_FILES.items():
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_rcnn, _name),
+            classes=COCO_CLASSES,
+            origin="torchvision's hub, trained on COCO",
+            licence="BSD-3-Clause",
+            weights=partial(torch_download, _file),
+            advice=_DOWNLOADED,
+        )
+    )
+register_detector(
+    DetectorSpec(
+        name="yolov8n_small",
+        load=_small_yolo,
+        classes=SMALL_CLASSES,
+        origin="scenes/detectors of a checkout, trained on pictures of mi-splat",
+        licence=_YOLO_LICENCE,
+        weights=lambda: SMALL_YOLO_WEIGHTS,
+        advice="not here; a checkout has them in scenes/detectors",
+        requires=("ultralytics",),
+        install=_YOLO_INSTALL,
+    )
+)
+for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_yolo, _name),
+            classes=COCO_CLASSES,
+            origin="ultralytics' hub, trained on COCO; a file of this name in the working folder comes first",
+            licence=_YOLO_LICENCE,
+            weights=partial(Path, f"{_name}.pt"),
+            advice=_DOWNLOADED,
+            requires=("ultralytics",),
+            install=_YOLO_INSTALL,
+        )
+    )

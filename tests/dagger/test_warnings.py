@@ -1,0 +1,105 @@
+"""Warnings: signs that a success or a failure is not what it looks like."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.result import NoiseControl, Result, find_warnings
+from attacks.detectors.base import Detections
+from attacks.objectives import Verdict, hide, relabel
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
+
+DETECTOR = ColourDetector()
+
+
+def test_warnings_about_a_picture_without_a_detection() -> None:
+    scene, mask = toy_scene()
+    dark = scene.sh.clone()
+    dark[mask, 0] = -1.4
+    found = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
+    assert found.noise.successes == len(found.noise.scores) == 5
+    assert found.warnings == (
+        "the clean picture of view 0 has no detection of 0.5 or more on the object",
+        "the aim is reached without any attack",
+        "random noise of the same size does as well",
+    )
+
+
+def test_warnings_about_clamped_colours_and_zero_gradients() -> None:
+    scene, mask = toy_scene()
+    black = torch.where(mask[:, None, None], torch.full_like(scene.sh, 0.0), scene.sh)
+    black[mask, 0] = -3.0
+    scene = scene.replace(sh=black)
+    found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs)
+    assert found.clamped_fraction == 1.0
+    assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in found.warnings
+    assert "up to 100% of the gradient's elements are exactly zero" in found.warnings
+    assert "the loss did not fall" in found.warnings
+    assert not found.success
+
+
+def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
+    class Fickle(ColourDetector):
+        """Sees persons only before `attack` comes to judge the file: a stand-in for rounding."""
+
+        calls = 0
+
+        def detect(self, images: Tensor) -> list[Detections]:
+            self.calls += 1
+            car = super().detect(images)[0]
+            return [dataclasses.replace(car, labels=("person",)) if self.calls == 2 else car]
+
+    scene, mask = toy_scene()
+    found = attack(scene, mask, [camera()], Fickle(), relabel("person"), render=blobs, config=DaggerConfig(eps=(0.1,)))
+    assert "success in the search did not survive the saved file and 8-bit pictures" in found.warnings
+    assert not found.success
+
+
+@pytest.fixture(scope="module")
+def sound() -> Result:
+    scene, mask = toy_scene()
+    config = DaggerConfig(eps=(12.0,), noise_draws=2)
+    found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs, config=config)
+    assert found.warnings == ()
+    return found
+
+
+def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
+    ambiguous = dataclasses.replace(sound, verdict=Verdict(success=True, score=0.8, unambiguous=False))
+    assert find_warnings(ambiguous) == ("another class is still detected on the object with more confidence",)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "noise", "warned"),
+    [
+        (Verdict(success=True, score=0.9, unambiguous=True), NoiseControl(scores=(0.1, 0.8), successes=1), True),
+        (Verdict(success=True, score=0.9, unambiguous=True), NoiseControl(scores=(0.1, 0.8), successes=0), False),
+        (Verdict(success=False, score=0.4, unambiguous=False), NoiseControl(scores=(0.1, 0.4), successes=0), True),
+        (Verdict(success=False, score=0.4, unambiguous=False), NoiseControl(scores=(0.1, 0.3), successes=0), False),
+        (Verdict(success=False, score=0.0, unambiguous=False), NoiseControl(scores=(0.0, 0.0), successes=0), False),
+    ],
+)
+def test_noise_that_does_as_well_is_warned_of(
+    sound: Result, verdict: Verdict, noise: NoiseControl, warned: bool
+) -> None:
+    best = dataclasses.replace(sound.best, success=verdict.success)
+    found = find_warnings(dataclasses.replace(sound, verdict=verdict, noise=noise, best=best))
+    assert ("random noise of the same size does as well" in found) is warned
+
+
+@pytest.mark.parametrize(("field", "limit"), [("clamped_fraction", 0.25), ("zero_gradient_fraction", 0.9)])
+def test_limits_of_the_warnings(sound: Result, field: str, limit: float) -> None:
+    def with_value(value: float) -> Result:
+        if field == "clamped_fraction":
+            return dataclasses.replace(sound, clamped_fraction=value)
+        first = dataclasses.replace(sound.trace[0], zero_gradient_fraction=value)
+        return dataclasses.replace(sound, trace=(first, *sound.trace[1:]))
+
+    assert find_warnings(with_value(limit)) == ()
+    assert len(find_warnings(with_value(limit + 0.01))) == 1
