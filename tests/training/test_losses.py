@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+import torch.nn.functional as functional
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
@@ -26,6 +27,32 @@ def test_ssim_is_that_of_the_library_away_from_the_rim() -> None:
     image, reference = (p.float() for p in pictures(1, 200, 200))
     assert float(ssim(image, reference)) == pytest.approx(float(reported_ssim(image, reference)), abs=5e-3)
     assert float(ssim(image, image)) == pytest.approx(1.0, abs=1e-6)
+
+
+def slow_ssim(image: Tensor, reference: Tensor) -> float:
+    """Pixel by pixel: window of 11 x 11 and sigma 1.5, zeros outside, constants of Wang et al. 2004."""
+    taps = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=torch.float64) / 1.5) ** 2)
+    window = torch.outer(taps, taps) / taps.sum() ** 2
+    x, y = (functional.pad(picture.permute(2, 0, 1), (5, 5, 5, 5)) for picture in (image, reference))
+    total = 0.0
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            a, b = (picture[:, row : row + 11, column : column + 11] for picture in (x, y))
+            mean_a, mean_b, aa, bb, ab = ((window * v).sum((1, 2)) for v in (a, b, a * a, b * b, a * b))
+            luminance = (2 * mean_a * mean_b + 0.01**2) / (mean_a**2 + mean_b**2 + 0.01**2)
+            spread = (2 * (ab - mean_a * mean_b) + 0.03**2) / (aa - mean_a**2 + bb - mean_b**2 + 0.03**2)
+            total += float((luminance * spread).mean())
+    return total / (image.shape[0] * image.shape[1])
+
+
+def test_ssim_is_its_definition() -> None:
+    image, reference = pictures(4, 14, 17)
+    assert float(ssim(image, reference)) == pytest.approx(slow_ssim(image, reference), abs=1e-12)
+
+
+def test_the_weight_of_dssim_is_a_fifth() -> None:
+    image, reference = pictures(5)
+    assert torch.equal(photometric_loss(image, reference), photometric_loss(image, reference, lambda_dssim=0.2))
 
 
 def test_blur_is_its_own_adjoint() -> None:

@@ -170,14 +170,14 @@ def test_thresholds_of_the_classic_strategy() -> None:
 
 
 def test_gradients_are_means_over_the_pictures_in_which_a_gaussian_is() -> None:
-    """Seen in one of four pictures with three thresholds: densified. Seen in all, with half a threshold each: not."""
+    """Seen in one of four pictures with 1.5 thresholds: densified. Seen in all, with half a threshold each: not."""
     config = ClassicConfig(densify_from=0, densify_interval=4, densify_until=100)
     strategy, values = ClassicStrategy(config), small(3)
     state = strategy.initial_state(3)
     edits = []
     for iteration in range(1, 9):
         first = float(iteration % 4 == 0)
-        seen = Seen(torch.tensor([6e-4 * first, 1e-4, 0.0]), torch.tensor([first, 1.0, 0.0]))
+        seen = Seen(torch.tensor([3e-4 * first, 1e-4, 0.0]), torch.tensor([first, 1.0, 0.0]))
         edits.append(strategy.after_step(step_of(values, iteration, 100, seen), state))
         if edit := edits[-1]:
             values = edit.parameters
