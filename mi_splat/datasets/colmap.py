@@ -71,7 +71,7 @@ def read_colmap(
 
 
 def _read_model(cameras_file: Path) -> Model:
-    """The model of which a cameras file is part, with failures of the system in our words."""
+    """The model of which a cameras file is part, with the system's failures as errors of this package."""
     read = colmap_binary.read_model if cameras_file.suffix == ".bin" else colmap_text.read_model
     try:
         return read(cameras_file.parent)

@@ -19,7 +19,7 @@ from mi_splat.io.points import PointCloud
 
 _COUNT = struct.Struct("<Q")
 _LENS, _POSE, _POINT = struct.Struct("<iiQQ"), struct.Struct("<i4d3di"), struct.Struct("<Q3d3BdQ")
-_OBSERVATION, _TRACK = 24, 8
+_POINT2D, _TRACK = 24, 8
 """Bytes of a 2D point of a picture, and of one entry of a point's track."""
 _NAMES = tuple(MODELS)
 
@@ -121,7 +121,7 @@ def _poses(path: Path) -> dict[int, Pose]:
         for _ in range(reader.count(_POSE.size + 1 + _COUNT.size)):
             number, *values, lens = reader.take(_POSE)
             pose = Pose(tuple(values[:4]), tuple(values[4:]), int(lens), reader.text())
-            reader.skip(reader.count(_OBSERVATION) * _OBSERVATION)
+            reader.skip(reader.count(_POINT2D) * _POINT2D)
             _add(poses, int(number), pose, path)
     return poses
 

@@ -47,12 +47,12 @@ def _lenses(path: Path) -> dict[int, Lens]:
     """Cameras by id."""
     lenses: dict[int, Lens] = {}
     for number, line in _lines(path):
-        words = line.split()
-        if not words:
+        fields = line.split()
+        if not fields:
             continue
         try:
-            key, width, height = (int(words[i]) for i in (0, 2, 3))
-            lens = Lens(words[1], width, height, tuple(float(word) for word in words[4:]))
+            key, width, height = (int(fields[i]) for i in (0, 2, 3))
+            lens = Lens(fields[1], width, height, tuple(float(field) for field in fields[4:]))
         except (ValueError, IndexError) as error:
             raise _fault(path, number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", line) from error
         if key in lenses:
@@ -68,37 +68,37 @@ def _poses(path: Path) -> dict[int, Pose]:
     poses: dict[int, Pose] = {}
     lines = _lines(path)
     for number, line in lines:
-        words = line.split(maxsplit=9)
-        if not words:
+        fields = line.split(maxsplit=9)
+        if not fields:
             continue
         try:
-            key, lens = int(words[0]), int(words[8])
-            pose = Pose(tuple(map(float, words[1:5])), tuple(map(float, words[5:8])), lens, words[9])
+            key, lens = int(fields[0]), int(fields[8])
+            pose = Pose(tuple(map(float, fields[1:5])), tuple(map(float, fields[5:8])), lens, fields[9])
         except (ValueError, IndexError) as error:
             raise _fault(path, number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line) from error
         if key in poses:
             raise _fault(path, number, "every id once", line)
         poses[key] = pose
-        after, observations = next(lines, (number, ""))
-        if not _are_observations(observations.split()):
-            raise _fault(path, after, "a line of 2D points (X Y POINT3D_ID), which may be empty", observations)
+        after, points2d = next(lines, (number, ""))
+        if not _are_points2d(points2d.split()):
+            raise _fault(path, after, "a line of 2D points (X Y POINT3D_ID), which may be empty", points2d)
     return poses
 
 
-def _are_observations(words: Sequence[str]) -> bool:
-    """Whether words are triples whose third is an integer."""
-    return len(words) % 3 == 0 and all(word.lstrip("-").isdigit() for word in words[2::3])
+def _are_points2d(fields: Sequence[str]) -> bool:
+    """Whether fields are triples whose third is an integer."""
+    return len(fields) % 3 == 0 and all(field.lstrip("-").isdigit() for field in fields[2::3])
 
 
 def _points(path: Path) -> PointCloud:
     """The points; their errors and tracks are passed over."""
     rows = []
     for number, line in _lines(path):
-        words = line.split(maxsplit=7)
-        if not words:
+        fields = line.split(maxsplit=7)
+        if not fields:
             continue
         try:
-            rows.append([*(float(words[i]) for i in (1, 2, 3)), *(int(words[i]) / 255 for i in (4, 5, 6))])
+            rows.append([*(float(fields[i]) for i in (1, 2, 3)), *(int(fields[i]) / 255 for i in (4, 5, 6))])
         except (ValueError, IndexError) as error:
             raise _fault(path, number, "POINT3D_ID X Y Z R G B ERROR TRACK...", line) from error
     values = np.array(rows, np.float64).reshape(-1, 6)

@@ -14,7 +14,7 @@ from mi_splat.errors import message
 
 Split = Literal["train", "test"]
 HELD_OUT = 8
-"""Where a format has no split of its own, every so manieth picture, in the order of names, is for tests."""
+"""Where a format has no split of its own, pictures in the order of names are for tests at multiples of this index."""
 
 Item = TypeVar("Item")
 
@@ -75,7 +75,7 @@ def find_mask(folder: Path, name: Path, size: tuple[int, int]) -> Path | None:
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:
-    """The part of a set without a split of its own: every so manieth item for tests, the first included."""
+    """The part of a set without a split of its own: each `every`-th item for tests, the first included."""
     if split is None:
         return list(items)
     return [item for i, item in enumerate(items) if (i % every == 0) == (split == "test")]

@@ -27,9 +27,9 @@ SINGLE, PARTS = "transforms.json", {"train": "transforms_train.json", "test": "t
 POINTS = ("points3D.ply", "points3d.ply")
 """Names of a point cloud beside the file, if the file names none."""
 
-_BENT = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LARGEST = 1e12
-_STRAIGHT = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+_PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 
 
 def find_transforms(path: Path) -> Path | None:
@@ -45,7 +45,7 @@ def read_transforms(path: Path, split: Split | None, every: int) -> tuple[list[F
     Args:
         path: A file found by `find_transforms`.
         split: Which part; None for all. A file named for a split belongs to that alone.
-        every: In a file for all pictures, every so manieth is for tests.
+        every: In a file for all pictures, those whose index in the order of names is a multiple are for tests.
 
     Raises:
         DatasetError: A file is missing, broken, or describes cameras that are no pinhole cameras.
@@ -152,10 +152,14 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
 
 def _camera(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Camera:
     """The camera of a frame whose own values come before those of the file."""
-    bent = [key for key in _BENT if (_number(values, key, where) or 0.0) != 0.0]
-    model = str(values.get("camera_model", _STRAIGHT[0])).upper()
-    if bent or model not in _STRAIGHT or values.get("is_fisheye"):
-        found = f"distortion {', '.join(bent)}" if bent else f"camera model {values.get('camera_model', 'fisheye')}"
+    distortion = [key for key in _DISTORTION if (_number(values, key, where) or 0.0) != 0.0]
+    model = str(values.get("camera_model", _PINHOLE_MODELS[0])).upper()
+    if distortion or model not in _PINHOLE_MODELS or values.get("is_fisheye"):
+        found = (
+            f"distortion {', '.join(distortion)}"
+            if distortion
+            else f"camera model {values.get('camera_model', 'fisheye')}"
+        )
         do = "undistort the pictures first, for instance with colmap image_undistorter"
         raise DatasetError(message(where, "a pinhole camera", found, do))
     focal = [_focal(values, axis, pixels, where) for axis, pixels in zip("xy", size, strict=True)]
@@ -196,7 +200,7 @@ def _focal(values: Mapping[str, Any], axis: str, pixels: int, where: str) -> flo
 
 
 def _split(document: Mapping[str, Any], frames: list[Frame], split: Split | None, every: int) -> list[Frame]:
-    """The part of a single file: what its own lists of names say, or every so manieth in the order of names."""
+    """The part of a single file: what its own lists of names say, or each `every`-th in the order of names."""
     listed = document.get(f"{split}_filenames")
     if split is not None and isinstance(listed, list):
         names = {Path(str(name)).with_suffix("").as_posix() for name in listed}

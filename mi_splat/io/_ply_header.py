@@ -79,7 +79,7 @@ def read_header(file: BinaryIO, path: str) -> Header:
                     "the file is truncated: write or download it again")
         )  # fmt: skip
     lines = [line.split() for line in start[: end.start()].split(newline)[1:]]
-    lines = [words for words in lines if words and words[0] not in (b"comment", b"obj_info")]
+    lines = [fields for fields in lines if fields and fields[0] not in (b"comment", b"obj_info")]
     return Header(_order(lines, path), _elements(lines[1:], path), end.end())
 
 
@@ -94,25 +94,25 @@ def _newline(start: bytes, path: str) -> bytes:
 
 def _order(lines: list[list[bytes]], path: str) -> str:
     """Byte order from the format line, the first line that is no comment."""
-    words = lines[0] if lines else []
-    if len(words) != 3 or words[0] != b"format" or words[1] not in ORDERS or words[2] != b"1.0":
+    fields = lines[0] if lines else []
+    if len(fields) != 3 or fields[0] != b"format" or fields[1] not in ORDERS or fields[2] != b"1.0":
         expected = "'format' with ascii, binary_little_endian or binary_big_endian and version 1.0"
-        raise SplatFileError(message(path, expected, _show(words), "export the splat again as PLY 1.0"))
-    return ORDERS[words[1]]
+        raise SplatFileError(message(path, expected, _show(fields), "export the splat again as PLY 1.0"))
+    return ORDERS[fields[1]]
 
 
 def _elements(lines: list[list[bytes]], path: str) -> tuple[Element, ...]:
     """The tables that the header declares."""
     elements: list[Element] = []
-    for words in lines:
-        if words[0] == b"element":
-            elements.append(_element(words, path))
-        elif words[0] == b"property" and elements:
+    for fields in lines:
+        if fields[0] == b"element":
+            elements.append(_element(fields, path))
+        elif fields[0] == b"property" and elements:
             last = elements[-1]
-            elements[-1] = Element(last.name, last.count, (*last.properties, _property(words, path)))
+            elements[-1] = Element(last.name, last.count, (*last.properties, _property(fields, path)))
         else:
             expected = "'element' and then 'property' lines"
-            raise SplatFileError(message(path, expected, _show(words), "repair the header or export the splat again"))
+            raise SplatFileError(message(path, expected, _show(fields), "repair the header or export the splat again"))
     for names, what in (
         ([element.name for element in elements], "elements"),
         *(([column.name for column in element.properties], f"properties of {element.name}") for element in elements),
@@ -125,24 +125,24 @@ def _elements(lines: list[list[bytes]], path: str) -> tuple[Element, ...]:
     return tuple(elements)
 
 
-def _element(words: list[bytes], path: str) -> Element:
+def _element(fields: list[bytes], path: str) -> Element:
     """A table from its line: element NAME COUNT."""
-    if len(words) != 3 or not re.fullmatch(rb"\d{1,18}", words[2]):
+    if len(fields) != 3 or not re.fullmatch(rb"\d{1,18}", fields[2]):
         expected = "'element NAME COUNT' with a count of rows that is not negative"
-        raise SplatFileError(message(path, expected, _show(words), "repair the header or export the splat again"))
-    return Element(_name(words[1], path), int(words[2]), ())
+        raise SplatFileError(message(path, expected, _show(fields), "repair the header or export the splat again"))
+    return Element(_name(fields[1], path), int(fields[2]), ())
 
 
-def _property(words: list[bytes], path: str) -> Property:
+def _property(fields: list[bytes], path: str) -> Property:
     """A column from its line: property KIND NAME or property list KIND KIND NAME."""
-    if len(words) == 3 and words[1] in _KINDS:
-        return Property(_name(words[2], path), _KINDS[words[1]])
-    if len(words) == 5 and words[1] == b"list" and words[2] in _KINDS and words[3] in _KINDS:
-        if _KINDS[words[2]][0] == "f":
-            raise SplatFileError(message(path, "an integer list length", _show(words), "export the splat again"))
-        return Property(_name(words[4], path), _KINDS[words[3]], _KINDS[words[2]])
+    if len(fields) == 3 and fields[1] in _KINDS:
+        return Property(_name(fields[2], path), _KINDS[fields[1]])
+    if len(fields) == 5 and fields[1] == b"list" and fields[2] in _KINDS and fields[3] in _KINDS:
+        if _KINDS[fields[2]][0] == "f":
+            raise SplatFileError(message(path, "an integer list length", _show(fields), "export the splat again"))
+        return Property(_name(fields[4], path), _KINDS[fields[3]], _KINDS[fields[2]])
     expected = "'property KIND NAME' or 'property list KIND KIND NAME' with PLY's number kinds"
-    raise SplatFileError(message(path, expected, _show(words), "repair the header or export the splat again"))
+    raise SplatFileError(message(path, expected, _show(fields), "repair the header or export the splat again"))
 
 
 def _name(word: bytes, path: str) -> str:
@@ -152,6 +152,6 @@ def _name(word: bytes, path: str) -> str:
     return word.decode("ascii")
 
 
-def _show(words: list[bytes]) -> str:
+def _show(fields: list[bytes]) -> str:
     """A header line for a message, shortened."""
-    return repr(b" ".join(words)[:80].decode("ascii", "backslashreplace")) if words else "no such line"
+    return repr(b" ".join(fields)[:80].decode("ascii", "backslashreplace")) if fields else "no such line"

@@ -146,9 +146,9 @@ def _check_ascii(block: Sequence[bytes], first: int, element: Element, path: str
 
 def _refuse(line: bytes, row: int, element: Element, why: str, path: str) -> None:
     """Raise for a line of text that does not parse."""
-    words, expected = line.split(), f"numbers in row {row} of {element.name}"
-    if not element.has_lists and len(words) != len(element.properties):
-        expected, found = f"{len(element.properties)} {expected}", str(len(words))
+    fields, expected = line.split(), f"numbers in row {row} of {element.name}"
+    if not element.has_lists and len(fields) != len(element.properties):
+        expected, found = f"{len(element.properties)} {expected}", str(len(fields))
     else:
         found = f"{line[:60].decode('ascii', 'backslashreplace').strip()!r} ({why})"
     raise SplatFileError(message(path, expected, found, "export the file again"))
@@ -177,5 +177,5 @@ def _kind_of_value(column: Property, order: str) -> str:
 def _declaration(column: Property, order: str) -> str:
     """A column's line in the header."""
     kinds = [column.length_kind] if column.length_kind else []
-    words = [f"{_NAMES[kind[0]]}{8 * int(kind[1:])}" for kind in (*kinds, _kind_of_value(column, order))]
-    return " ".join(["property", *(["list"] if kinds else []), *words, column.name])
+    kinds_named = [f"{_NAMES[kind[0]]}{8 * int(kind[1:])}" for kind in (*kinds, _kind_of_value(column, order))]
+    return " ".join(["property", *(["list"] if kinds else []), *kinds_named, column.name])

@@ -1,4 +1,4 @@
-"""What loading and saving splat files may raise or warn of, and the one place that words operating-system failures."""
+"""What loading and saving splat files may raise or warn of, and what to do about failures of the operating system."""
 
 from __future__ import annotations
 
