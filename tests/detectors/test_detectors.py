@@ -14,8 +14,8 @@ from torchvision.ops.boxes import remove_small_boxes
 
 from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
 from attacks.detectors.base import check_images
-from attacks.detectors.registry import SMALL_RCNN_WEIGHTS
 from attacks.detectors.torchvision import RCNNDetector, random_detector
+from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose
@@ -162,6 +162,7 @@ def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tu
     ("value", "words"),
     [
         (255.0, "got values from 0.5 to 255; divide 8-bit"),
+        (1.1, "from 0.5 to 1.1"),
         (-0.1, "from -0.1 to 0.5"),
         (float("nan"), "from nan to nan"),
     ],

@@ -15,8 +15,9 @@ import torch
 from attacks import cli
 from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detector, register_detector
 from attacks.detectors.classes import COCO_CLASSES
-from attacks.detectors.registry import _REGISTRY, TORCHVISION_FILES, torch_download
+from attacks.detectors.registry import _REGISTRY
 from attacks.detectors.torchvision import _PUBLISHED, random_detector
+from attacks.detectors.weight_files import TORCHVISION_FILES, torch_download
 from attacks.detectors.weights import fingerprint
 from tests.fakes import ColourDetector
 
