@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.errors import DetectorError
+from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS, SMALL_YOLO_WEIGHTS, TORCHVISION_FILES, torch_download
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
@@ -28,10 +28,6 @@ if TYPE_CHECKING:
 
 ENTRY_POINTS = "mi_splat.detectors"
 """Group of entry points, each of which is a `DetectorSpec` of the same name."""
-SMALL_RCNN_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
-"""Weights of `fasterrcnn_small`, a part of the package."""
-SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
-"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
 
 _DOWNLOADED = "not here; downloaded when first used, or name a file with --weights"
 
@@ -182,20 +178,6 @@ def _published_yolo(name: str, weights: Path | None) -> Detector:
 
     return load_published(name, weights)
 
-
-def torch_download(file: str) -> Path:
-    """Where torch's hub keeps a file that it has downloaded; TORCH_HOME and XDG_CACHE_HOME as torch documents them."""
-    cache = os.environ.get("XDG_CACHE_HOME", "~/.cache")
-    return Path(os.environ.get("TORCH_HOME", f"{cache}/torch")).expanduser() / "hub" / "checkpoints" / file
-
-
-TORCHVISION_FILES = {
-    "fasterrcnn_resnet50_fpn": "fasterrcnn_resnet50_fpn_coco-258fb6c6.pth",
-    "fasterrcnn_resnet50_fpn_v2": "fasterrcnn_resnet50_fpn_v2_coco-dd69338a.pth",
-    "fasterrcnn_mobilenet_v3_large_fpn": "fasterrcnn_mobilenet_v3_large_fpn-fb6a3cc7.pth",
-    "fasterrcnn_mobilenet_v3_large_320_fpn": "fasterrcnn_mobilenet_v3_large_320_fpn-907ea3f9.pth",
-}
-"""Names of torchvision's published COCO weights; a test compares them with the library's own."""
 
 _YOLO_LICENCE = "AGPL-3.0"
 _YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"

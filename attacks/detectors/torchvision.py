@@ -18,7 +18,7 @@ from attacks.detectors import small
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.registry import SMALL_RCNN_WEIGHTS
+from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS
 from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.errors import message
 

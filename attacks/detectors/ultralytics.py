@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.registry import SMALL_YOLO_WEIGHTS
+from attacks.detectors.weight_files import SMALL_YOLO_WEIGHTS
 from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.errors import message
 

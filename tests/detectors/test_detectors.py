@@ -13,8 +13,9 @@ from torchvision.ops import FrozenBatchNorm2d, batched_nms, box_iou
 from torchvision.ops.boxes import remove_small_boxes
 
 from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
-from attacks.detectors.registry import SMALL_RCNN_WEIGHTS
+from attacks.detectors.base import check_images
 from attacks.detectors.torchvision import RCNNDetector, random_detector
+from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose
@@ -155,6 +156,29 @@ def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tu
         detector.candidates(torch.zeros(shape))
     with pytest.raises(InvalidValueError, match="images"):
         detector.detect(torch.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (255.0, "got values from 0.5 to 255; divide 8-bit"),
+        (1.1, "from 0.5 to 1.1"),
+        (-0.1, "from -0.1 to 0.5"),
+        (float("nan"), "from nan to nan"),
+    ],
+)
+def test_pictures_of_other_values_are_refused(detector: RCNNDetector, value: float, words: str) -> None:
+    images = torch.full((1, 32, 32, 3), 0.5)
+    images[0, 3, 4, 1] = value
+    with pytest.raises(InvalidValueError, match=words):
+        detector.candidates(images)
+    with pytest.raises(InvalidValueError, match=words):
+        detector.detect(images)
+
+
+def test_rounding_is_no_reason_to_refuse_a_picture() -> None:
+    check_images(torch.tensor([-5e-4, 1.0005, 0.5]).expand(1, 4, 4, 3))
+    check_images(torch.zeros(1, 1, 1, 3))
 
 
 def test_shapes_of_candidates_and_detections_are_checked() -> None:

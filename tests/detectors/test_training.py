@@ -92,6 +92,7 @@ def test_boxes_are_tight_and_inside_the_picture() -> None:
         assert bool(((low >= 0) & (high <= 64) & (high > low)).all())
 
 
+@pytest.mark.slow
 def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
     make(replace(TINY, count=2), tmp_path, processes=0)
     before = (tmp_path / "00000.png").stat().st_mtime_ns
@@ -203,12 +204,14 @@ def few() -> list[LabelledPicture]:
     return [drawn((20 + 4 * i, 30, 70, 80), label=1 + i % 2) for i in range(4)]
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss() -> None:
     training = Training(replace(PLAIN, epochs=8, learning_rate=1e-3, warm_up=0.01), FasterRCNNTrainer())
     losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
     assert min(losses[-2:]) < 0.7 * losses[0]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
     straight = Training(PLAIN, FasterRCNNTrainer())
     straight.run_epoch(few())

@@ -183,6 +183,7 @@ def drawn(label: int) -> LabelledPicture:
     return LabelledPicture(image, torch.tensor([[20.0, 24.0, 76.0, 72.0]]), torch.tensor([label]))
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss_and_goes_on_to_the_bit(tmp_path: Path) -> None:
     config = TrainConfig(
         epochs=5, batch=4, learning_rate=2e-3, low_resolution=96, low_resolution_fraction=1.0, seed=3, warm_up=0.01

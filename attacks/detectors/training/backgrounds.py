@@ -39,9 +39,6 @@ def surroundings(kind: str, seed: int, rng: Generator) -> Asset:
         kind: One of `BACKGROUNDS`.
         seed: Which street, park, room or ground.
         rng: Draws the random ones, and how far a street is shifted along itself.
-
-    Raises:
-        InvalidValueError: There is no such kind.
     """
     if kind == "street":
         shift = rng.uniform(-15, 15)
@@ -52,9 +49,7 @@ def surroundings(kind: str, seed: int, rng: Generator) -> Asset:
         return street.room(seed, size=_CLEARANCE + 2)
     if kind == "ground":
         return street.plain(seed)
-    if kind == "random":
-        return backdrop(rng, _OBJECT_RADIUS)
-    raise InvalidValueError(message("kind", " or ".join(BACKGROUNDS), repr(kind), "choose one of them"))
+    return backdrop(rng, _OBJECT_RADIUS)
 
 
 def background_pictures(kind: str, number: int, config: BackgroundConfig) -> list[LabelledPicture]:
@@ -67,7 +62,12 @@ def background_pictures(kind: str, number: int, config: BackgroundConfig) -> lis
         kind: One of `BACKGROUNDS`.
         number: Which of the kind.
         config: Size and seeds of the set.
+
+    Raises:
+        InvalidValueError: There is no such kind.
     """
+    if kind not in BACKGROUNDS:
+        raise InvalidValueError(message("kind", " or ".join(BACKGROUNDS), repr(kind), "choose one of them"))
     low, high = SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
     around = surroundings(kind, int(rng.integers(low, high)), rng)

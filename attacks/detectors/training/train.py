@@ -64,6 +64,9 @@ def training_pictures(
     }
     found: dict[str, list[LabelledPicture]] = {}
     for name, config in wanted.items():
+        if not config.count:
+            found[name] = []
+            continue
         make(config, folder / name, processes=processes, on_step=_named(f"{name} pictures", on_work))
         found[name] = load(folder / name, limit=config.count)
     splats = splat_set(

@@ -1,0 +1,211 @@
+"""Which detectors there are, and how one of a user's own becomes one of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from attacks import cli
+from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detector, register_detector
+from attacks.detectors.classes import COCO_CLASSES
+from attacks.detectors.registry import _REGISTRY
+from attacks.detectors.torchvision import _PUBLISHED, random_detector
+from attacks.detectors.weight_files import TORCHVISION_FILES, torch_download
+from attacks.detectors.weights import fingerprint
+from tests.fakes import ColourDetector
+
+SPEC = DetectorSpec(
+    name="fake_colour",
+    load=lambda weights: ColourDetector(),
+    classes=ColourDetector.classes,
+    origin="a test",
+    licence="none",
+)
+
+PLUGIN = """
+from attacks.detectors import DetectorSpec
+
+def load(weights):
+    from tests.fakes import ColourDetector
+    return ColourDetector()
+
+SPEC = DetectorSpec(name="plugged", load=load, classes=("car", "person"), origin="a plug-in", licence="MIT")
+OTHER = DetectorSpec(name="fasterrcnn_small", load=load, classes=("car",), origin="a plug-in", licence="MIT")
+"""
+
+
+@pytest.fixture
+def registered() -> Iterator[DetectorSpec]:
+    register_detector(SPEC)
+    yield SPEC
+    del _REGISTRY._specs[SPEC.name]
+
+
+def install(folder: Path, *entries: str, module: str = PLUGIN) -> Path:
+    """A folder that holds an installed distribution with entry points."""
+    information = folder / "plugged_detector-1.0.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: plugged-detector\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text("[mi_splat.detectors]\n" + "\n".join(entries) + "\n")
+    (folder / "plugged_detector.py").write_text(module)
+    return folder
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on sys.path for fake distributions."""
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    sys.modules.pop("plugged_detector", None)
+
+
+def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]:
+    assert cli.main(["detectors", "--json"]) == 0
+    return {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)["detectors"]}
+
+
+def test_a_registered_detector_is_loaded_and_listed(
+    registered: DetectorSpec, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert isinstance(load_detector("fake_colour"), ColourDetector)
+    entry = listed(capsys)["fake_colour"]
+    assert entry["classes"] == ["car", "person", "stop sign"]
+    assert entry["available"] is True
+    assert (entry["origin"], entry["licence"], entry["weights"]) == ("a test", "none", "")
+    assert list(DETECTORS)[-1] == "fake_colour"
+    assert len(DETECTORS) == len(list(DETECTORS))
+
+
+def test_the_loader_gets_the_weights(registered: DetectorSpec, tmp_path: Path) -> None:
+    seen: list[Path | None] = []
+
+    def load(weights: Path | None) -> ColourDetector:
+        seen.append(weights)
+        return ColourDetector()
+
+    register_detector(DetectorSpec(name="noting", load=load, classes=("car",), origin="", licence=""))
+    try:
+        load_detector("noting", weights=tmp_path / "w.pth")
+        load_detector("noting")
+    finally:
+        del _REGISTRY._specs["noting"]
+    assert seen == [tmp_path / "w.pth", None]
+
+
+@pytest.mark.parametrize("name", ["fasterrcnn_small", "fake_colour"])
+def test_a_name_is_given_once(registered: DetectorSpec, name: str) -> None:
+    spec = DetectorSpec(name=name, load=SPEC.load, classes=("car",), origin="", licence="")
+    with pytest.raises(DetectorError, match=f"expected a name that is free, got '{name}'"):
+        register_detector(spec)
+
+
+def test_an_entry_point_is_a_detector_of_every_command(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    install(path, "plugged = plugged_detector:SPEC")
+    assert "plugged" in DETECTORS
+    assert "plugged_detector" not in sys.modules, "looking at the names imports nothing"
+    assert listed(capsys)["plugged"]["origin"] == "a plug-in"
+    assert isinstance(load_detector("plugged"), ColourDetector)
+    assert cli.main(["detectors"]) == 0
+    assert "plugged\n  weights: there\n  from: a plug-in (MIT)\n  2 classes: car, person\n" in capsys.readouterr().out
+
+
+def test_an_entry_point_does_not_take_the_place_of_another(path: Path) -> None:
+    install(path, "fasterrcnn_small = plugged_detector:OTHER")
+    assert DETECTORS["fasterrcnn_small"].origin != "a plug-in"
+    assert list(DETECTORS).count("fasterrcnn_small") == 1
+
+
+@pytest.mark.parametrize(
+    ("entry", "module", "words"),
+    [
+        ("plugged = plugged_detector:MISSING", PLUGIN, "something that can be imported, got .*MISSING"),
+        ("plugged = plugged_detector:SPEC", "import no_such_package", "got No module named 'no_such_package'"),
+        ("plugged = plugged_detector:load", PLUGIN, "expected a DetectorSpec of the name plugged, got function"),
+        ("plugged = plugged_detector:OTHER", PLUGIN, "got one of the name fasterrcnn_small"),
+    ],
+)
+def test_a_broken_entry_point_breaks_only_itself(
+    path: Path, entry: str, module: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(path, entry, module=module)
+    with pytest.raises(DetectorError, match=words):
+        load_detector("plugged")
+    entries = listed(capsys)
+    assert entries["plugged"]["available"] is False
+    assert "entry point plugged" in str(entries["plugged"]["advice"])
+    assert entries["fasterrcnn_small"]["available"] is True
+    assert load_detector("fasterrcnn_small").name == "fasterrcnn_small"
+
+
+def test_what_is_missing_is_said() -> None:
+    def spec(**more: object) -> DetectorSpec:
+        return DetectorSpec(name="x", load=SPEC.load, classes=(), origin="", licence="", **more)  # type: ignore[arg-type]
+
+    assert spec().missing() == ""
+    assert spec(weights=lambda: Path(__file__)).missing() == ""
+    assert spec(weights=lambda: Path("/nowhere"), advice="fetch them").missing() == "fetch them"
+    assert spec(requires=("json", "no_such_package")).missing() == "needs the package no_such_package"
+    both = spec(requires=("no_such_package",), install="pip install it", weights=lambda: Path(__file__))
+    assert both.missing() == "needs the package no_such_package: pip install it"
+
+
+def test_the_list_imports_no_library() -> None:
+    code = (
+        "import sys; from attacks import cli; status = cli.main(['detectors', '--json']); "
+        "heavy = {'torch', 'torchvision', 'ultralytics', 'mitsuba', 'numpy'} & set(sys.modules); "
+        "raise SystemExit(str(heavy) if heavy else status)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert '"available": true' in done.stdout
+
+
+def test_torchvision_s_files_and_classes_are_the_library_s(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert TORCHVISION_FILES.keys() == _PUBLISHED.keys()
+    for name, weights in _PUBLISHED.items():
+        assert weights.url.rsplit("/", 1)[-1] == TORCHVISION_FILES[name]
+        categories = [label for label in weights.meta["categories"] if label not in ("__background__", "N/A")]
+        assert DETECTORS[name].classes == COCO_CLASSES == tuple(categories)
+
+
+@pytest.mark.parametrize("variable", ["TORCH_HOME", "XDG_CACHE_HOME", None])
+def test_downloads_are_looked_for_where_torch_keeps_them(
+    variable: str | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("TORCH_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if variable is not None:
+        monkeypatch.setenv(variable, str(tmp_path))
+    monkeypatch.setattr(torch.hub, "_hub_dir", None)
+    assert torch_download("w.pth") == Path(torch.hub.get_dir(), "checkpoints", "w.pth")
+    assert os.environ.get("TORCH_HOME") == (str(tmp_path) if variable == "TORCH_HOME" else None)
+
+
+def test_the_fingerprint_follows_every_weight() -> None:
+    detector = random_detector("fasterrcnn_small", seed=0)
+    first = detector.fingerprint
+    assert len(first) == 16
+    assert int(first, 16) >= 0
+    assert random_detector("fasterrcnn_small", seed=0).fingerprint == first
+    assert random_detector("fasterrcnn_small", seed=1).fingerprint != first
+    with torch.no_grad():
+        detector.model.roi_heads.box_predictor.cls_score.bias[3] += 1e-6
+    assert detector.fingerprint != first
+
+
+def test_the_fingerprint_is_that_of_names_and_bytes() -> None:
+    import hashlib
+
+    state = {"a": torch.tensor([1.0, 2.0]), "b": torch.tensor(3)}
+    words = b"a" + state["a"].numpy().tobytes() + b"b" + state["b"].numpy().tobytes()
+    assert fingerprint(state) == hashlib.sha256(words).hexdigest()[:16]
+    assert fingerprint({"a": torch.tensor([1.0], dtype=torch.bfloat16)}) != fingerprint({"a": torch.tensor([1.0])})
+    swapped = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
+    assert fingerprint({"a": swapped.T}) == fingerprint({"a": swapped.T.contiguous()}) != fingerprint({"a": swapped})
