@@ -54,7 +54,8 @@ def _surface(t: Floats, angle: Floats) -> Floats:
     side = np.cross(tangent, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     other = np.cross(side, tangent)
-    return centre(t) + TUBE * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+    surface: NDArray[np.float64] = centre(t) + TUBE * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+    return surface
 
 
 def _skin(size: int) -> NDArray[np.uint8]:

@@ -95,7 +95,7 @@ def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
     def both() -> None:
         for leaf in leaves:
             leaf.grad = None
-        (render(learnt, camera) * weights).sum().backward()
+        (render(learnt, camera) * weights).sum().backward()  # type: ignore[no-untyped-call]
 
     return forward, both
 

@@ -90,9 +90,9 @@ def _parts(scene: GaussianScene, view: View, render: Renderer, *, rounds: int = 
         times.append(time.perf_counter())
         # The loss on a leaf of its own, so that its backward pass can be told from the renderer's.
         leaf = image.detach().requires_grad_(True)
-        photometric_loss(leaf, view.image).backward()
+        photometric_loss(leaf, view.image).backward()  # type: ignore[no-untyped-call]
         times.append(time.perf_counter())
-        image.backward(leaf.grad)
+        image.backward(leaf.grad)  # type: ignore[no-untyped-call]
         times.append(time.perf_counter())
         optimiser.step()
         optimiser.zero_grad(set_to_none=True)

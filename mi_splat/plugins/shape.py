@@ -73,7 +73,7 @@ def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:
 
 def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
     """A dict for `mi.load_dict` that holds `scene` as a `gaussians` shape."""
-    arrays = {name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+    arrays: dict[str, Any] = {name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
     return {"type": "gaussians", **arrays, **extra}
 
 
