@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.camera_sets import camera_set, grid, held_out_set
+from mi_splat.camera_sets import camera_set, framing, grid, held_out_set, orbit
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.datasets import write_transforms
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -65,6 +65,23 @@ def test_a_grid_has_every_pair() -> None:
     assert elevation.tolist() == pytest.approx([15] * 4 + [25] * 4 + [35] * 4)
 
 
+def test_azimuths_of_a_hemisphere_go_by_the_golden_angle() -> None:
+    azimuth, elevation = angles(cameras("hemisphere:20"))
+    golden = 360 * (1 - 2 / (1 + math.sqrt(5)))
+    assert azimuth.tolist() == pytest.approx([golden * i % 360 for i in range(20)], abs=1e-9)
+    heights = torch.sin(torch.deg2rad(elevation)).tolist()
+    assert heights == pytest.approx([(i + 0.5) / 20 for i in range(20)])
+
+
+@pytest.mark.parametrize("size", [(160, 120), (120, 160)])
+def test_framing_shows_the_whole_ball_with_a_margin_of_5_percent(size: tuple[int, int]) -> None:
+    distance, focal = framing(2.0, fov=50.0, size=size)
+    camera = orbit(CENTRE, count=1, elevation=0.0, distance=distance, focal=focal, size=size)[0]
+    # The cone that touches a ball 5 % larger meets the shorter side's edge.
+    assert distance * math.sin(math.radians(25)) == pytest.approx(1.05 * 2.0)
+    assert 2 * math.degrees(math.atan(min(size) / 2 / camera.fx)) == pytest.approx(50.0)
+
+
 @pytest.mark.parametrize("spec", ["hemisphere:60", "orbit:12@30", "cap:30@55", "grid:8x3"])
 def test_held_out_cameras_are_others_of_the_same_range(spec: str) -> None:
     ours, theirs = cameras(spec), held_out(spec, 12)
@@ -113,7 +130,7 @@ def test_cameras_of_a_file(tmp_path: Path) -> None:
     [
         "", "hemisphere", "hemisphere:", "hemisphere:x", "hemisphere:-3", "hemisphere:3.5", "hemisphere:0", "sphere:10",
         "orbit:10", "orbit:10@", "orbit:10@91", "orbit:0@10", "cap:10@90", "cap:10", "grid:10", "grid:0x4", "grid:4x",
-        "grid:99999x99999", "hemisphere:9999999", "hemisphere:10\n", "orbit:4@nan",
+        "grid:99999x99999", "hemisphere:9999999", "hemisphere:100001", "cap:10@89.95", "hemisphere:10\n", "orbit:4@nan",
     ],
 )  # fmt: skip
 def test_bad_texts_are_refused(spec: str) -> None:

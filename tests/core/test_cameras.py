@@ -62,6 +62,7 @@ def test_look_at_refuses_its_own_place() -> None:
     [
         ({"to_world": torch.eye(3)}, "to_world: expected shape"),
         ({"to_world": 2 * torch.eye(4)}, "to_world: expected a finite rotation"),
+        ({"to_world": torch.diag(torch.tensor([1.0001, 1.0001, 1.0001, 1.0]))}, "to_world: expected a finite rotation"),
         ({"to_world": torch.full((4, 4), math.nan)}, "to_world: expected a finite rotation"),
         ({"to_world": torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))}, "right-handed"),
         ({"focal": 0.0}, "focal x"),
@@ -109,6 +110,15 @@ def test_boxes_are_clipped_to_the_image() -> None:
     assert over.tolist() == [0, 0, 32, 24]
     assert project_box(torch.tensor([[-9.0, 0.0, 1.0], [-8.0, 0.0, 1.0]]), seen) is None
     assert project_box(torch.tensor([[0.0, 0.0, -1.0]]), seen) is None
+
+
+def test_points_behind_the_camera_are_in_no_box() -> None:
+    seen = camera(to_world=look_at((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
+    front = torch.tensor([[2.0, 0.1, 0.1], [2.0, -0.1, -0.1]])
+    behind = torch.tensor([[-0.5, 0.1, 0.1]])
+    box = project_box(front, seen)
+    assert box is not None
+    assert torch.equal(project_box(torch.cat([front, behind]), seen), box)  # type: ignore[arg-type]
 
 
 def test_orbit_is_a_circle_from_plus_x_towards_plus_y() -> None:

@@ -46,6 +46,10 @@ def test_straight_above_and_below_there_is_no_azimuth(elevation: float) -> None:
     assert found == Direction(azimuth=0.0, elevation=pytest.approx(elevation), pole=True)  # type: ignore[arg-type]
 
 
+def test_next_to_the_pole_there_is_an_azimuth() -> None:
+    assert seen_from(77.0, 89.9999).azimuth == pytest.approx(77.0, abs=1e-4)
+
+
 def test_azimuths_lie_below_360() -> None:
     pose = orbit_pose((0, 0, 0), azimuth=0, elevation=0, distance=1).clone()
     pose[1, 3] = -1e-20  # its angle rounds to 360 degrees

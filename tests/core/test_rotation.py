@@ -38,6 +38,12 @@ def test_normalise_at_extremes() -> None:
     assert normalise(torch.zeros(0, 4)).shape == (0, 4)
 
 
+def test_only_norms_within_a_millionth_keep_their_bits() -> None:
+    unit = torch.tensor([0.5, 0.5, 0.5, 0.5], dtype=torch.float64)
+    assert torch.equal(normalise(unit * (1 + 9e-7)), unit * (1 + 9e-7))
+    torch.testing.assert_close(normalise(unit * (1 + 2e-6)), unit, rtol=0, atol=1e-12)
+
+
 def test_gradient_of_normalise_has_no_radial_part() -> None:
     q = torch.randn(5, 4, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(normalise, (q,))
@@ -98,5 +104,7 @@ def test_what_is_no_rotation() -> None:
     assert is_rotation(torch.eye(3))
     for wrong in (torch.eye(4), torch.zeros(3, 3), -torch.eye(3), 1.01 * torch.eye(3), torch.eye(3) * torch.inf):
         assert not is_rotation(wrong)
+    assert is_rotation(1.00004 * torch.eye(3).double())  # orthonormal within 1e-4
+    assert not is_rotation(1.00006 * torch.eye(3).double())
     with pytest.raises(InvalidValueError, match="matrices: expected shape"):
         from_matrix(torch.eye(4))

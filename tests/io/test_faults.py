@@ -97,6 +97,10 @@ BAD = {
     "a point cloud": (ply_bytes(splat_rows(3, names=["x", "y", "z"])), "got no scale_0, .* and 6 more"),
     "integer property": (HEAD.replace(b"float f_dc_1", b"int f_dc_1") + BODY, r"f_dc_1 as float.*integer \(i4\)"),
     "text too short": (TEXT_HEAD + LINE * 9 + b"\n" * 100, "10 rows of vertex, got 9"),
+    "text of the shortest rows, one too few": (
+        TEXT_HEAD + (b"0 " * 25 + b"0\n") * 9,
+        rf"at least {len(TEXT_HEAD) + 10 * 52 - 1} bytes of text",
+    ),
     "text too long": (TEXT_HEAD + LINE * 11, "more lines"),
     "text row too short": (TEXT_HEAD + LINE * 9 + LINE[4:] + b" " * 99, "26 numbers in row 9 of vertex, got 25"),
     "text row too long": (TEXT_HEAD + LINE * 9 + b"1 " + LINE, "26 numbers in row 9 of vertex, got 27"),

@@ -184,3 +184,16 @@ class TestWithoutPlyfile:
         (tmp_path / "a.ply").write_bytes(listed("binary_little_endian"))
         with pytest.raises(SplatFileError, match="plyfile, to read rows of vertex with lists, got none; pip install"):
             load_splat(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    ("kind", "largest"), [("uchar", "<u1"), ("uint8", "<u1"), ("ushort", "<u2"), ("uint16", "<u2")]
+)
+def test_colours_of_every_unsigned_kind(kind: str, largest: str, tmp_path: Path) -> None:
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 1\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
+    full = np.iinfo(largest).max
+    data = np.zeros(3, "<f4").tobytes() + np.array([full, 0, full], largest).tobytes()
+    (tmp_path / "a.ply").write_bytes(head.encode() + data)
+    torch.testing.assert_close(load_points(tmp_path / "a.ply").colours, torch.tensor([[1.0, 0.0, 1.0]]))
