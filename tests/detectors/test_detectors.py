@@ -163,6 +163,7 @@ def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tu
     [
         (255.0, "got values from 0.5 to 255; divide 8-bit"),
         (1.1, "from 0.5 to 1.1"),
+        (1.005, "from 0.5 to 1.005"),
         (-0.1, "from -0.1 to 0.5"),
         (float("nan"), "from nan to nan"),
     ],
@@ -185,7 +186,9 @@ def test_shapes_of_candidates_and_detections_are_checked() -> None:
     with pytest.raises(InvalidValueError, match="Candidates"):
         Candidates(torch.zeros(3, 2, 4), torch.zeros(2, 3))
     with pytest.raises(InvalidValueError, match="Detections"):
-        Detections(torch.zeros(2, 4), torch.zeros(2), ("car",))
+        Detections(torch.zeros(2, 4), torch.zeros(1), ("car",))
+    with pytest.raises(InvalidValueError, match="Detections"):
+        Detections(torch.zeros(1, 4), torch.zeros(2), ("car",))
 
 
 def test_an_unknown_name_is_answered_with_the_nearest() -> None:

@@ -13,17 +13,13 @@ from torch import Tensor
 
 from attacks.detectors.base import Detections
 from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.errors import DetectorError
-from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
 from attacks.detectors.training.average_precision import average_precision, match, score
-from attacks.detectors.training.config import SPLITS, PictureSetConfig, TrainConfig
+from attacks.detectors.training.config import SPLITS, PictureSetConfig
 from attacks.detectors.training.dataset import check_note, load, make, save_pictures
-from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
-from attacks.detectors.training.loop import Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture, SceneRenderer, random_scene, scene_pictures
-from attacks.detectors.weights import read_weights
 from mi_splat.errors import InvalidValueError
+from tests.detectors.pictures import drawn
 
 TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
 
@@ -35,14 +31,6 @@ def _one_thread() -> None:
 
 def seeded(number: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(number)
-
-
-def drawn(box: tuple[int, int, int, int], *, size: int = 96, label: int = 1) -> LabelledPicture:
-    """A grey picture with one bright rectangle."""
-    image = torch.full((size, size, 3), 60, dtype=torch.uint8)
-    x0, y0, x1, y1 = box
-    image[y0:y1, x0:x1] = torch.tensor([250, 40 * label, 30], dtype=torch.uint8)
-    return LabelledPicture(image, torch.tensor([box], dtype=torch.float32), torch.tensor([label]))
 
 
 # Pictures and data sets
@@ -195,51 +183,6 @@ def test_scores_are_kept_apart_by_class_and_picture() -> None:
     assert result.mean == 0.25
 
 
-# Training
-
-PLAIN = TrainConfig(epochs=2, batch=2, low_resolution=96, low_resolution_fraction=1.0, seed=3)
-
-
-def few() -> list[LabelledPicture]:
-    return [drawn((20 + 4 * i, 30, 70, 80), label=1 + i % 2) for i in range(4)]
-
-
-@pytest.mark.slow
-def test_training_lowers_the_loss() -> None:
-    training = Training(replace(PLAIN, epochs=8, learning_rate=1e-3, warm_up=0.01), FasterRCNNTrainer())
-    losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
-    assert min(losses[-2:]) < 0.7 * losses[0]
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
-    straight = Training(PLAIN, FasterRCNNTrainer())
-    straight.run_epoch(few())
-    straight.save(tmp_path)
-    straight.run_epoch(few())
-    resumed = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
-    assert resumed.epoch == 1
-    resumed.run_epoch(few())
-    for name, value in straight.model.state_dict().items():
-        assert torch.equal(value, resumed.model.state_dict()[name]), name
-    for name, value in straight.averaged.items():
-        assert torch.equal(value, resumed.averaged[name]), name
-
-
-def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
-    with pytest.raises(DetectorError, match="use the same one or another folder"):
-        Training.resume(tmp_path, replace(PLAIN, learning_rate=1.0), FasterRCNNTrainer())
-
-
-def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
-    other = FasterRCNNTrainer()
-    other.name = "another"
-    with pytest.raises(DetectorError, match="a run of another"):
-        Training.resume(tmp_path, PLAIN, other)
-
-
 def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
     sample = LabelledPicture(
         torch.zeros(8, 8, 3, dtype=torch.uint8), torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
@@ -249,15 +192,3 @@ def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
     check_note(tmp_path, note)
     with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
         check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})
-
-
-def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
-    training = Training(PLAIN, FasterRCNNTrainer())
-    path = tmp_path / "w.safetensors"
-    export_weights(training.averaged, path, notes={"seed": "3"})
-    detector = training.snapshot()
-    assert isinstance(detector, RCNNDetector)
-    stored, model = read_weights(path), detector.model.state_dict()
-    assert path.stat().st_size < 12_000_000
-    for name, value in stored.items():
-        assert torch.equal(value.float(), model[name]), name

@@ -98,6 +98,32 @@ def test_candidates_are_what_detections_come_from(detector: Detector, size: tupl
         assert SMALL_CLASSES[int(label[near])] == found.labels[0]
 
 
+def test_a_picture_is_framed_in_the_library_s_grey(detector: ultralytics.YOLODetector) -> None:
+    grey = 114 / 255
+    (found,) = detector.candidates(torch.full((1, 90, 160, 3), grey))
+    expected = detector._decoded(torch.full((1, 3, 96, 128), grey))[0, :, 4:]
+    torch.testing.assert_close(found.scores, expected)
+
+
+@pytest.mark.parametrize("size", [(90, 160), (75, 50)])
+def test_candidates_lie_inside_the_picture(detector: Detector, size: tuple[int, int]) -> None:
+    boxes = torch.cat([found.boxes.reshape(-1, 4) for found in detector.candidates(pictures(*size))])
+    assert float(boxes.min()) == 0
+    assert float(boxes[:, [0, 2]].max()) == size[1]
+    assert float(boxes[:, [1, 3]].max()) == size[0]
+
+
+def test_the_floor_is_that_of_the_constructor(detector: ultralytics.YOLODetector, model: Any) -> None:
+    (all_of_them,) = detector.detect(pictures(96, 128, 1))
+    floor = float(all_of_them.scores.median())
+    other = ultralytics.YOLODetector("x", model, SMALL_CLASSES, side=128, min_confidence=floor)
+    assert (detector.min_confidence, other.min_confidence) == (0.25, floor)
+    assert other.fingerprint == detector.fingerprint
+    (found,) = other.detect(pictures(96, 128, 1))
+    assert 0 < len(found) < len(all_of_them)
+    assert float(found.scores.min()) >= floor
+
+
 def test_gradients_reach_the_picture(detector: Detector) -> None:
     images = pictures(90, 160).requires_grad_(True)
     detector.candidates(images)[0].scores[:, 0].max().backward()  # type: ignore[no-untyped-call]

@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.torchvision import RCNNDetector
+from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
+from attacks.detectors.training.loop import Training, export_weights
+from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.weights import read_weights
+from tests.detectors.pictures import drawn
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+PLAIN = TrainConfig(epochs=2, batch=2, low_resolution=96, low_resolution_fraction=1.0, seed=3)
+
+
+def few() -> list[LabelledPicture]:
+    return [drawn((20 + 4 * i, 30, 70, 80), label=1 + i % 2) for i in range(4)]
+
+
+@pytest.mark.slow
+def test_training_lowers_the_loss() -> None:
+    training = Training(replace(PLAIN, epochs=8, learning_rate=1e-3, warm_up=0.01), FasterRCNNTrainer())
+    losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
+    assert min(losses[-2:]) < 0.7 * losses[0]
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
+    straight = Training(PLAIN, FasterRCNNTrainer())
+    straight.run_epoch(few())
+    straight.save(tmp_path)
+    straight.run_epoch(few())
+    resumed = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
+    assert resumed.epoch == 1
+    resumed.run_epoch(few())
+    for name, value in straight.model.state_dict().items():
+        assert torch.equal(value, resumed.model.state_dict()[name]), name
+    for name, value in straight.averaged.items():
+        assert torch.equal(value, resumed.averaged[name]), name
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
+    with pytest.raises(DetectorError, match="use the same one or another folder"):
+        Training.resume(tmp_path, replace(PLAIN, learning_rate=1.0), FasterRCNNTrainer())
+
+
+def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
+    other = FasterRCNNTrainer()
+    other.name = "another"
+    with pytest.raises(DetectorError, match="a run of another"):
+        Training.resume(tmp_path, PLAIN, other)
+
+
+def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
+    training = Training(PLAIN, FasterRCNNTrainer())
+    path = tmp_path / "w.safetensors"
+    export_weights(training.averaged, path, notes={"seed": "3"})
+    detector = training.snapshot()
+    assert isinstance(detector, RCNNDetector)
+    stored, model = read_weights(path), detector.model.state_dict()
+    assert path.stat().st_size < 12_000_000
+    for name, value in stored.items():
+        assert torch.equal(value.float(), model[name]), name
+
+
+class Noting(FasterRCNNTrainer):
+    """Notes how each epoch begins, and learns from a loss of one weight."""
+
+    def __init__(self) -> None:
+        self.begun: list[tuple[int | None, bool]] = []
+
+    def build(self) -> torch.nn.Module:
+        return torch.nn.Linear(2, 1)
+
+    def begin_epoch(self, model: torch.nn.Module, *, side: int | None, final: bool) -> None:
+        self.begun.append((side, final))
+
+    def losses(self, model: torch.nn.Module, pictures: object, targets: object, generator: object) -> dict[str, Tensor]:
+        return {"loss": 100 * model(torch.ones(1, 2)).sum()}
+
+
+def test_epochs_begin_as_the_configuration_says() -> None:
+    config = replace(PLAIN, epochs=5, low_resolution=64, low_resolution_fraction=0.4, final_fraction=0.2)
+    trainer = Noting()
+    training = Training(config, trainer)
+    for _ in range(5):
+        training.run_epoch(few())
+    assert trainer.begun == [(64, False), (64, False), (None, False), (None, False), (None, True)]
+
+
+def test_the_learning_rate_warms_up_and_follows_a_cosine() -> None:
+    training = Training(replace(PLAIN, learning_rate=2.0, warm_up=0.1), Noting())
+
+    def rate(done: float) -> float:
+        training._set_rate(done)
+        return float(training._optimiser.param_groups[0]["lr"])
+
+    assert [rate(done) for done in (0.0, 0.05, 0.1)] == pytest.approx([0.04, 1.02, 2.0])
+    assert [rate(done) for done in (0.55, 1.0)] == pytest.approx([2 * (0.005 + 0.995 / 2), 0.01])
+
+
+def test_only_matrices_decay() -> None:
+    groups = Training(replace(PLAIN, weight_decay=0.3), Noting())._optimiser.param_groups
+    assert [(group["weight_decay"], [p.ndim for p in group["params"]]) for group in groups] == [(0.3, [2]), (0.0, [1])]
+
+
+def test_the_average_keeps_most_of_itself() -> None:
+    training = Training(replace(PLAIN, ema_decay=0.9, warm_up=0.01), Noting())
+    before = {name: value.clone() for name, value in training.averaged.items()}
+    training.run_epoch(few()[:2])
+    for name, value in training.model.state_dict().items():
+        torch.testing.assert_close(training.averaged[name], 0.9 * before[name] + 0.1 * value)
+        assert not torch.equal(value, before[name])
+
+
+def test_long_gradients_are_scaled_down() -> None:
+    training = Training(replace(PLAIN, max_gradient_norm=5.0), Noting())
+    training.run_epoch(few()[:2])
+    gradients = torch.cat([p.grad.flatten() for p in training.model.parameters() if p.grad is not None])
+    assert float(gradients.norm()) == pytest.approx(5.0, rel=1e-4)
+
+
+def test_pictures_change_from_epoch_to_epoch() -> None:
+    training = Training(PLAIN, Noting())
+
+    def first_epoch_s() -> Tensor:
+        torch.manual_seed(0)
+        return torch.stack(next(iter(training._batches(few())))[0])
+
+    one, again = first_epoch_s(), first_epoch_s()
+    training.epoch = 1
+    assert torch.equal(one, again)
+    assert not torch.equal(one, first_epoch_s())
