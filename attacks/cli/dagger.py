@@ -88,9 +88,11 @@ def _tell(result: Result, options: DaggerOptions) -> None:
         f"{_seen(views[0], found['target'])} after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
     )
+    psnr = found["image_psnr"]
+    change = "No picture changed" if psnr is None else f"The picture changed to a PSNR of {psnr:.1f} dB"
+    noise = found["noise"]
     show(
-        f"The picture changed to a PSNR of {found['image_psnr']:.1f} dB; random noise of the same size had the same "
-        f"success in {found['noise']['successes']} of {found['noise']['draws']} draws."
+        f"{change}; random noise of the same size had the same success in {noise['successes']} of {noise['draws']} draws."
     )
     for warning in result.warnings:
         show(f"warning: {warning}")
