@@ -90,10 +90,8 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     )
     psnr = found["image_psnr"]
     change = "No picture changed" if psnr is None else f"The picture changed to a PSNR of {psnr:.1f} dB"
-    noise = found["noise"]
-    show(
-        f"{change}; random noise of the same size had the same success in {noise['successes']} of {noise['draws']} draws."
-    )
+    noise = f"{found['noise']['successes']} of {found['noise']['draws']} draws"
+    show(f"{change}; random noise of the same size had the same success in {noise}.")
     for warning in result.warnings:
         show(f"warning: {warning}")
     show(f"Look at {options.out / 'detections.png'} first. Beside it: before.png, after.png, difference.png,")

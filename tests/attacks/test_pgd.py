@@ -268,7 +268,8 @@ def test_the_order_of_points() -> None:
         line(True, False, 0.9, 9.0),
         line(True, True, 0.2, 9.0),
     ]
-    assert sorted(reversed(worst_to_best), key=rank) == worst_to_best
+    mixed = [worst_to_best[place] for place in (3, 0, 6, 2, 5, 1, 4)]
+    assert sorted(mixed, key=rank) == worst_to_best
 
 
 def test_of_equal_points_the_first_is_kept() -> None:
