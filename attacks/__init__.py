@@ -10,53 +10,50 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
-    from attacks.budgets import Budget
-    from attacks.cloak.poisoning import Poisoned, Poisoning, poison
+    from attacks.cloak.poisoning import Poisoning, poison
+    from attacks.cloak.triggers import Azimuth, Elevation
     from attacks.dagger.attack import attack
     from attacks.dagger.config import DaggerConfig
+    from attacks.dagger.report import write_report
     from attacks.dagger.result import Result
-    from attacks.detectors import (
-        DETECTORS,
-        Candidates,
-        Detections,
-        Detector,
-        DetectorSpec,
-        load_detector,
-        register_detector,
-    )
-    from attacks.objectives import Objective, Target, hide, relabel, untargeted
+    from attacks.detectors import Candidates, Detections, Detector, DetectorSpec, load_detector, register_detector
+    from attacks.evaluation.rates import Rate, rates
+    from attacks.evaluation.views import evaluate
+    from attacks.objectives import hide, relabel, untargeted
 
 __all__ = [
-    "DETECTORS",
-    "Budget",
+    "Azimuth",
     "Candidates",
     "DaggerConfig",
     "Detections",
     "Detector",
     "DetectorSpec",
-    "Objective",
-    "Poisoned",
+    "Elevation",
     "Poisoning",
+    "Rate",
     "Result",
-    "Target",
     "attack",
+    "evaluate",
     "hide",
     "load_detector",
     "poison",
+    "rates",
     "register_detector",
     "relabel",
     "untargeted",
+    "write_report",
 ]
 
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
-        "attacks.budgets": ("Budget",),
-        "attacks.cloak.poisoning": ("Poisoned", "Poisoning", "poison"),
-        "attacks.dagger.config": ("DaggerConfig",),
+        "attacks.cloak.poisoning": ("Poisoning", "poison"),
+        "attacks.cloak.triggers": ("Azimuth", "Elevation"),
         "attacks.dagger.attack": ("attack",),
+        "attacks.dagger.config": ("DaggerConfig",),
+        "attacks.dagger.report": ("write_report",),
+        "attacks.dagger.result": ("Result",),
         "attacks.detectors": (
-            "DETECTORS",
             "Candidates",
             "Detections",
             "Detector",
@@ -64,7 +61,8 @@ __getattr__, __dir__ = _lazy.attach(
             "load_detector",
             "register_detector",
         ),
-        "attacks.objectives": ("Objective", "Target", "hide", "relabel", "untargeted"),
-        "attacks.dagger.result": ("Result",),
+        "attacks.evaluation.rates": ("Rate", "rates"),
+        "attacks.evaluation.views": ("evaluate",),
+        "attacks.objectives": ("hide", "relabel", "untargeted"),
     },
 )

@@ -88,10 +88,10 @@ def _tell(result: Result, options: DaggerOptions) -> None:
         f"{_seen(views[0], found['target'])} after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
     )
-    show(
-        f"The picture changed to a PSNR of {found['image_psnr']:.1f} dB; random noise of the same size had the same "
-        f"success in {found['noise']['successes']} of {found['noise']['draws']} draws."
-    )
+    psnr = found["image_psnr"]
+    change = "No picture changed" if psnr is None else f"The picture changed to a PSNR of {psnr:.1f} dB"
+    noise = f"{found['noise']['successes']} of {found['noise']['draws']} draws"
+    show(f"{change}; random noise of the same size had the same success in {noise}.")
     for warning in result.warnings:
         show(f"warning: {warning}")
     show(f"Look at {options.out / 'detections.png'} first. Beside it: before.png, after.png, difference.png,")

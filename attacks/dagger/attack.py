@@ -46,8 +46,8 @@ def attack(
         scene: The clean splat.
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
         cameras: Views that are attacked together.
-        detector: The victim, white box.
-        objective: What it shall see, for instance `relabel("person")` or `hide()`.
+        detector: The one attacked; its weights are known (white box).
+        objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
         on_step: Called with every line of the trace as it happens.
@@ -63,7 +63,7 @@ def attack(
             message("target", f"one of {', '.join(detector.classes)}", objective.label, "choose a class that it knows")
         )
     if not cameras:
-        raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the victim looks from"))
+        raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the detector looks from"))
     clean_hash = scene_hash(scene)
     if config.sh_degree is not None and "sh" in config.attributes and scene.degree < config.sh_degree:
         scene = scene.with_degree(config.sh_degree)

@@ -151,3 +151,34 @@ def test_leaving_the_ball_is_an_error(norm: NormName, value: float) -> None:
 def test_a_wrong_budget_says_what_is_wrong(radius: dict[str, float], norm: NormName, complaint: str) -> None:
     with pytest.raises(InvalidValueError, match=complaint):
         Budget(radius=radius, norm=norm)
+
+
+@pytest.mark.parametrize("norm", ["l2", "l2_per_gaussian"])
+def test_rounding_of_the_norm_does_not_leave_the_ball(norm: NormName) -> None:
+    """Around a reference of 0 a float64 perturbation is stored as it is, and its norm may round up."""
+    budget, reference = Budget(radius={"sh": 0.3}, norm=norm), {"sh": torch.zeros(12, 4, 3, dtype=torch.float64)}
+    for seed in range(40):
+        point, _ = draw(seed, spread=1.0, dtype=torch.float64)
+        budget.check(budget.project({"sh": point}, reference), reference)
+
+
+def test_a_ball_for_each_gaussian_leaves_the_rows_inside_alone() -> None:
+    reference = {"sh": torch.zeros(3, 1, 3)}
+    point = torch.tensor([[[0.3, 0.4, 0.0]], [[3.0, 0.0, 4.0]], [[0.0, 0.0, 0.9]]])
+    found = Budget(radius={"sh": 1.0}, norm="l2_per_gaussian").project({"sh": point}, reference)["sh"]
+    assert torch.equal(found[[0, 2]], point[[0, 2]])
+    torch.testing.assert_close(found[1], torch.tensor([[0.6, 0.0, 0.8]]))
+
+
+def test_draws_are_uniform_in_the_ball() -> None:
+    """In a ball of n dimensions the size is u^(1/n), whose mean is n / (n + 1)."""
+    generator, reference = Generator().manual_seed(0), torch.zeros(1, 1, 3)
+    one = Budget(radius={"sh": 2.0}, norm="l2")
+    sizes = [float(one.uniform({"sh": reference}, generator)["sh"].norm()) for _ in range(2000)]
+    assert sum(sizes) / 2000 == pytest.approx(2.0 * 3 / 4, rel=0.02)
+    each = Budget(radius={"sh": 2.0}, norm="l2_per_gaussian")
+    rows = each.uniform({"sh": reference.expand(2000, 1, 3)}, generator)["sh"].flatten(1).norm(dim=1)
+    assert float(rows.mean()) == pytest.approx(2.0 * 3 / 4, rel=0.02)
+    cube = Budget(radius={"sh": 2.0}, norm="linf").uniform({"sh": reference.expand(2000, 1, 3)}, generator)["sh"]
+    assert float(cube.mean()) == pytest.approx(0.0, abs=0.05)
+    assert float(cube.abs().mean()) == pytest.approx(1.0, abs=0.05)

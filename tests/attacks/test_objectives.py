@@ -172,7 +172,7 @@ def test_verdicts(objective: Objective, seen: Detections, success: bool, score: 
         (found(("person", 0.6, BOX)), False),
     ],
 )
-def test_a_relabelling_is_clear_when_nothing_else_is_seen_there_with_more_confidence(
+def test_a_relabelling_is_unambiguous_when_nothing_else_is_seen_there_with_more_confidence(
     seen: Detections, unambiguous: bool
 ) -> None:
     assert relabel("person").verdict(seen, TARGET).unambiguous is unambiguous

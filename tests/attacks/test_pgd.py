@@ -10,7 +10,7 @@ from torch import Tensor
 
 from attacks.budgets import Budget, BudgetError
 from attacks.limits import NormName
-from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd
+from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd, rank
 from mi_splat.errors import InvalidValueError
 
 Oracle = Callable[[Parameters], Evaluation]
@@ -250,3 +250,30 @@ def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
 def test_without_a_start_there_is_nothing_to_return() -> None:
     with pytest.raises(InvalidValueError, match="starts: expected at least one point"):
         pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=1, starts=[])
+
+
+def line(success: bool, unambiguous: bool, score: float, loss: float) -> Step:
+    """A line of a trace."""
+    return Step(index=0, loss=loss, score=score, success=success, unambiguous=unambiguous, zero_gradient_fraction=0.0)
+
+
+def test_the_order_of_points() -> None:
+    """Success, then without ambiguity, then the score, then the loss."""
+    worst_to_best = [
+        line(False, False, 0.9, 5.0),
+        line(False, False, 0.9, 4.0),
+        line(False, False, 0.95, 9.0),
+        line(False, True, 0.1, 9.0),
+        line(True, False, 0.1, 9.0),
+        line(True, False, 0.9, 9.0),
+        line(True, True, 0.2, 9.0),
+    ]
+    mixed = [worst_to_best[place] for place in (3, 0, 6, 2, 5, 1, 4)]
+    assert sorted(mixed, key=rank) == worst_to_best
+
+
+def test_of_equal_points_the_first_is_kept() -> None:
+    budget = Budget(radius={"sh": 10.0})
+    found = pgd(scripted(*[(True, False)] * 3), REFERENCE, budget, step={"sh": 1.0}, steps=2)
+    assert found.best.index == 0
+    assert torch.equal(found.parameters["sh"], REFERENCE["sh"])

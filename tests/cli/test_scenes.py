@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -160,9 +159,9 @@ def test_a_resized_camera_sees_the_same() -> None:
 def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     """The toy scene in the place of files, renderer and weights."""
     scene, _ = toy_scene()
-    parts = {"rest": slice(0, 10), "thing": slice(10, 40)}
+    objects = {"rest": slice(0, 10), "thing": slice(10, 40)}
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
-    loaded = SplatScene(scene=scene, objects=parts, cameras=cameras, settings=RenderSettings())
+    loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
     monkeypatch.setattr(dagger, "Renderer", lambda settings: blobs)
     monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
@@ -213,12 +212,17 @@ def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pyt
     assert Path(document["files"]["result.json"]).is_file()
 
 
-def test_an_attack_that_fails_is_a_result(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--object", "thing", "--eps", "0.001", "--noise-draws", "1", "--out", str(tmp_path)]
+@pytest.mark.parametrize(("eps", "change"), [("0.1", "The picture changed to a PSNR of"), ("0", "No picture changed")])
+def test_an_attack_that_fails_is_a_result(
+    eps: str, change: str, toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--object", "thing", "--eps", eps, "--noise-draws", "1", "--out", str(tmp_path)]
     assert cli.main(["dagger", *words]) == 0
-    assert capsys.readouterr().out.startswith("FAILED")
+    text = capsys.readouterr().out
+    assert text.startswith("FAILED")
+    assert change in text
     psnr = json.loads((tmp_path / "result.json").read_text())["image_psnr"]
-    assert psnr is None or math.isfinite(psnr)
+    assert (psnr is None) == (eps == "0")
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,4 @@
-"""The paper's six pairs on the shipped scenes and the shipped detector: the attack works, random noise does not.
-
-Five of the six reach the 0.7 that counts as success. The sign as a bird gets to 0.65: a quarter of its green is clamped
-at 0, where SH has no gradient, and the ball is used up before it is through (the README has the experiment).
-"""
+"""The paper's six pairs on the shipped scenes and the shipped detector: the attack works, random noise does not."""
 
 from __future__ import annotations
 
@@ -33,22 +29,22 @@ def scenes() -> dict[str, SplatScene]:
     return {name: read_scene(SCENES / f"{name}.xml") for name, _, _ in PAIRS}
 
 
-OUT_OF_REACH = {"bird": 0.5}
+pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize(("scene", "part", "target"), PAIRS)
+@pytest.mark.parametrize(("scene", "name", "target"), PAIRS)
 def test_the_paper_s_pairs(
-    scene: str, part: str, target: str, scenes: dict[str, SplatScene], detector: Detector
+    scene: str, name: str, target: str, scenes: dict[str, SplatScene], detector: Detector
 ) -> None:
     loaded = scenes[scene]
     camera = next(iter(loaded.cameras.values()))
     config = DaggerConfig(noise_draws=1)
-    rows, render = loaded.objects[part], Renderer(loaded.settings)
+    rows, render = loaded.objects[name], Renderer(loaded.settings)
     found = attack(loaded.scene, rows, [camera], detector, relabel(target), render=render, config=config)
+    assert found.success
     assert found.target_confidence is not None
-    least = OUT_OF_REACH.get(target, 0.7)
-    assert found.target_confidence >= least, f"{target} at {found.target_confidence:.0%}"
-    assert found.success == (found.target_confidence >= 0.7)
+    assert found.target_confidence >= 0.7, f"{target} at {found.target_confidence:.0%}"
+    assert found.best.index <= 11
     assert found.used["sh"] <= 5.0
     assert found.image.psnr is not None
     assert found.image.psnr > 25
@@ -60,17 +56,18 @@ def test_the_paper_s_pairs(
         assert torch.equal(after[others], before[others])
 
 
-@pytest.mark.parametrize(("scene", "part", "left"), [("car_street", "car", 0.3), ("stop_sign", "stop_sign", 0.6)])
-def test_the_object_is_found_before_and_fades_after(
-    scene: str, part: str, left: float, scenes: dict[str, SplatScene], detector: Detector
+@pytest.mark.parametrize(("scene", "name", "left"), [("car_street", "car", 0.3), ("stop_sign", "stop_sign", 0.6)])
+def test_the_object_is_found_before_and_less_after(
+    scene: str, name: str, left: float, scenes: dict[str, SplatScene], detector: Detector
 ) -> None:
-    """The car is hidden (less than 0.3 is left); of the sign 0.45 of 1.00 is left at this radius."""
+    """The car is hidden (less than 0.3 is left); of the sign 0.55 of 1.00 is left at this radius."""
     loaded = scenes[scene]
     camera = next(iter(loaded.cameras.values()))
     config = DaggerConfig(noise_draws=0)
     render = Renderer(loaded.settings)
-    found = attack(loaded.scene, loaded.objects[part], [camera], detector, hide(), render=render, config=config)
+    found = attack(loaded.scene, loaded.objects[name], [camera], detector, hide(), render=render, config=config)
     (view,) = found.views
-    assert view.before.target.original == part.replace("_", " ")
+    assert view.before.target.original == name.replace("_", " ")
     assert view.confidence(view.before.target.original, attacked=False) >= 0.5
     assert 1 - found.score <= left
+    assert found.success == (left == 0.3)
