@@ -22,7 +22,12 @@ SHORT = FitConfig(
     sh_degree_interval=20,
     eval_interval=30,
     strategy=ClassicConfig(
-        densify_from=10, densify_interval=20, densify_grad_threshold=1e-5, opacity_reset_interval=50, max_gaussians=90
+        densify_from=10,
+        densify_until=15_000,
+        densify_interval=20,
+        densify_grad_threshold=1e-5,
+        opacity_reset_interval=50,
+        max_gaussians=90,
     ),
 )
 

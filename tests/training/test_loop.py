@@ -11,6 +11,7 @@ from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.training.loop import FitConfig, TrainingError, fit
+from mi_splat.training.losses import photometric_loss
 from mi_splat.training.strategies import ClassicConfig, FixedConfig
 from tests.training.sets import SHORT, scene_and_views, watching
 
@@ -32,7 +33,12 @@ def test_training_comes_nearer() -> None:
 def test_the_last_step_is_no_reset() -> None:
     _, views, start = scene_and_views()
     adding = ClassicConfig(
-        densify_from=1, densify_interval=2, densify_grad_threshold=1e-9, opacity_reset_interval=4, max_gaussians=90
+        densify_from=1,
+        densify_until=4,
+        densify_interval=2,
+        densify_grad_threshold=1e-9,
+        opacity_reset_interval=4,
+        max_gaussians=90,
     )
     config = FitConfig(iterations=4, sh_degree=1, strategy=adding)
     counts: list[int] = []
@@ -80,3 +86,13 @@ def test_a_plain_renderer_cannot_densify() -> None:
         fit(views, start, render=lambda scene, camera: Renderer()(scene, camera), config=SHORT)
     with pytest.raises(InvalidValueError, match="at least one of each"):
         fit([], start, render=watching(), config=SHORT)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.7])
+def test_the_loss_is_weighed_as_the_configuration_says(weight: float) -> None:
+    _, views, start = scene_and_views()
+    config = FitConfig(iterations=1, sh_degree=1, lambda_dssim=weight, strategy=FixedConfig())
+    losses: list[float] = []
+    fit(views[:1], start, render=Renderer(), config=config, on_step=lambda line: losses.append(line.loss))
+    picture = Renderer()(start.with_degree(0), views[0].camera)
+    assert losses == pytest.approx([float(photometric_loss(picture, views[0].image, lambda_dssim=weight))], rel=1e-5)
