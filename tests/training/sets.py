@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at
@@ -13,7 +15,7 @@ from mi_splat.io.points import PointCloud
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import ClassicConfig
+from mi_splat.training.strategies import ClassicConfig, Step
 from tests import oracle
 
 SHORT = FitConfig(
@@ -22,7 +24,12 @@ SHORT = FitConfig(
     sh_degree_interval=20,
     eval_interval=30,
     strategy=ClassicConfig(
-        densify_from=10, densify_interval=20, densify_grad_threshold=1e-5, opacity_reset_interval=50, max_gaussians=90
+        densify_from=10,
+        densify_until=15_000,
+        densify_interval=20,
+        densify_grad_threshold=1e-5,
+        opacity_reset_interval=50,
+        max_gaussians=90,
     ),
 )
 
@@ -61,3 +68,34 @@ def write_set(folder: Path) -> Path:
     cloud = PointCloud(truth.means, torch.full((50, 3), 0.5))
     write_transforms(folder, views, test=views[:1], points=cloud)
     return folder
+
+
+@dataclass
+class Seen:
+    lengths: Tensor
+    visible: Tensor
+
+
+def small(count: int = 3) -> dict[str, Tensor]:
+    """Opaque Gaussians a thousandth of the scene in size."""
+    return {
+        "means": torch.zeros(count, 3),
+        "scales": torch.full((count, 3), 1e-3).log(),
+        "rotations": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        "opacities": torch.full((count,), 3.0),
+        "sh0": torch.zeros(count, 1, 3),
+        "shN": torch.zeros(count, 3, 3),
+    }
+
+
+def step_of(values: dict[str, Tensor], iteration: int, iterations: int, seen: Seen) -> Step:
+    generator = torch.Generator().manual_seed(0)
+    return Step(
+        parameters=values,
+        iteration=iteration,
+        iterations=iterations,
+        scene_extent=1.0,
+        lr_means=1e-4,
+        generator=generator,
+        screen_gradients=seen,
+    )

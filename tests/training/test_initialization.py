@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from mi_splat.cameras import project_points
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
@@ -75,3 +76,26 @@ def test_a_training_is_set_up_without_reading_pictures(tmp_path: Path) -> None:
         path.unlink()
     assert scene_extent(views) == before
     assert torch.equal(random_points(views, 5).means, start.means)
+
+
+def test_sizes_and_opacities_are_those_of_3dgs() -> None:
+    """Root mean square of the distances to three neighbours, opacity 0.1 (Kerbl et al. 2023)."""
+    points = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [9.0, 9.0, 9.0]])
+    start = from_points(points, torch.full((5, 3), 0.5))
+    assert float(start.scales[0, 0]) == pytest.approx(((1 + 4 + 9) / 3) ** 0.5)
+    assert start.opacities.tolist() == pytest.approx([0.1] * 5)
+
+
+def test_outliers_lie_in_three_pictures_and_all_along_the_way() -> None:
+    _, views = views_of()
+    cloud = PointCloud(torch.tensor([[0.0, 0.0, 0.0]]), torch.full((1, 3), 0.5))
+    drawn = with_outliers(cloud, views, 400, seed=1).points[1:]
+    eyes = torch.stack([view.camera.position for view in views]).float()
+    ways = (drawn.norm(dim=1) / eyes.norm(dim=1).mean()).sort().values  # what is left of the way to the point
+    assert float(ways[0]) == pytest.approx(0.1, abs=0.02)
+    seen = torch.zeros(400)
+    for view in views:
+        pixels, depth = project_points(drawn.double(), view.camera)
+        size = pixels.new_tensor([view.camera.width, view.camera.height])
+        seen += ((depth > 0) & ((pixels >= 0) & (pixels < size)).all(1)).float()
+    assert float(seen.min()) >= 3

@@ -6,12 +6,15 @@ import dataclasses
 
 import pytest
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
-from mi_splat.training.loop import FitConfig, TrainingError, fit
-from mi_splat.training.strategies import ClassicConfig, FixedConfig
+from mi_splat.scene import GaussianScene
+from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit
+from mi_splat.training.losses import photometric_loss
+from mi_splat.training.strategies import ClassicConfig, FixedConfig, Step, Strategy
 from tests.training.sets import SHORT, scene_and_views, watching
 
 
@@ -32,7 +35,12 @@ def test_training_comes_nearer() -> None:
 def test_the_last_step_is_no_reset() -> None:
     _, views, start = scene_and_views()
     adding = ClassicConfig(
-        densify_from=1, densify_interval=2, densify_grad_threshold=1e-9, opacity_reset_interval=4, max_gaussians=90
+        densify_from=1,
+        densify_until=4,
+        densify_interval=2,
+        densify_grad_threshold=1e-9,
+        opacity_reset_interval=4,
+        max_gaussians=90,
     )
     config = FitConfig(iterations=4, sh_degree=1, strategy=adding)
     counts: list[int] = []
@@ -80,3 +88,37 @@ def test_a_plain_renderer_cannot_densify() -> None:
         fit(views, start, render=lambda scene, camera: Renderer()(scene, camera), config=SHORT)
     with pytest.raises(InvalidValueError, match="at least one of each"):
         fit([], start, render=watching(), config=SHORT)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.7])
+def test_the_loss_is_weighed_as_the_configuration_says(weight: float) -> None:
+    _, views, start = scene_and_views()
+    config = FitConfig(iterations=1, sh_degree=1, lambda_dssim=weight, strategy=FixedConfig())
+    losses: list[float] = []
+    fit(views[:1], start, render=Renderer(), config=config, on_step=lambda line: losses.append(line.loss))
+    picture = Renderer()(start.with_degree(0), views[0].camera)
+    assert losses == pytest.approx([float(photometric_loss(picture, views[0].image, lambda_dssim=weight))], rel=1e-5)
+
+
+def test_the_hooks_are_called_with_what_they_are_told() -> None:
+    """What a strategy adds to the loss counts, it hears of every step but the last, and views are scored on time."""
+    _, views, start = scene_and_views()
+    steps: list[Step] = []
+
+    class Recorder(Strategy):
+        def before_backward(self, loss: Tensor, scene: GaussianScene) -> Tensor:
+            return loss + 100
+
+        def after_step(self, step: Step, state: dict[str, Tensor]) -> None:
+            steps.append(step)
+
+    config = FitConfig(iterations=7, sh_degree=1, eval_interval=3, strategy=FixedConfig())
+    state = TrainState(start, config, scene_extent=2.0, seed=0)
+    state.strategy = Recorder()
+    found = advance(state, views, render=watching(), held_out=views[:1])
+    assert [line.iteration for line in found.history] == [3, 6, 7]
+    assert all(line.loss > 100 and line.held_out is not None for line in found.history)
+    assert [step.iteration for step in steps] == [1, 2, 3, 4, 5, 6]
+    assert [step.lr_means for step in steps] == pytest.approx([2 * 1.6e-4 * 0.01 ** (i / 7) for i in range(1, 7)])
+    assert {(step.iterations, step.scene_extent) for step in steps} == {(7, 2.0)}
+    assert all(step.screen_gradients is not None for step in steps)

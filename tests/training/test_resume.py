@@ -29,7 +29,12 @@ CONFIG = FitConfig(
     sh_degree_interval=10,
     eval_interval=20,
     strategy=ClassicConfig(
-        densify_from=5, densify_interval=10, densify_grad_threshold=1e-5, opacity_reset_interval=0, max_gaussians=80
+        densify_from=5,
+        densify_until=15_000,
+        densify_interval=10,
+        densify_grad_threshold=1e-5,
+        opacity_reset_interval=0,
+        max_gaussians=80,
     ),
 )
 
