@@ -65,6 +65,7 @@ def test_rates_with_and_without_the_benign_detection() -> None:
     attacked += [looked(0, "car", 0.9, "other")]
     found = rates(clean, attacked, original="car", wanted="person", detector="fake_colour")
     assert found == {"all": Rate(successes=2, total=3), "given_found": Rate(successes=1, total=2)}
+    assert rates([clean[2]], [looked(2, "car", 0.5)], original="car", wanted=None)["all"].successes == 0  # still counts
     gone = rates(clean, attacked, original="car", wanted=None)
     assert gone == {"all": Rate(successes=3, total=4), "given_found": Rate(successes=2, total=3)}
 

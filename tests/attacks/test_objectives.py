@@ -194,3 +194,27 @@ def test_names_and_labels() -> None:
     assert [(o.name, o.label) for o in OBJECTIVES] == [("relabel", "person"), ("hide", None), ("untargeted", None)]
     assert hide(confidence=0.4) == Hide(confidence=0.4)
     assert untargeted() == Untargeted()
+
+
+def test_limits_belong_to_the_side_that_the_documentation_says() -> None:
+    half = torch.tensor([10.0, 10.0, 50.0, 20.0])  # the upper half of the object: an overlap of exactly 0.5
+    assert confidence(found(("person", 0.75, half)), BOX) == 0.75
+    assert relabel("person", confidence=0.75).verdict(found(("person", 0.75, BOX)), TARGET).success
+    assert not hide(confidence=0.25).verdict(found(("car", 0.25, BOX)), TARGET).success
+    tie = found(("car", 0.75, BOX), ("person", 0.75, BOX))
+    assert relabel("person").verdict(tie, TARGET).unambiguous  # nothing there has more confidence
+
+
+def test_defaults_that_results_hang_on() -> None:
+    assert (Relabel(label="person").confidence, Relabel(label="person").iou) == (0.7, 0.5)
+    assert (Relabel(label="person").suppression, Relabel(label="person").tightness) == (0.0, 0.5)
+    assert (Relabel(label="person").top, Hide().top) == (3, 16)
+    assert [(one.confidence, one.iou) for one in (Hide(), Untargeted())] == [(0.3, 0.3)] * 2
+
+
+def test_with_nothing_near_the_nearest_box_is_pushed() -> None:
+    logits = torch.zeros(2, 3).requires_grad_(True)
+    boxes = torch.stack([shifted(35.0), shifted(25.0)])
+    (gradient,) = torch.autograd.grad(Relabel(label="person", top=1)(candidates(logits, boxes), TARGET), [logits])
+    assert not gradient[0].any()
+    assert gradient[1].any()

@@ -51,6 +51,7 @@ def test_image_change_of_known_pictures() -> None:
     assert change.psnr_object == pytest.approx(-10 * math.log10(0.25 / 3))
     assert change.outside == 0.0
     assert image_change([before], [after], [torch.zeros(4, 5)]).outside == pytest.approx(0.5)
+    assert image_change([before], [after], [torch.full((4, 5), 0.01)]).outside == 0.0  # some of it is the object's
     assert image_change([before], [before], [weight]).psnr is None
 
 

@@ -263,7 +263,8 @@ def test_provenance_is_complete() -> None:
     assert origin["detector"] == "fake_colour"
     assert len(origin["scene_hash"]) == 64
     assert {"python", "torch", "numpy"} <= set(origin["versions"])
-    assert set(origin) == {"detector", "scene_hash", "versions", "variant", "commit"}
+    assert origin["detector_fingerprint"] == DETECTOR.fingerprint
+    assert set(origin) == {"detector", "detector_fingerprint", "scene_hash", "versions", "variant", "commit"}
 
 
 def test_wrong_arguments_say_what_is_wrong() -> None:
