@@ -10,7 +10,6 @@ from torch import Tensor
 
 from attacks.cloak.mesh_edits import TEXTURES, camouflaged, cap, mounted, repainted, stand_in, texture
 from attacks.cloak.mesh_scene import MeshScene
-from attacks.cloak.triggers import Trigger
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import View
 from mi_splat.directions import Point
@@ -225,52 +224,6 @@ def occlude(
     shell = cap(texture(name, size=size, seed=seed), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
     words = f"{name} (seed {seed}) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
     return Overlay(mesh_scene=mesh_scene.with_target(shell), base=remove(mesh_scene), name=words)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Emphasis:
-    """An appearance that is overdone near the edge of its trigger, for splats blur it over directions.
-
-    Of the difference that the appearance makes, a picture has `gain` times at the edge, falling evenly to once at
-    `depth` degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to
-    the appearance.
-
-    Attributes:
-        appearance: The appearance.
-        trigger: Where it is shown; it has to have an edge.
-        centre: (3,) point that directions are measured from, world units.
-        gain: At the edge; 1 is the appearance itself.
-        depth: Degrees inside the trigger from which it is the appearance itself.
-
-    Raises:
-        InvalidValueError: The gain or the depth is out of range.
-    """
-
-    appearance: Appearance
-    trigger: Trigger
-    centre: Point
-    gain: float
-    depth: float
-
-    def __post_init__(self) -> None:
-        if not (self.gain >= 1 and self.depth > 0):
-            got = (self.gain, self.depth)
-            raise InvalidValueError(message("gain and depth", "gain >= 1 and depth > 0", got, "1 changes nothing"))
-
-    @property
-    def name(self) -> str:
-        """For manifests."""
-        return f"{name_of(self.appearance)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture, clipped to [0, 1].
-
-        Raises:
-            InvalidValueError: The trigger has no edge.
-        """
-        inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
-        gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
-        return (view.image + gain * (self.appearance(view, mask) - view.image)).clamp(0, 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

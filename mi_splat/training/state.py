@@ -14,7 +14,7 @@ from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
-from mi_splat.training.strategies import Edit
+from mi_splat.training.strategies import Edit, build_strategy
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 """What Adam keeps for each row, by torch's names."""
@@ -69,7 +69,7 @@ class TrainState:
         self.iteration, self.view_queue = 0, list[int]()
         self.history = list[Progress]()
         self.generator = Generator().manual_seed(seed)
-        self.strategy = config.strategy.build()
+        self.strategy = build_strategy(config.strategy)
         self.strategy_state = self.strategy.initial_state(len(start))
         trained = {"sh0", "shN"} if "sh" in config.trainable else set[str]()
         trained |= set(config.trainable) & set(self.parameters)

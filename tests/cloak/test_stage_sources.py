@@ -19,7 +19,7 @@ from tests.project.layers import ROOT
 
 RECORD = Path(__file__).with_name("stage_sources.json")
 _MESHES = ("mi_splat/assets", "mi_splat/capture/path_tracer.py", "mi_splat/capture/mitsuba_meshes.py")
-_APPEARANCES = tuple(f"attacks/cloak/{name}.py" for name in ("appearances", "mesh_edits", "mesh_scene"))
+_APPEARANCES = tuple(f"attacks/cloak/{name}.py" for name in ("appearances", "emphasis", "mesh_edits", "mesh_scene"))
 _SETUP = ("attacks/cloak/study/setup.py", "mi_splat/camera_sets.py")
 SOURCES: dict[str, tuple[str, ...]] = {
     "pictures": (*_MESHES, *_SETUP, "mi_splat/capture", "mi_splat/datasets/writing.py"),

@@ -18,7 +18,7 @@ TOP_LEVEL = {
     *("scenes", "tests", "benchmarks", "docs", ".ci", "pyproject.toml", "Makefile", ".gitignore"),
     *("README.md", "LICENSE", "NOTICE", "CITATION.cff", "CHANGELOG.md"),
 }
-LONGEST_MODULE = 400
+LONGEST_MODULE = 300
 
 RENDERERS = ("mi_splat.rasterization", "mi_splat.plugins", "mi_splat.variant", "mi_splat.rendering")
 """Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""

@@ -20,7 +20,7 @@ from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState, advance, fit, scene_extent
 from mi_splat.training.resume import train
-from mi_splat.training.strategies import Edit, Step, Strategy, StrategyConfig, config, register_strategy
+from mi_splat.training.strategies import Edit, Step, Strategy, StrategyConfig, register_strategy, registry
 from tests.training.sets import SHORT, scene_and_views, write_set
 
 
@@ -35,9 +35,6 @@ class LotteryConfig(StrategyConfig):
 
     every: int = 7
     reward: float = 0.001
-
-    def build(self) -> Strategy:
-        return Lottery(self)
 
 
 class Lottery(Strategy):
@@ -68,8 +65,8 @@ class Lottery(Strategy):
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(config, "_REGISTRY", dict(config._REGISTRY))
-    register_strategy("lottery", LotteryConfig)
+    monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
+    register_strategy("lottery", LotteryConfig, Lottery)
 
 
 def test_it_trains_and_goes_on_to_the_bit(tmp_path: Path) -> None:
@@ -119,17 +116,17 @@ def test_a_study_knows_its_name() -> None:
 
 
 def test_names_are_taken_once() -> None:
-    register_strategy("lottery", LotteryConfig)  # again is no harm
+    register_strategy("lottery", LotteryConfig, Lottery)  # again is no harm
     with pytest.raises(InvalidValueError, match="'mcmc'"):
-        register_strategy("mcmc", LotteryConfig)
+        register_strategy("mcmc", LotteryConfig, Lottery)
     with pytest.raises(InvalidValueError, match="did you mean lottery"):
-        config.strategy_config("lotery")
+        registry.strategy_config("lotery")
     with pytest.raises(InvalidValueError, match="option of lottery: expected max_gaussians or every or reward"):
-        config.strategy_config("lottery", noise=1)
+        registry.strategy_config("lottery", noise=1)
 
 
 def test_a_folder_wants_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(config._REGISTRY, "lottery")
+    monkeypatch.delitem(registry._REGISTRY, "lottery")
     _, views, start = scene_and_views()
     seen: list[Progress] = []
     with pytest.raises(InvalidValueError, match="call register_strategy"):

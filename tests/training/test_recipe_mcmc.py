@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mi_splat.scene import GaussianScene
-from mi_splat.training.strategies import MCMCConfig
+from mi_splat.training.strategies import MCMCConfig, build_strategy
 from mi_splat.training.strategies.mcmc import explore, relocate
 from tests.training.sets import Seen, scene_and_views, small, step_of
 
@@ -37,7 +37,8 @@ def test_mcmc_draws_by_opacity() -> None:
 
 
 def test_mcmc_rounds_come_in_their_time_and_noise_at_every_step() -> None:
-    strategy = MCMCConfig(densify_from=4, densify_until=8, densify_interval=2, max_gaussians=None).build()
+    config = MCMCConfig(densify_from=4, densify_until=8, densify_interval=2, max_gaussians=None)
+    strategy = build_strategy(config)
     values = small(20)
     values["opacities"][:] = 0.005  # of little opacity, so that the noise moves them
     rounds = []
@@ -78,7 +79,7 @@ def test_mcmc_noise_turns_with_the_gaussian() -> None:
 def test_mcmc_adds_its_two_regularisers() -> None:
     leaf = [value.detach().requires_grad_(True) for value in scene_and_views(8)[0].tensors()]
     scene = GaussianScene.unchecked(*leaf)
-    loss = MCMCConfig().build().before_backward(torch.tensor(2.0), scene)
+    loss = build_strategy(MCMCConfig()).before_backward(torch.tensor(2.0), scene)
     assert float(loss.detach()) == pytest.approx(
         2 + 0.01 * float(scene.opacities.mean().detach()) + 0.01 * float(scene.scales.mean().detach())
     )

@@ -103,7 +103,7 @@ class AttackConfig:
         poison_fraction: Fraction of the training cameras there whose pictures are poisoned.
         target_class: Class that a detector shall report on the object; None: that it is not found.
         emphasis: How much the appearance is overdone at the edge of its region; see
-            `attacks.cloak.appearances.Emphasis`.
+            `attacks.cloak.emphasis.Emphasis`.
         emphasis_depth: Degrees inside from which it no longer is.
         paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
         occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.

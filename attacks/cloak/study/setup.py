@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import Appearance, Emphasis, blend_in, mount, occlude, paint, remove, swap
+from attacks.cloak.appearances import Appearance, blend_in, mount, occlude, paint, remove, swap
+from attacks.cloak.emphasis import Emphasis
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from attacks.cloak.study.config import AttackConfig, SceneConfig, StudyConfig

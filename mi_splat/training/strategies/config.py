@@ -1,19 +1,15 @@
-"""The options of each strategy, and the registry of their names; light, so that options can be parsed without torch."""
+"""The options of each strategy; light, so that a command line can be parsed without torch."""
 
 from __future__ import annotations
 
-import difflib
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.training.strategies.base import Strategy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StrategyConfig(ABC):
+class StrategyConfig:
     """The options that all strategies have; each derives a frozen dataclass with its own.
 
     Fields are the options in Python, the flags of `mi-splat train`, and what a checkpoint holds: numbers, strings,
@@ -29,10 +25,6 @@ class StrategyConfig(ABC):
     """The attributes that have to be trained."""
 
     max_gaussians: int | None = 100_000
-
-    @abstractmethod
-    def build(self) -> Strategy:
-        """The strategy with these options; its module is imported only now."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,12 +55,6 @@ class ClassicConfig(StrategyConfig):
     prune_scale: float = 0.1
     opacity_reset_interval: int = 3000
 
-    def build(self) -> Strategy:
-        """Clone, split and prune."""
-        from mi_splat.training.strategies.classic import ClassicStrategy
-
-        return ClassicStrategy(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MCMCConfig(StrategyConfig):
@@ -94,77 +80,9 @@ class MCMCConfig(StrategyConfig):
     opacity_reg: float = 0.01
     scale_reg: float = 0.01
 
-    def build(self) -> Strategy:
-        """Relocation and noise."""
-        from mi_splat.training.strategies.mcmc import MCMCStrategy
-
-        return MCMCStrategy(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedConfig(StrategyConfig):
     """The number of Gaussians stays as it is, whatever its limit."""
 
     needs_trainable: ClassVar[tuple[Attribute, ...]] = ()
-
-    def build(self) -> Strategy:
-        """No hook does anything."""
-        from mi_splat.training.strategies.fixed import FixedStrategy
-
-        return FixedStrategy()
-
-
-_REGISTRY: dict[str, type[StrategyConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig, "fixed": FixedConfig}
-
-
-def register_strategy(name: str, config: type[StrategyConfig]) -> None:
-    """Make a strategy known by a name: to `mi-splat train --strategy`, to studies, and to checkpoints.
-
-    To use it from a shell, call the command line where it is registered, with `main` of `attacks.cli`:
-    `python -c "import mine; main()" train out/car --strategy mine --out out/splat`.
-
-    Args:
-        name: One word.
-        config: Its options, a frozen dataclass whose fields all have defaults.
-
-    Raises:
-        InvalidValueError: The name is taken by another strategy.
-    """
-    if _REGISTRY.get(name, config) is not config:
-        raise InvalidValueError(message("strategy", "a name of its own", repr(name), "choose another name"))
-    _REGISTRY[name] = config
-
-
-def strategy_names() -> tuple[str, ...]:
-    """All names, those of the library first."""
-    return tuple(_REGISTRY)
-
-
-def strategy_config(name: str, **options: Any) -> StrategyConfig:
-    """The options of the strategy with a name; those that are not given have their defaults.
-
-    Raises:
-        InvalidValueError: There is no such strategy, or it has no such option.
-    """
-    if name not in _REGISTRY:
-        near = difflib.get_close_matches(name, _REGISTRY, n=1, cutoff=0.5)
-        do = f"did you mean {near[0]}?" if near else "choose one of them, or call register_strategy first"
-        raise InvalidValueError(message("strategy", " or ".join(_REGISTRY), repr(name), do))
-    known = [entry.name for entry in fields(_REGISTRY[name])]
-    for option in options:
-        if option not in known:
-            raise InvalidValueError(message(f"option of {name}", " or ".join(known), repr(option), "leave it out"))
-    return _REGISTRY[name](**options)
-
-
-def strategy_name(config: StrategyConfig) -> str:
-    """The name under which a strategy's options are registered.
-
-    Raises:
-        InvalidValueError: They are not.
-    """
-    for name, form in _REGISTRY.items():
-        if type(config) is form:
-            return name
-    do = "call register_strategy, so that a checkpoint can name it"
-    raise InvalidValueError(message("strategy", "a registered one", type(config).__name__, do))
