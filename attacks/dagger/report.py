@@ -18,7 +18,7 @@ from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import to_bytes
 
 
-def write_report(result: Result, folder: Path) -> dict[str, Path]:
+def write_report(result: Result, folder: str | Path) -> dict[str, Path]:
     """Write before.png, after.png, difference.png, detections.png, attacked.ply and result.json.
 
     Several views make one picture each, below one another. Every file appears whole or not at all; result.json comes
@@ -34,6 +34,7 @@ def write_report(result: Result, folder: Path) -> dict[str, Path]:
     Raises:
         SplatFileError: The folder cannot be written.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     images = {
         "before.png": stacked([to_bytes(view.before.image) for view in result.views]),
@@ -116,7 +117,7 @@ def _listed(found: Detections) -> list[dict[str, Any]]:
     return [{"label": a, "score": round(b, 6), "box": [round(x, 2) for x in c]} for a, b, c in rows]
 
 
-def before_and_after(view: ViewResult, *, least: float = 0.3) -> NDArray[np.uint8]:
-    """Boxes and confidences before (left) and after (right), of detections that score at least `least`."""
+def before_and_after(view: ViewResult, *, min_confidence: float = 0.3) -> NDArray[np.uint8]:
+    """Boxes and confidences before (left) and after (right), of detections that score at least `min_confidence`."""
     sides = ((view.before.image, view.before.detections, "before"), (view.after.image, view.after.detections, "after"))
-    return np.concatenate([annotated(*side, least=least) for side in sides], axis=1)
+    return np.concatenate([annotated(*side, min_confidence=min_confidence) for side in sides], axis=1)

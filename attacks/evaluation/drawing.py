@@ -18,7 +18,7 @@ _COLOURS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080", "#
 
 
 def annotated(
-    picture: Tensor, detections: Detections, title: str, *, least: float = 0.3, width: int = 512
+    picture: Tensor, detections: Detections, title: str, *, min_confidence: float = 0.3, width: int = 512
 ) -> NDArray[np.uint8]:
     """A picture with the boxes and confidences of its detections, and a title.
 
@@ -26,7 +26,7 @@ def annotated(
         picture: (H, W, 3) sRGB in [0, 1].
         detections: What is reported in it; boxes in its pixels.
         title: Written into the lower left corner.
-        least: Confidence from which a detection is drawn, in [0, 1].
+        min_confidence: Confidence from which a detection is drawn, in [0, 1].
         width: Pixels that the result is wide, at least; it is a whole multiple of the picture.
 
     Returns:
@@ -37,7 +37,7 @@ def annotated(
     for label, score, box in reversed(
         list(zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True))
     ):
-        if score >= least:
+        if score >= min_confidence:
             colour = _colour(label)
             x0, y0, x1, y1 = (scale * x for x in box)
             draw.rectangle((x0, y0, x1, y1), outline=colour, width=3)

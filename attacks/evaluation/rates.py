@@ -63,7 +63,7 @@ def rates(
     *,
     original: str,
     wanted: str | None,
-    least: float = 0.5,
+    min_confidence: float = 0.5,
     detector: str | None = None,
 ) -> dict[str, Rate]:
     """How often an attack reaches its aim.
@@ -73,7 +73,7 @@ def rates(
         attacked: The attacked scene, from the same cameras by the same detectors.
         original: What the object is.
         wanted: What the attacker wants it to be; None counts a view as a success when `original` is gone.
-        least: Confidence from which a detection counts, in [0, 1].
+        min_confidence: Confidence from which a detection counts, in [0, 1].
         detector: Name of the detector whose views count; None counts those of all.
 
     Returns:
@@ -88,10 +88,10 @@ def rates(
 
     def reached(pair: tuple[ViewDetections, ViewDetections]) -> bool:
         if wanted is None:
-            return pair[1].confidence(original) < least
-        return pair[1].confidence(wanted) >= least
+            return pair[1].confidence(original) < min_confidence
+        return pair[1].confidence(wanted) >= min_confidence
 
     def found(pair: tuple[ViewDetections, ViewDetections]) -> bool:
-        return pair[0].confidence(original) >= least
+        return pair[0].confidence(original) >= min_confidence
 
     return {"all": Rate.of(pairs, reached), "given_found": Rate.of(pairs, reached, given=found)}

@@ -166,7 +166,7 @@ def test_detections_are_drawn_from_a_confidence_on() -> None:
     drawn = annotated(picture, found, "title")
     assert drawn.shape == (512, 512, 3)
     assert drawn[128:384, 128].any()
-    assert not annotated(picture, found, "", least=0.5)[128:384, 128].any()
+    assert not annotated(picture, found, "", min_confidence=0.5)[128:384, 128].any()
 
 
 def test_narrower_pictures_are_filled_up() -> None:

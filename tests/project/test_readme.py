@@ -15,9 +15,9 @@ ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 
 
-def blocks(language: str) -> list[str]:
+def blocks(language: str, text: str = README) -> list[str]:
     """Contents of the fenced blocks in one language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
 
 
 def commands(program: str) -> list[list[str]]:
@@ -41,6 +41,21 @@ def test_the_python_example_runs(checkout: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "success: True" in done.stdout
     assert (checkout / "attacked.ply").is_file()
+
+
+def test_the_examples_of_the_api_run(checkout: Path) -> None:
+    """As they stand, but with the smallest set and a training of some steps."""
+    dagger, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
+    capture = "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1 --points 200 --out out/car-alone"
+    done = subprocess.run([sys.executable, "-c", dagger], cwd=checkout, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "person reported from the other cameras, given_found" in done.stdout
+    assert (checkout / "out" / "person" / "result.json").is_file()
+    subprocess.run([sys.executable, "-m", "attacks", *capture.split()], cwd=checkout, check=True, capture_output=True)
+    short = cloak.replace("iterations=2000", "iterations=8")
+    assert short != cloak
+    done = subprocess.run([sys.executable, "-c", short], cwd=checkout, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_scene_example_renders(tmp_path: Path) -> None:
@@ -91,6 +106,10 @@ def test_every_path_exists() -> None:
     assert named
     for path in named:
         assert (ROOT / path).exists(), path
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 150
 
 
 @pytest.mark.parametrize("path", [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")], ids=lambda p: str(p.name))

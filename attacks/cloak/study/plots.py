@@ -63,7 +63,7 @@ def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detec
             rows.append(
                 np.concatenate(
                     [
-                        annotated(picture, found, title, least=study.evaluation.confidence, width=CELL)
+                        annotated(picture, found, title, min_confidence=study.evaluation.confidence, width=CELL)
                         for picture, found, title in zip(pictures, seen, titles, strict=True)
                     ],
                     axis=1,

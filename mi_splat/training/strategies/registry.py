@@ -1,4 +1,4 @@
-"""The strategies by name: their options and how they are made; light, a strategy's module is imported when it is made."""
+"""The strategies by name: their options and how they are made; light, for a strategy is imported when it is made."""
 
 from __future__ import annotations
 
