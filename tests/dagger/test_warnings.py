@@ -36,8 +36,9 @@ def test_warnings_about_clamped_colours_and_zero_gradients() -> None:
     black = torch.where(mask[:, None, None], torch.full_like(scene.sh, 0.0), scene.sh)
     black[mask, 0] = -3.0
     scene = scene.replace(sh=black)
-    found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs)
-    assert found.clamped_fraction == 1.0
+    cameras = [camera(), camera(offset=0.4)]
+    found = attack(scene, mask, cameras, DETECTOR, relabel("person"), render=blobs)
+    assert found.clamped_fraction == 1.0  # the mean over the views
     assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in found.warnings
     assert "up to 100% of the gradient's elements are exactly zero" in found.warnings
     assert "the loss did not fall" in found.warnings
