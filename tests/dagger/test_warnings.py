@@ -104,3 +104,17 @@ def test_limits_of_the_warnings(sound: Result, field: str, limit: float) -> None
 
     assert find_warnings(with_value(limit)) == ()
     assert len(find_warnings(with_value(limit + 0.01))) == 1
+
+
+def test_a_failure_is_not_called_ambiguous(sound: Result) -> None:
+    failed = dataclasses.replace(sound, verdict=Verdict(success=False, score=0.4, unambiguous=False))
+    assert find_warnings(failed) == ("success in the search did not survive the saved file and 8-bit pictures",)
+
+
+@pytest.mark.parametrize(("score", "warned"), [(0.49, True), (0.5, False)])
+def test_an_object_that_is_hardly_seen_before_is_warned_of(sound: Result, score: float, warned: bool) -> None:
+    (view,) = sound.views
+    seen = Detections(view.before.target.box[None], torch.tensor([score]), ("car",))
+    faint = dataclasses.replace(view, before=dataclasses.replace(view.before, detections=seen))
+    message = "the clean picture of view 0 has no detection of 0.5 or more on the object"
+    assert (message in find_warnings(dataclasses.replace(sound, views=(faint,)))) is warned
