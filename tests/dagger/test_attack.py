@@ -24,7 +24,7 @@ from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import ATTRIBUTES, GaussianScene, scene_hash
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 DETECTOR = ColourDetector()
@@ -89,6 +89,9 @@ def test_the_attacked_file_has_the_coefficients_of_3dgs_unless_told_otherwise() 
     assert found.changed_gaussians <= int(mask.sum())
     assert found.image.l2 > plain.image.l2  # a longer basis vector, so more colour for the same budget
     assert found.origin["scene_hash"] == plain.origin["scene_hash"]
+    config = DaggerConfig(noise_draws=0, steps=1)
+    second = attack(scene.with_degree(2), mask, [camera()], DETECTOR, hide(), render=blobs, config=config)
+    assert second.scene.degree == 3
     assert run(hide(), attributes=("opacities",), eps=(1.0,)).scene.degree == 1
 
 
@@ -112,6 +115,17 @@ def test_the_result_is_judged_on_the_saved_file(tmp_path: Path) -> None:
     seen = DETECTOR.detect(picture[None])[0]
     assert seen.labels == found.views[0].after.detections.labels
     assert found.target_confidence == pytest.approx(float(seen.scores[seen.labels.index("person")]))
+
+
+def test_what_the_file_loses_the_attack_loses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verdict, the pictures and `used_in_file` are of the scene that comes back from the file."""
+    clean = toy_scene()[0].with_degree(3)
+    monkeypatch.setattr("attacks.dagger.attack.as_saved", lambda scene: clean)
+    found = run()
+    assert found.best.success
+    assert not found.success
+    assert torch.equal(found.views[0].after.image, found.views[0].before.image)
+    assert found.used["sh"] > found.used_in_file["sh"] == 0.0
 
 
 def test_it_is_deterministic_and_the_seed_moves_only_what_is_random() -> None:
@@ -261,7 +275,7 @@ def test_restarts_go_on_until_a_success_is_unambiguous(calls: int, runs: int) ->
 def test_provenance_is_complete() -> None:
     origin = run().origin
     assert origin["detector"] == "fake_colour"
-    assert len(origin["scene_hash"]) == 64
+    assert origin["scene_hash"] == scene_hash(toy_scene()[0])  # of the scene as it came
     assert {"python", "torch", "numpy"} <= set(origin["versions"])
     assert origin["detector_fingerprint"] == DETECTOR.fingerprint
     assert set(origin) == {"detector", "detector_fingerprint", "scene_hash", "versions", "variant", "commit"}

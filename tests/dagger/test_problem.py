@@ -7,7 +7,8 @@ import dataclasses
 import pytest
 import torch
 
-from attacks.dagger.problem import AttackProblem, _bounded, joint_verdict, reached_by
+from attacks.dagger.problem import AttackProblem, _bounded, _label_on, joint_verdict, reached_by
+from attacks.detectors.base import Detections
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Verdict, hide, relabel
 from mi_splat.io.images import quantise
@@ -97,3 +98,27 @@ def test_the_judge_sees_eight_bits_of_the_scene_that_it_gets() -> None:
     assert result.verdict == one.objective.verdict(one.detector.detect(picture[None])[0], view.target)
     assert view.target.original == "car"
     assert view.target.label == "person"
+
+
+def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
+    seen: list[torch.Tensor] = []
+
+    class Recording(ColourDetector):
+        def detect(self, images: torch.Tensor) -> list[Detections]:
+            seen.append(images)
+            return super().detect(images)
+
+    one = dataclasses.replace(problem(), detector=Recording())
+    view = one.view(camera())
+    one.evaluate(one.subset.parameters(("sh",)), [view])
+    assert torch.equal(seen[-1], quantise(seen[-1]))
+    torch.testing.assert_close(seen[-1][0], view.image)
+
+
+def test_the_object_is_what_is_seen_on_it_with_most_confidence() -> None:
+    box = torch.tensor([10.0, 10.0, 20.0, 20.0])
+    boxes = torch.stack([box + 40, box + 1, box])
+    seen = Detections(boxes, torch.tensor([0.9, 0.6, 0.5]), ("person", "car", "stop sign"))
+    assert _label_on(seen, box) == "car"
+    assert _label_on(seen, box + 200) is None
+    assert _label_on(Detections(torch.zeros(0, 4), torch.zeros(0), ()), box) is None

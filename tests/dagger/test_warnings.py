@@ -36,8 +36,9 @@ def test_warnings_about_clamped_colours_and_zero_gradients() -> None:
     black = torch.where(mask[:, None, None], torch.full_like(scene.sh, 0.0), scene.sh)
     black[mask, 0] = -3.0
     scene = scene.replace(sh=black)
-    found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs)
-    assert found.clamped_fraction == 1.0
+    cameras = [camera(), camera(offset=0.4)]
+    found = attack(scene, mask, cameras, DETECTOR, relabel("person"), render=blobs)
+    assert found.clamped_fraction == 1.0  # the mean over the views
     assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in found.warnings
     assert "up to 100% of the gradient's elements are exactly zero" in found.warnings
     assert "the loss did not fall" in found.warnings
@@ -103,3 +104,17 @@ def test_limits_of_the_warnings(sound: Result, field: str, limit: float) -> None
 
     assert find_warnings(with_value(limit)) == ()
     assert len(find_warnings(with_value(limit + 0.01))) == 1
+
+
+def test_a_failure_is_not_called_ambiguous(sound: Result) -> None:
+    failed = dataclasses.replace(sound, verdict=Verdict(success=False, score=0.4, unambiguous=False))
+    assert find_warnings(failed) == ("success in the search did not survive the saved file and 8-bit pictures",)
+
+
+@pytest.mark.parametrize(("score", "warned"), [(0.49, True), (0.5, False)])
+def test_an_object_that_is_hardly_seen_before_is_warned_of(sound: Result, score: float, warned: bool) -> None:
+    (view,) = sound.views
+    seen = Detections(view.before.target.box[None], torch.tensor([score]), ("car",))
+    faint = dataclasses.replace(view, before=dataclasses.replace(view.before, detections=seen))
+    message = "the clean picture of view 0 has no detection of 0.5 or more on the object"
+    assert (message in find_warnings(dataclasses.replace(sound, views=(faint,)))) is warned
