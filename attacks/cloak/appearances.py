@@ -146,6 +146,13 @@ def swap(
 
     The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
 
+    Args:
+        mesh_scene: The scene as the victim sees it.
+        other: What takes the target's place.
+        azimuth: Where its front points, degrees.
+        fill: Part of the target's outline that it takes up, in (0, 1].
+        reach: As in `Rerender`, pixels.
+
     Raises:
         InvalidValueError: `fill` is out of range.
     """
@@ -157,6 +164,13 @@ def swap(
 
 def mount(mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = 1) -> Rerender:
     """Another object in front of the target, on its side towards `azimuth`; see `attacks.cloak.mesh_edits.mounted`.
+
+    Args:
+        mesh_scene: The scene as the victim sees it.
+        other: What is mounted.
+        azimuth: On which side, degrees.
+        fill: Part of the target's outline that it takes up, in (0, 1].
+        reach: As in `Rerender`, pixels.
 
     Raises:
         InvalidValueError: `fill` is out of range.

@@ -173,7 +173,14 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) 
 
 
 def mounted(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -> Asset:
-    """A target with another object in front of it, towards a viewer at `azimuth`; see `stand_in`."""
+    """A target with another object in front of it.
+
+    Args:
+        target: The object.
+        other: What is mounted on it.
+        azimuth: Of the viewer whom it faces, degrees.
+        fill: As in `stand_in`.
+    """
     ahead = rotation("z", azimuth)[:3, 0].astype(np.float64) * PROUD
     front = stand_in(target, other, azimuth=azimuth, fill=fill).transformed(translation(*ahead.tolist()))
     return replace(target, meshes=(*front.meshes, *target.meshes))

@@ -210,6 +210,12 @@ def assign(
 ) -> dict[int, Poisoning]:
     """Which attack replaces which view, by rising position; no picture is looked at.
 
+    Args:
+        cameras: Those of the untouched set, in its order.
+        attacks: What is seen from where.
+        centre: (3,) point that the triggers measure directions from, world units.
+        ordered: As in `poison`.
+
     Raises:
         InvalidValueError: As `poison` does of attacks and triggers.
     """

@@ -124,6 +124,13 @@ def measure_transition(
 ) -> Transition:
     """`fit_transition` of pictures along an arc, K of each kind; see `transition_fraction`.
 
+    Args:
+        angles: K angles in degrees that rise towards the hidden appearance.
+        pictures: (H, W, 3) each, what the cloaked splat shows.
+        benign: (H, W, 3) each, the benign appearance.
+        hidden: (H, W, 3) each, the hidden appearance.
+        masks: (H, W) bool each, where the target is.
+
     Raises:
         InvalidValueError: As in `transition_fraction` and `fit_transition`.
     """

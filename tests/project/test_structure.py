@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -99,6 +101,28 @@ def test_modules_are_short(folder: str) -> None:
     for path in (ROOT / folder).rglob("*.py"):
         lines = len(path.read_text().splitlines())
         assert lines <= LONGEST_MODULE, f"{path.relative_to(ROOT)} has {lines} lines; split it"
+
+
+def public_functions(tree: ast.AST) -> Iterator[ast.FunctionDef]:
+    """Functions and methods whose names, and those of their classes, are public."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+            if isinstance(node, ast.FunctionDef):
+                yield node
+            else:
+                yield from public_functions(node)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_functions_of_more_than_three_arguments_explain_them(package: str) -> None:
+    for name, path in modules(package).items():
+        for function in public_functions(ast.parse(path.read_text())):
+            every = function.args.posonlyargs + function.args.args + function.args.kwonlyargs
+            given = [argument.arg for argument in every if argument.arg not in ("self", "cls")]
+            text = ast.get_docstring(function) or ""
+            if len(given) > 3:
+                missing = [argument for argument in given if not re.search(rf"^\s+{argument}: \S", text, re.MULTILINE)]
+                assert not missing, f"{name}.{function.name} does not explain {', '.join(missing)}"
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -121,6 +121,13 @@ def check_variations(
 ) -> dict[AblationGroup, dict[str, StudyConfig]]:
     """The studies of some groups by the value that they have, all of which can be done.
 
+    Args:
+        study: What is varied.
+        groups: See `varied`.
+        detectors: Those that the study names.
+        folder: For the results.
+        stages: For the stages.
+
     Raises:
         InvalidValueError: As `attacks.cloak.study.run.check` of each, or the disk is too small for all of them.
     """

@@ -12,10 +12,13 @@ from attacks.cloak.mesh_edits import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_names
 
 AppearanceName = Literal["blend in", "remove", "paint", "occluder", "mount", "swap"]
 Colour = tuple[float, float, float]
+
+_PUBLISHED = FitConfig()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,11 +179,11 @@ class TrainingConfig:
             `mi_splat.training.initialization.with_outliers`.
     """
 
-    iterations: int = 7000
+    iterations: int = _PUBLISHED.iterations
     strategy: str = "classic"
     max_gaussians: int = 40_000
-    sh_degree: int = 3
-    sh_degree_interval: int = 1000
+    sh_degree: int = _PUBLISHED.sh_degree
+    sh_degree_interval: int = _PUBLISHED.sh_degree_interval
     outliers: int = 0
 
     def __post_init__(self) -> None:
@@ -259,7 +262,17 @@ class StudyConfig:
 
 
 def in_range(where: str, value: float, lowest: float, highest: float) -> None:
-    """Raise unless a number lies between two others."""
+    """Raise unless a number lies between two others.
+
+    Args:
+        where: Section and key, for the error.
+        value: The number.
+        lowest: Smallest number that is allowed.
+        highest: Largest one; infinity sets no limit.
+
+    Raises:
+        InvalidValueError: It does not.
+    """
     if not lowest <= value <= highest:
         expected = f"{lowest:g} or more" if highest == math.inf else f"{lowest:g} to {highest:g}"
         raise InvalidValueError(message(where, expected, value, "change it"))

@@ -77,6 +77,12 @@ def write_figures(
 ) -> list[str]:
     """Write contact.png, elevation.png, azimuth.png and transition.png; returns their names.
 
+    Args:
+        pipeline: The study.
+        observed: Every splat.
+        detectors: Those that observed them; the first one's boxes are on the contact sheet.
+        folder: For the pictures.
+
     Raises:
         InvalidValueError: matplotlib is not installed.
         SplatFileError: The folder cannot be written.

@@ -69,6 +69,12 @@ def forecast(study: StudyConfig) -> Forecast:
 def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
     """Refuse what cannot be done, before anything is written.
 
+    Args:
+        study: The study.
+        detectors: Those that it names.
+        folder: For the results.
+        stages: For the stages.
+
     Raises:
         InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a class,
             the trainer's settings are out of range, matplotlib is not installed, the folder is in use, or the disk is

@@ -40,7 +40,17 @@ def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tens
 
 
 def reframe(image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """Zoom by 0.8 to 1.4 and shift; boxes that lose most of their area are dropped."""
+    """Zoom by 0.8 to 1.4 and shift; boxes that lose most of their area are dropped.
+
+    Args:
+        image: (3, H, W) float32 in [0, 1].
+        boxes: (B, 4) x0, y0, x1, y1 in pixels.
+        labels: (B,) class numbers.
+        generator: What is drawn.
+
+    Returns:
+        The picture, and the boxes and labels that are left.
+    """
     height, width = image.shape[1:]
     zoom = math.exp(_uniform(math.log(0.8), math.log(1.4), generator))
     slack = abs(1 - 1 / zoom) + 0.1

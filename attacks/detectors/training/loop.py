@@ -55,7 +55,14 @@ class DetectorTrainer(Protocol):
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
-        """What to minimise the sum of, by name, for (3, H, W) pictures in [0, 1]."""
+        """What to minimise the sum of, by name.
+
+        Args:
+            model: The network.
+            pictures: (3, H, W) float32 each, in [0, 1].
+            targets: Boxes (B, 4) in pixels and labels (B,) of each picture.
+            generator: What is drawn.
+        """
         ...
 
     def pretrain(
@@ -65,7 +72,14 @@ class DetectorTrainer(Protocol):
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """Give the network a head start, in place; the fraction of cut-outs that it names right, None without any."""
+        """Give the network a head start, in place; the fraction of cut-outs that it names right, None without any.
+
+        Args:
+            model: The network.
+            samples: Pictures with labels, from which objects are cut out.
+            config: Steps, seed and precision.
+            on_step: Told of each step: its number, how many there are, and the loss.
+        """
         ...
 
     def detector(self, model: nn.Module) -> Detector:

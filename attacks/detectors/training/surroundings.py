@@ -13,7 +13,17 @@ Pixels = NDArray[np.float32]
 
 
 def noise(rng: Generator, size: int = 128, *, cells: int = 3, octaves: int = 5, gain: float = 0.6) -> Pixels:
-    """(size, size) smooth random values in [0, 1] that tile, coarse ones mixed with ever finer ones."""
+    """(size, size) smooth random values in [0, 1] that tile, coarse ones mixed with ever finer ones.
+
+    Sums of value noise at doubling frequencies, as in Ebert et al., "Texturing and Modeling", 1994.
+
+    Args:
+        rng: What is drawn.
+        size: Pixels a side.
+        cells: Random values a side of the coarsest layer.
+        octaves: Number of layers.
+        gain: Weight of a layer in units of the one before.
+    """
     total = np.zeros((size, size))
     for octave in range(octaves):
         count = cells << octave
