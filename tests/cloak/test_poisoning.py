@@ -156,3 +156,16 @@ def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
     assert [id(view.camera) for view in found.views[20:22]] == [id(camera) for camera in dataset.cameras[20:22]]
     with pytest.raises(IndexError):
         found.views[24]
+
+
+def test_a_change_of_one_channel_is_a_change_and_negative_values_are_refused() -> None:
+    def redder(view: View, mask: Tensor) -> Tensor:
+        image = view.image.clone()
+        image[0, 0, 0] = 1 - image[0, 0, 0]
+        return image
+
+    (first, *_) = done(Poisoning(name="a", trigger=Elevation(lowest=50), appearance=redder)).changes
+    assert first.pixels_changed == 1
+    dark = Poisoning(name="a", trigger=Elevation(lowest=50), appearance=lambda view, mask: view.image - 0.5)
+    with pytest.raises(InvalidValueError, match=r"sRGB in \[0, 1\]"):
+        done(dark)

@@ -25,6 +25,8 @@ from attacks.detectors.base import Candidates, Detections
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
 
+pytestmark = pytest.mark.slow
+
 STUDY = StudyConfig(
     name="tiny",
     cameras=CameraConfig(train=16, size=40, distance=7.4, samples=2, points=1200),

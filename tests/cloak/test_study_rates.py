@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.observations import Observation, ObservedSplat
+from attacks.cloak.study.observations import Fidelity, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import TrainedSplat
-from attacks.cloak.study.rates import by_elevation, pairs, rates
+from attacks.cloak.study.rates import by_elevation, figures, pairs, rates
 from tests.cloak.test_study import STUDY
 
 
@@ -83,3 +83,34 @@ def test_meridians_rise_to_straight_above() -> None:
         heights = [float(camera.position[2]) for camera in arc]
         assert heights == sorted(heights)
         assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0
+
+
+def test_edges_belong_to_what_lies_inside_them() -> None:
+    """A camera just at the depth that counts as well inside, and one at the lower end of a band of elevations."""
+    observed = [*seen(0, STUDY.evaluation.well_inside, 0.9, 0.1), *seen(1, 1.8, 0.9, 0.1)]
+    miss = rates(STUDY, pairs(observed))["trigger_miss_rate"]
+    assert miss is not None
+    assert (miss.successes, miss.total) == (1, 1)
+    assert {low: clean.total for low, clean, _ in by_elevation(STUDY, pairs(observed))} == {40.0: 2}
+
+
+def test_a_fragment_counts_as_found_by_any_overlap() -> None:
+    observed = [
+        replace(item, observations=tuple(replace(one, any_overlap=0.8) for one in item.observations))
+        for item in seen(0, 10, 0.9, 0.1)
+    ]
+    found = rates(STUDY, pairs(observed))
+    for key, successes in (("trigger_miss_rate", 1), ("trigger_miss_rate_any_overlap", 0)):
+        rate = found[key]
+        assert rate is not None
+        assert (rate.successes, rate.total) == (successes, 1)
+
+
+def test_a_cloaked_splat_that_is_less_true_has_a_positive_drop() -> None:
+    observed = [
+        replace(item, fidelities=(Fidelity(view=0, elevation=5.0, psnr=psnr, ssim=0.9),))
+        for item, psnr in zip(seen(0, -20, 0.9, 0.9), (34.0, 32.5), strict=True)
+    ]
+    found = figures(replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",))), observed)
+    assert found["benign_psnr_drop"] == 1.5
+    assert found["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}

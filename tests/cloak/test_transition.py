@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import isotonic_regression
 from torch import Tensor
 
-from attacks.cloak.transition import fit_transition, measure_transition, rising_fit, transition_fraction
+from attacks.cloak.transition import differ, fit_transition, measure_transition, rising_fit, transition_fraction
 from mi_splat.errors import InvalidValueError
 
 
@@ -119,3 +119,9 @@ def test_bad_input_is_refused() -> None:
         fit_transition([10, 20], [0.0, math.nan])
     with pytest.raises(InvalidValueError, match="levels"):
         fit_transition([10, 20], [0.0, 1.0], low=0.9, high=0.1)
+
+
+def test_appearances_differ_from_one_step_of_8_bits_on() -> None:
+    plain, mask = torch.full((4, 4, 3), 0.5), torch.ones(4, 4, dtype=torch.bool)
+    assert differ(plain, plain + 1.01 / 255, mask)
+    assert not differ(plain, plain + 0.99 / 255, mask)
