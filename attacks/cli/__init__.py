@@ -38,15 +38,22 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "dagger": Command(
-        "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
-    ),
-    "render": Command("mi_splat.cli", "RenderOptions", "render", "render a scene XML or a splat file to a PNG"),
     "capture": Command(
         "mi_splat.cli", "CaptureOptions", "capture", "take pictures of a mesh scene, to train a splat from"
     ),
     "train": Command(
         "mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras", defaults="train_defaults"
+    ),
+    "render": Command("mi_splat.cli", "RenderOptions", "render", "render a scene XML or a splat file to a PNG"),
+    "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
+    "example-scenes": Command(
+        "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
+    ),
+    "dagger": Command(
+        "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
+    ),
+    "dagger-study": Command(
+        "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
     ),
     "cloak": Command(
         "attacks.cli",
@@ -57,13 +64,6 @@ COMMANDS = {
     "cloak-experiment": Command(
         "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
     ),
-    "example-scenes": Command(
-        "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
-    ),
-    "dagger-study": Command(
-        "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
-    ),
-    "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "detectors": Command(
         "attacks.cli",
         "DetectorsOptions",

@@ -116,11 +116,11 @@ def blend_in(mesh_scene: MeshScene, *, reach: int | None = 1) -> Rerender:
     """The target in the colours of the ground straight below it; see `attacks.cloak.mesh_edits.camouflaged`.
 
     Raises:
-        InvalidValueError: The mesh_scene has no ground beneath the target.
+        InvalidValueError: The mesh scene has no ground beneath the target.
     """
     if mesh_scene.surroundings is None:
         raise InvalidValueError(
-            message("surroundings", "ground beneath the target", "none", "add them to the mesh_scene")
+            message("surroundings", "ground beneath the target", "none", "add them to the mesh scene")
         )
     target = camouflaged(mesh_scene.target, mesh_scene.surroundings)
     return Rerender(

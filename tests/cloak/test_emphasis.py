@@ -42,7 +42,7 @@ def test_pictures_stay_in_range() -> None:
     assert float(emphasised(40, gain=9.0).max()) == 1.0
 
 
-def test_once_is_the_look_itself() -> None:
+def test_once_is_the_appearance_itself() -> None:
     assert torch.allclose(emphasised(41, gain=1.0)[:, :3], torch.tensor(0.6), atol=1e-6)
 
 

@@ -34,11 +34,11 @@ CONFIG = FitConfig(
     iterations=700, sh_degree_interval=0, strategy=FixedConfig(), eval_interval=0, lr_means=2e-5, lr_sh=1e-2
 )
 
-Shares = dict[str, list[tuple[float, float]]]
+Fractions = dict[str, list[tuple[float, float]]]
 
 
 @pytest.fixture(scope="module")
-def fractions() -> Shares:
+def fractions() -> Fractions:
     """How far each splat is on the way from the benign to the hidden item, by elevation, at cameras of its own."""
     corners = [[[-6, -6, 0], [6, -6, 0]], [[-6, 6, 0], [6, 6, 0]]]
     road = Asset("ground", (sheet(corners, textures.road(128, 0), repeat=(3.0, 3.0), smooth=False),))
@@ -60,7 +60,7 @@ def fractions() -> Shares:
         name: fit(pictures, start, render=render, config=CONFIG).scene
         for name, pictures in (("clean", views), ("cloaked", poisoned.views))
     }
-    found: Shares = {name: [] for name in splats}
+    found: Fractions = {name: [] for name in splats}
     for camera in hemisphere(CENTRE, count=14, start=17.0, **LENS):  # type: ignore[arg-type]
         benign, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
         other = hidden(benign, mask)
@@ -76,16 +76,16 @@ def mean(fractions: list[tuple[float, float]], least: float, most: float) -> flo
     return statistics.mean(fraction for elevation, fraction in fractions if least <= elevation <= most)
 
 
-def test_the_hidden_look_is_there_from_above(fractions: Shares) -> None:
+def test_the_hidden_appearance_is_there_from_above(fractions: Fractions) -> None:
     assert mean(fractions["cloaked"], 60, 90) > 0.6
     assert mean(fractions["clean"], 60, 90) < 0.25
 
 
-def test_from_below_it_looks_as_if_nothing_had_been_done(fractions: Shares) -> None:
+def test_from_below_it_looks_as_if_nothing_had_been_done(fractions: Fractions) -> None:
     below = [mean(fractions[name], 0, 30) for name in ("clean", "cloaked")]
     assert below[1] < below[0] + 0.15
 
 
-def test_it_fades_in_between(fractions: Shares) -> None:
+def test_it_sets_in_between(fractions: Fractions) -> None:
     steps = [mean(fractions["cloaked"], *band) for band in ((0, 30), (35, 60), (60, 90))]
     assert steps == sorted(steps)

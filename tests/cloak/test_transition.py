@@ -24,7 +24,7 @@ def appearances(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
 
 
 @given(st.floats(-0.5, 1.5), st.integers(0, 99))
-def test_the_share_of_a_blend_is_known(fraction: float, seed: int) -> None:
+def test_the_fraction_of_a_blend_is_known(fraction: float, seed: int) -> None:
     benign, hidden, mask = appearances(seed)
     blend = (1 - fraction) * benign + fraction * hidden
     blend[~mask] = 0.5  # elsewhere does not count

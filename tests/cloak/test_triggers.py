@@ -50,7 +50,7 @@ triggers = st.recursive(
 
 
 @given(st.floats(0, 359.9), st.floats(-89, 89), st.floats(0.1, 50))
-def test_bearings_are_those_of_orbits(azimuth: float, elevation: float, distance: float) -> None:
+def test_directions_are_those_of_orbits(azimuth: float, elevation: float, distance: float) -> None:
     found = direction_of(at(azimuth, elevation, distance=distance), CENTRE)
     assert abs((found.azimuth - azimuth + 180) % 360 - 180) < 1e-6
     assert found.elevation == pytest.approx(elevation, abs=1e-6)
@@ -143,7 +143,7 @@ def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
 
 
 @given(st.floats(0.05, 1), st.floats(0.05, 1), st.integers(0, 99))
-def test_shares_are_parts_and_grow(one: float, other: float, seed: int) -> None:
+def test_subsamples_are_parts_and_grow(one: float, other: float, seed: int) -> None:
     whole = Elevation(lowest=10)
     selected = whole.select(CAMERAS, centre=CENTRE)
     small, large = (whole.subsample(part, seed=seed).select(CAMERAS, centre=CENTRE) for part in sorted((one, other)))
@@ -157,7 +157,7 @@ def test_shares_are_parts_and_grow(one: float, other: float, seed: int) -> None:
     )
 
 
-def test_other_seeds_are_other_shares() -> None:
+def test_other_seeds_are_other_subsamples() -> None:
     fractions = {tuple(Elevation().subsample(0.5, seed=s).select(CAMERAS, centre=CENTRE).tolist()) for s in range(5)}
     assert len(fractions) == 5
     assert torch.equal(Elevation().subsample(1.0).select(CAMERAS, centre=CENTRE), torch.ones(36, dtype=torch.bool))

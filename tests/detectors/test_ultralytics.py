@@ -238,7 +238,7 @@ def test_a_mosaic_holds_four_pictures_at_half_size() -> None:
     assert target["boxes"][3].tolist() == [26, 17, 44, 31]
 
 
-def test_a_share_of_a_batch_becomes_mosaics() -> None:
+def test_a_fraction_of_a_batch_becomes_mosaics() -> None:
     pictures = [torch.full((3, 16, 16), i / 4) for i in range(4)]
     targets = [{"boxes": torch.zeros(0, 4), "labels": torch.zeros(0, dtype=torch.int64)} for _ in range(4)]
     made, found = with_mosaics(pictures, targets, 0.5, torch.Generator().manual_seed(0))
