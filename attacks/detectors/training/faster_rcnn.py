@@ -40,14 +40,7 @@ class FasterRCNNTrainer:
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
-        """The library's own.
-
-        Args:
-            model: The network.
-            pictures: (3, H, W) float32 each, in [0, 1].
-            targets: Boxes (B, 4) in pixels and labels (B,) of each picture.
-            generator: What is drawn.
-        """
+        """As in `DetectorTrainer`: the library's own."""
         losses: dict[str, Tensor] = model(pictures, targets)
         return losses
 
@@ -58,14 +51,7 @@ class FasterRCNNTrainer:
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """Classify cut-outs; see `attacks.detectors.training.pretraining`.
-
-        Args:
-            model: The network.
-            samples: Pictures with labels, from which objects are cut out.
-            config: Steps, seed and precision.
-            on_step: Told of each step: its number, how many there are, and the loss.
-        """
+        """As in `DetectorTrainer`: classify cut-outs; see `attacks.detectors.training.pretraining`."""
         assert isinstance(model, FasterRCNN)
         return pretrain(
             model.backbone,

@@ -41,14 +41,7 @@ class YOLOTrainer:
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
-        """The library's three, per picture.
-
-        Args:
-            model: The network.
-            pictures: (3, H, W) float32 each, in [0, 1].
-            targets: Boxes (B, 4) in pixels and labels (B,) of each picture.
-            generator: What is drawn.
-        """
+        """As in `DetectorTrainer`: the library's three, per picture."""
         pictures, targets = with_mosaics(pictures, targets, self._mosaic_fraction, generator)
         planes = torch.stack(pictures)
         height, width = planes.shape[2:]
@@ -77,14 +70,7 @@ class YOLOTrainer:
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """None: mosaics have the same use.
-
-        Args:
-            model: The network.
-            samples: Pictures with labels, from which objects are cut out.
-            config: Steps, seed and precision.
-            on_step: Told of each step: its number, how many there are, and the loss.
-        """
+        """As in `DetectorTrainer`: none, since mosaics have the same use."""
         return None
 
     def detector(self, model: nn.Module) -> Detector:
