@@ -42,6 +42,7 @@ def test_colour_switches_faster_with_more_bands_and_with_emphasis() -> None:
     assert found[3, 3.0]["highest"] > found[3, 1.0]["highest"] > 1
 
 
+@pytest.mark.slow
 def test_a_sign_is_seen_best_from_low_directions() -> None:
     found = {row["elevation"]: row["smallest"] for row in measure_paint_directions(STUDY)}
     assert found[5] > found[30]

@@ -64,6 +64,7 @@ def test_an_unknown_split_is_refused() -> None:
         PictureSetConfig(split="test")
 
 
+@pytest.mark.slow
 def test_cameras_reach_from_the_street_to_straight_down() -> None:
     renderer = SceneRenderer(replace(TINY, empty=1.0), 0)
     cameras = [renderer.choose_camera() for _ in range(300)]

@@ -104,6 +104,7 @@ def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: l
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_training_needs_no_extra(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["train", str(write_set(tmp_path / "set")), "--out", str(out), "--iterations", "3", "--eval-interval", "1"]

@@ -34,6 +34,7 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_python_example_runs(checkout: Path) -> None:
     (example,) = blocks("python")
     assert len([line for line in example.splitlines() if line.strip()]) <= 20
@@ -43,6 +44,7 @@ def test_the_python_example_runs(checkout: Path) -> None:
     assert (checkout / "attacked.ply").is_file()
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_api_run(checkout: Path) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
     dagger, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
