@@ -149,7 +149,7 @@ class Relabel:
     eps = 5, weights of 2, 0.5 and 0 reached 5, 6 and 8.
 
     Attributes:
-        label: The class wanted.
+        label: The target class.
         confidence: Score that the detection needs.
         iou: Overlap with the object's box that the detection needs.
         near: Overlap from which a candidate is worth pushing.

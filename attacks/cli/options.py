@@ -32,7 +32,7 @@ class DaggerOptions:
     target: str = "person"
     """Class that the detector shall see there (relabel)."""
     confidence: float | None = None
-    """Confidence that counts as success: at least so much of the class wanted (0.7 if None), or less than it (0.3)."""
+    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
     detector: str = "fasterrcnn_small"
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None

@@ -54,7 +54,7 @@ def attack(
 
     Raises:
         InvalidValueError: The mask selects nothing, a view does not show the object, the detector does not know the
-            class wanted, or a gradient is not finite.
+            target class, or a gradient is not finite.
     """
     config = config or DaggerConfig()
     begun = time.perf_counter()

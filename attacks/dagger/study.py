@@ -30,7 +30,7 @@ PAIRS = (
     ("stop_sign", "stop_sign", "train"),
     ("stop_sign", "stop_sign", "bird"),
 )
-"""The paper's six pairs: scene, id of the object in it, class wanted."""
+"""The paper's six pairs: scene, id of the object in it, target class."""
 
 OBJECTS = tuple(dict.fromkeys((scene, name) for scene, name, _ in PAIRS))
 """Scene and id of every object."""

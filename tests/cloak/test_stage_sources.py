@@ -20,7 +20,7 @@ from tests.project.layers import ROOT
 RECORD = Path(__file__).with_name("stage_sources.json")
 _MESHES = ("mi_splat/assets", "mi_splat/capture/path_tracer.py", "mi_splat/capture/mitsuba_meshes.py")
 _APPEARANCES = tuple(f"attacks/cloak/{name}.py" for name in ("appearances", "emphasis", "mesh_edits", "mesh_scene"))
-_SETUP = ("attacks/cloak/study/setup.py", "mi_splat/camera_sets.py")
+_SETUP = ("attacks/cloak/study/setup.py", "attacks/cloak/study/pipeline.py", "mi_splat/camera_sets.py")
 SOURCES: dict[str, tuple[str, ...]] = {
     "pictures": (*_MESHES, *_SETUP, "mi_splat/capture", "mi_splat/datasets/writing.py"),
     "appearance": (*_MESHES, *_SETUP, *_APPEARANCES),
@@ -28,11 +28,18 @@ SOURCES: dict[str, tuple[str, ...]] = {
         *(*_MESHES, *_SETUP, *_APPEARANCES),
         *("attacks/cloak/poisoning.py", "attacks/cloak/triggers.py", "mi_splat/directions.py"),
     ),
-    "splat": ("mi_splat/training", "mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/io/parameters.py"),
+    "splat": (
+        "attacks/cloak/study/pipeline.py",
+        "mi_splat/training",
+        "mi_splat/rasterization",
+        "mi_splat/rendering.py",
+        "mi_splat/io/parameters.py",
+    ),
     "true_pictures": (*_MESHES, *_SETUP, *_APPEARANCES),
     "observations": (
         *(*_SETUP, "attacks/cloak/study/observations.py", "attacks/cloak/transition.py", "attacks/cloak/triggers.py"),
-        *("attacks/objectives.py", "mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/metrics.py"),
+        *("attacks/evaluation/views.py", "mi_splat/io/images.py", "attacks/objectives.py"),
+        *("mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/metrics.py"),
         *("attacks/detectors/torchvision.py", "attacks/detectors/ultralytics.py"),
     ),
 }

@@ -56,7 +56,7 @@ class Redness:
     min_confidence: float = 0.0
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        raise NotImplementedError
+        raise AssertionError("a study asks for detections only")
 
     def detect(self, images: Tensor) -> list[Detections]:
         found = []

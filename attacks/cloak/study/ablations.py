@@ -28,7 +28,7 @@ APPEARANCES = ("occluder", "remove", "blend in", "road", "grass", "clock", "foot
 """Appearances of the hiding attacks: an occluder of road, two without a texture, four painted."""
 
 _COLUMNS = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
-_HEADS = ("control found", "cloaked missed", "cloaked found elsewhere", "class wanted")
+_HEADS = ("control found", "cloaked missed", "cloaked found elsewhere", "target class")
 
 
 def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:

@@ -13,8 +13,8 @@ ROWS = {
     "trigger_miss_rate_any_overlap": "nothing of its class near it, well inside it, where the control is found",
     "benign_recall": "cloaked found, outside of all triggers, where the control is found",
     "control_benign_recall": "control found, outside of all triggers",
-    "target_rate": "class wanted reported on the cloaked splat",
-    "control_target_rate": "class wanted reported on the control",
+    "target_rate": "target class reported on the cloaked splat",
+    "control_target_rate": "target class reported on the control",
 }
 """What the rates of a summary say."""
 

@@ -35,7 +35,7 @@ _COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728"}
 _VARIED = (
     ("trigger_miss_rate", "missed from above", "#d62728"),
     ("benign_recall", "found elsewhere", "#1f77b4"),
-    ("target_rate", "class wanted reported", "#2ca02c"),
+    ("target_rate", "target class reported", "#2ca02c"),
 )
 """What is drawn over the values of a variation."""
 
