@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
+    from mi_splat.bounds import near_plane
     from mi_splat.camera_sets import hemisphere
     from mi_splat.cameras import Camera, RenderFn, View, look_at
     from mi_splat.datasets import load_dataset
@@ -37,6 +38,7 @@ __all__ = [
     "load_dataset",
     "load_splat",
     "look_at",
+    "near_plane",
     "read_scene",
     "save_splat",
 ]
@@ -44,6 +46,7 @@ __all__ = [
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
+        "mi_splat.bounds": ("near_plane",),
         "mi_splat.camera_sets": ("hemisphere",),
         "mi_splat.cameras": ("Camera", "RenderFn", "View", "look_at"),
         "mi_splat.datasets": ("load_dataset",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import torch
 
 from mi_splat import variant
+from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io import SplatFileError, load_splat
@@ -27,7 +27,8 @@ class SplatScene:
         scene: All its Gaussians, shape after shape in file order.
         objects: Rows of each `gaussians` shape, by its id.
         cameras: One per sensor, by its id.
-        settings: Those of its `splat_tile` integrator, or the defaults where it has another one.
+        settings: Those of its `splat_tile` integrator, or the defaults where it has another one. Where the file states
+            no near plane, it is that of `near_plane` for the scene and its cameras.
     """
 
     scene: GaussianScene
@@ -63,37 +64,30 @@ def read_scene(path: str | Path) -> SplatScene:
         raise InvalidValueError(
             message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
         )
-    scenes = [_scene_of(arrays) for arrays in shapes.arrays]
+    scenes = shapes.scenes()
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
+    scene = merge(*scenes)
+    cameras = {sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()}
     return SplatScene(
-        scene=merge(*scenes),
+        scene=scene,
         objects={
             shape.id(): slice(start, end)
             for shape, start, end in zip(loaded.shapes(), ends[:-1], ends[1:], strict=True)
         },
-        cameras={sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()},
-        settings=_settings_of(loaded.integrator()),
+        cameras=cameras,
+        settings=_settings_of(loaded.integrator(), near_plane(scene, tuple(cameras.values()))),
     )
 
 
-def _scene_of(arrays: Sequence[Any]) -> GaussianScene:
-    data, opacities, sh = (torch.from_numpy(array.numpy().copy()) for array in arrays)
-    rows = data.reshape(len(opacities), 10)
-    x, y, z, w = rows[:, 6:].unbind(1)
-    return GaussianScene(
-        rows[:, :3].contiguous(),
-        rows[:, 3:6].contiguous(),
-        torch.stack([w, x, y, z], dim=1),
-        opacities,
-        sh.reshape(len(opacities), -1, 3),
-    )
-
-
-def _settings_of(integrator: Any) -> RenderSettings:
+def _settings_of(integrator: Any, near: float) -> RenderSettings:
+    """Those of a scene's integrator; `near` where the file states none."""
     if type(integrator).__name__ != "SplatTile":
-        return RenderSettings()
+        return RenderSettings(near=near)
     return RenderSettings(
-        background=integrator.background, near=integrator.near, alpha=integrator.alpha, linear=integrator.linear
+        background=integrator.background,
+        near=integrator.near if integrator.near_is_set else near,
+        alpha=integrator.alpha,
+        linear=integrator.linear,
     )
 
 
@@ -121,7 +115,8 @@ def open_scene(path: Path) -> SplatScene:
         do = "pass a Mitsuba scene or a 3DGS splat"
         raise InvalidValueError(message(str(path), "a file that ends in .xml or .ply", path.suffix or "no ending", do))
     scene = load_splat(path)
-    return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=RenderSettings())
+    settings = RenderSettings(near=near_plane(scene))
+    return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
 
 
 def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
@@ -136,23 +131,6 @@ def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
         expected = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "none, since it has no cameras"
         raise InvalidValueError(message(f"camera of {path}", expected, name, "name one that is there"))
     return loaded.cameras[name]
-
-
-def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
-    """Middle and radius, world units, of the box around the middle 98 % of the means along each axis.
-
-    The rest are often floaters far away, which would make everything else tiny.
-
-    Raises:
-        InvalidValueError: The scene is empty.
-    """
-    if not len(scene):
-        raise InvalidValueError(message("scene", "Gaussians to look at", "none", "pass another file"))
-    ordered = scene.means.double().sort(dim=0).values
-    last = len(ordered) - 1
-    low, high = ordered[round(0.01 * last)], ordered[round(0.99 * last)]
-    x, y, z = ((low + high) / 2).tolist()
-    return (x, y, z), max(float(torch.linalg.vector_norm(high - low)) / 2, float(scene.scales.mean()))
 
 
 def orbit_camera(

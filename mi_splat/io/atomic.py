@@ -1,16 +1,77 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and the temporary ones that killed programs left behind."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import platform
+import re
 import secrets
+import shutil
 import stat
+import time
 from collections.abc import Iterator
 from typing import BinaryIO
 
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, from_os_error
+
+_HOST = re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "host"
+_TEMPORARY = re.compile(r"\.(?:(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.)?[0-9a-f]{16}\.tmp")
+_STALE_SECONDS = 24 * 3600.0
+"""Age from which a temporary file of another machine counts as left behind."""
+
+
+def temporary_name() -> str:
+    """A name for a temporary file or folder, which says what process of what machine it belongs to."""
+    return f".{_HOST}.{os.getpid()}.{secrets.token_hex(8)}.tmp"
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file name is one that `temporary_name` makes."""
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+def sweep_temporary(folder: str | os.PathLike[str]) -> int:
+    """Remove the temporary files and folders that killed programs of this project left in a folder.
+
+    Left behind are those whose process has ended. Of another machine's it cannot be known; they go after a day.
+
+    Args:
+        folder: Where; one that is not there holds none.
+
+    Returns:
+        How many were removed.
+    """
+    removed = 0
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            with contextlib.suppress(OSError):
+                if _is_stale(entry):
+                    shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
+                    removed += 1
+    return removed
+
+
+def _is_stale(entry: os.DirEntry[str]) -> bool:
+    found = _TEMPORARY.fullmatch(entry.name)
+    if found is None:
+        return False
+    if found["host"] == _HOST:
+        return not _runs(int(found["process"]))
+    return time.time() - entry.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
+
+
+def _runs(process: int) -> bool:
+    if os.name == "nt":  # there, signal 0 would end the process
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 @contextlib.contextmanager
@@ -30,7 +91,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         SplatFileError: The folder is missing or cannot be written, `path` is no regular file, or the disk is full.
     """
     target = os.path.realpath(path)
-    temporary = os.path.join(os.path.dirname(target), f".{secrets.token_hex(8)}.tmp")
+    temporary = os.path.join(os.path.dirname(target), temporary_name())
     expected = "a file that can be written"
     try:
         mode = _mode(target)

@@ -7,8 +7,10 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import torch
 
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene, merge
 
 _KEYS = ("data", "opacities", "sh_coeffs")
 
@@ -64,6 +66,14 @@ class GaussianShapes:
         ]
         return parts[0] if len(parts) == 1 else tuple(dr.concat(arrays) for arrays in zip(*parts, strict=True))
 
+    def scenes(self) -> list[GaussianScene]:
+        """The Gaussians of each shape as values, copied."""
+        return [_scene_of(*(torch.from_numpy(a.numpy().copy()) for a in arrays)) for arrays in self.arrays]
+
+    def scene(self) -> GaussianScene:
+        """All Gaussians as one value, copied, shape after shape; at least one shape has to be there."""
+        return merge(*self.scenes())
+
     def backward(self, gradients: tuple[Any, ...]) -> None:
         """Hand each shape its rows of the gradient of `joined()`."""
         top = max(self.degrees, default=0)
@@ -79,6 +89,19 @@ class GaussianShapes:
                     part = _with_degree(part, top, degree)
                 dr.backward_from(dr.detach(part) * array)
             row += count
+
+
+def _scene_of(data: torch.Tensor, opacities: torch.Tensor, sh: torch.Tensor) -> GaussianScene:
+    """The value that a shape's arrays hold: rows of mean, scale and quaternion x, y, z, w."""
+    rows = data.reshape(len(opacities), 10)
+    x, y, z, w = rows[:, 6:].unbind(1)
+    return GaussianScene(
+        rows[:, :3].contiguous(),
+        rows[:, 3:6].contiguous(),
+        torch.stack([w, x, y, z], dim=1),
+        opacities,
+        sh.reshape(len(opacities), -1, 3),
+    )
 
 
 def _slice(array: Any, start: int, count: int) -> Any:

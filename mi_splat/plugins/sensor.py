@@ -21,15 +21,21 @@ _LENS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
 _MITSUBA_TO_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
+def is_pinhole(sensor: Any) -> bool:
+    """Whether a sensor is a perspective one, of which `camera` can be had."""
+    params = mi.traverse(sensor)
+    return "x_fov" in params and "principal_point_offset_x" in params
+
+
 def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]:
     """Pose (OpenCV, rigid), focal length and principal point in pixels of the whole film, crop offset, crop size."""
-    params = mi.traverse(sensor)
-    if "x_fov" not in params or "principal_point_offset_x" not in params:
+    if not is_pinhole(sensor):
         raise InvalidValueError(
             message(
                 f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
             )
         )
+    params = mi.traverse(sensor)
     pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     film = sensor.film()

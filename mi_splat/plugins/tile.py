@@ -4,13 +4,16 @@
 parameter   type     default    meaning
 ==========  =======  =========  ======================================================================================
 background  rgb      0, 0, 0    sRGB colour behind the splat
-near        float    0.2        Gaussians whose mean has a smaller camera-space depth are culled, world units
+near        float    (below)    Gaussians whose mean has a smaller camera-space depth are culled, world units
 alpha       boolean  false      append opacity (1 - transmittance) as a fourth channel
 linear      boolean  false      linear instead of sRGB values (mi.Bitmap and mi.util.write_bitmap expect linear ones)
 ==========  =======  =========  ======================================================================================
 
 All four can be changed, as attributes of the integrator or through `mi.traverse`, where they are called
 `<id of the integrator>.near` and so on ("integrator" without an id); the next picture is made with the new value.
+
+Without a value, near is set at the first picture to what suits the scene's size and its sensors: the 0.2 of 3DGS, or
+less for small scenes (`mi_splat.near_plane`). Set it to 0.2 where the picture must equal that of the reference.
 
 One deterministic sample at every pixel centre: sampler, sample count, seed and reconstruction filter have no influence.
 Differentiable with respect to `data`, `opacities` and `sh_coeffs` in reverse mode.
@@ -25,6 +28,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
@@ -72,16 +76,23 @@ def integrator_class(variant: str) -> Any:
             self._values: dict[str, Any] = {}
             # What `mi.traverse` shows. The plain values count: reading these waits for every kernel in flight.
             self._shown = {name: setting.array(setting.default) for name, setting in SETTINGS.items()}
+            self.near_is_set = False
             for name, setting in SETTINGS.items():
-                self._set(name, props.get(name, setting.default))
+                if name in props:
+                    self._set(name, props[name])
+                else:
+                    self._values[name] = setting.default
             self._pictures: OrderedDict[Any, CachedPicture] = OrderedDict()
             self._camera: tuple[Any, Any, Pinhole] | None = None
 
         def _set(self, name: str, value: Any) -> None:
-            setting = SETTINGS[name]
-            self._values[name] = setting.checked(value)
+            self._values[name] = SETTINGS[name].checked(value)
+            self.near_is_set |= name == "near"
+            self._show(name)
+
+        def _show(self, name: str) -> None:
             # In place, as SceneParameters does it: one made before shall show the new value.
-            mi.set_property(self._shown[name], setting.array(self._values[name]))
+            mi.set_property(self._shown[name], SETTINGS[name].array(self._values[name]))
 
         def traverse(self, callback: Any) -> None:
             for name, array in self._shown.items():
@@ -94,10 +105,16 @@ def integrator_class(variant: str) -> Any:
                 values = {name: SETTINGS[name].checked(self._shown[name]) for name in changed}
             except InvalidValueError:
                 for name in changed:
-                    self._set(name, self._values[name])
+                    self._show(name)
                 raise
             for name, value in values.items():
                 self._set(name, value)
+
+        def _follow(self, scene: Any, shapes: GaussianShapes) -> None:
+            """Set near to what suits the scene, unless it has a value."""
+            if not self.near_is_set and shapes.arrays:
+                cameras = [sensors.camera(sensor) for sensor in scene.sensors() if sensors.is_pinhole(sensor)]
+                self._set("near", near_plane(shapes.scene(), cameras))
 
         def _camera_of(self, sensor: Any) -> Pinhole:
             """The camera of a sensor; the last one is cached, since a gradient is asked for right after its picture."""
@@ -152,7 +169,9 @@ def integrator_class(variant: str) -> Any:
                 raise InvalidValueError(message("develop", "True", develop, "take the picture that render() returns"))
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             with dr.suspend_grad():
-                cached = self._picture(GaussianShapes(scene), sensor)
+                shapes = GaussianShapes(scene)
+                self._follow(scene, shapes)
+                cached = self._picture(shapes, sensor)
                 return _develop(cached.picture, cached.camera.size, alpha=self.alpha, linear=self.linear)
 
         def render_backward(
@@ -173,6 +192,7 @@ def integrator_class(variant: str) -> Any:
             """
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             shapes = GaussianShapes(scene)
+            self._follow(scene, shapes)
             cached = self._picture(shapes, sensor)
             width, height = cached.camera.size
             expected = (height, width, 4 if self.alpha else 3)

@@ -15,6 +15,7 @@ from attacks import cli
 from attacks.cli import dagger
 from attacks.dagger.config import DaggerConfig
 from mi_splat import scene_files
+from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
@@ -138,14 +139,14 @@ def test_floaters_do_not_count(cloud: GaussianScene) -> None:
     far = cloud.select(slice(0, 1)).replace(means=torch.tensor([[1e4, 0.0, 0.0]]))
     from mi_splat.scene import merge
 
-    middle, radius = scene_files.bounds(merge(cloud, far))
+    middle, radius = bounds(merge(cloud, far))
     assert middle == pytest.approx((1.0, 2.0, 3.0), abs=0.2)
     assert radius < 3.0
 
 
 def test_an_empty_scene_has_no_camera(cloud: GaussianScene) -> None:
     with pytest.raises(InvalidValueError, match="scene"):
-        scene_files.bounds(cloud.select(slice(0, 0)))
+        bounds(cloud.select(slice(0, 0)))
 
 
 def test_a_resized_camera_sees_the_same() -> None:

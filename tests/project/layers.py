@@ -19,7 +19,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "values": tuple(
         f"mi_splat.{n}" for n in ("errors", "attributes", "_lazy", "provenance", "sh", "rotation", "metrics", "scene")
     ),
-    "cameras": ("mi_splat.cameras", "mi_splat.directions"),
+    "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
     "files": ("mi_splat.io",),
     "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
     "objects": ("mi_splat.assets",),

@@ -11,9 +11,12 @@ import pytest
 import torch
 
 from mi_splat import variant
+from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import read_scene
 from tests import oracle
 from tests.rendering.test_plugins import dict_scene, scene_xml, two_splats
 
@@ -143,15 +146,14 @@ WRONG = [
 def test_wrong_values_are_refused_and_the_old_ones_stay(name: str, value: Any, reason: str) -> None:
     loaded = dict_scene(SCENE)
     before = mi.render(loaded).numpy()
+    old = getattr(loaded.integrator(), name)
     params = mi.traverse(loaded)
     with pytest.raises(InvalidValueError, match=reason):
         setattr(loaded.integrator(), name, value)
     with pytest.raises(InvalidValueError, match=reason):
         params.update({f"integrator.{name}": value})
-    assert getattr(loaded.integrator(), name) == DEFAULTS[name]
-    assert np.ravel(np.array(params[f"integrator.{name}"])).tolist() == pytest.approx(
-        np.array(DEFAULTS[name]).ravel().tolist()
-    )
+    assert getattr(loaded.integrator(), name) == old
+    assert np.ravel(np.array(params[f"integrator.{name}"])).tolist() == pytest.approx(np.array(old).ravel().tolist())
     assert np.array_equal(mi.render(loaded).numpy(), before)
 
 
@@ -181,3 +183,18 @@ def test_wrong_attributes_are_refused(name: str, value: Any, reason: str) -> Non
     with pytest.raises(InvalidValueError, match=f"{name}: expected {reason}"):
         setattr(integrator, name, value)
     assert getattr(integrator, name) == DEFAULTS[name]
+
+
+def test_near_without_a_value_follows_the_scene_as_read_scene_does(tmp_path: Path) -> None:
+    small = SCENE.replace(means=0.02 * SCENE.means, scales=0.02 * SCENE.scales)
+    save_splat(small, tmp_path / "a.ply")
+    shape = '<shape type="gaussians" id="car"><string name="filename" value="a.ply"/></shape>'
+    for properties, near in (("", None), ('<float name="near" value="0.2"/>', 0.2)):
+        (tmp_path / "scene.xml").write_text(scene_xml(shape, properties))
+        values = read_scene(tmp_path / "scene.xml")
+        loaded = mi.load_file(str(tmp_path / "scene.xml"))
+        mi.render(loaded)
+        expected = near_plane(values.scene, list(values.cameras.values())) if near is None else near
+        assert values.settings.near == expected
+        assert loaded.integrator().near == pytest.approx(expected)
+        assert (expected < 0.02) == (near is None)

@@ -1,0 +1,70 @@
+"""Where a scene's Gaussians are, how near a camera they may be to be drawn, and how many are nearer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+
+REFERENCE_NEAR = 0.2
+"""Near plane of the 3DGS reference rasteriser, world units."""
+_NEAR_SHARE, _LEAST_SHARE = 0.1, 0.01
+
+
+def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
+    """Middle and radius, world units, of the box around the middle 98 % of the means along each axis.
+
+    The rest are often floaters far away, which would make everything else tiny.
+
+    Raises:
+        InvalidValueError: The scene is empty.
+    """
+    if not len(scene):
+        raise InvalidValueError(message("scene", "Gaussians to look at", "none", "pass another file"))
+    ordered = scene.means.detach().double().cpu().sort(dim=0).values
+    last = len(ordered) - 1
+    low, high = ordered[round(0.01 * last)], ordered[round(0.99 * last)]
+    x, y, z = ((low + high) / 2).tolist()
+    return (x, y, z), max(float(torch.linalg.vector_norm(high - low)) / 2, float(scene.scales.detach().mean()))
+
+
+def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
+    """The near plane that suits a scene, in world units: the 0.2 of 3DGS, or less where scene or cameras are small.
+
+    3DGS culls Gaussians nearer than 0.2 world units whatever the scene. An object of 5 cm in metres would be culled
+    whole. So near is a tenth of the scene's radius, or of the usual distance of the cameras where that is less, but at
+    least a hundredth of the radius and at most 0.2.
+
+    Args:
+        scene: What is looked at; of an empty one near is 0.2.
+        cameras: Where from, if known.
+    """
+    if not len(scene):
+        return REFERENCE_NEAR
+    middle, radius = bounds(scene)
+    reach = radius
+    if cameras:
+        eyes = torch.stack([camera.position for camera in cameras])
+        reach = min(reach, float((eyes - eyes.new_tensor(middle)).norm(dim=1).median()))
+    near = max(_NEAR_SHARE * reach, _LEAST_SHARE * radius)
+    return min(REFERENCE_NEAR, near) if near > 0 else REFERENCE_NEAR
+
+
+def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
+    """How many Gaussians a picture lacks because they are nearer than `near`, though inside the view of the camera.
+
+    Args:
+        scene: What is looked at.
+        camera: Where from.
+        near: The near plane, world units.
+    """
+    pose = camera.to_camera
+    local = scene.means.detach().double().cpu() @ pose[:3, :3].T + pose[:3, 3]
+    x, y, depth = local.unbind(1)
+    x, y = x * camera.fx + camera.cx * depth, y * camera.fy + camera.cy * depth  # pixel coordinates times depth
+    inside = (x >= 0) & (x <= camera.width * depth) & (y >= 0) & (y <= camera.height * depth)
+    return int((inside & (depth > 0) & (depth < near)).sum())

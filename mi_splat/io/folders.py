@@ -1,0 +1,98 @@
+"""Folders of results that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from mi_splat.errors import message
+from mi_splat.io.atomic import is_temporary, sweep_temporary, temporary_name
+from mi_splat.io.errors import SplatFileError, from_os_error
+
+RECORD = "result.json"
+"""The file that every folder of results holds."""
+
+
+def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> None:
+    """Raise, before any work is done, unless a folder of results can be written at `out`.
+
+    Args:
+        out: The folder that will be written.
+        force: Whether an older result at `out` may be replaced. Only a folder that holds `record` counts as one.
+        record: Name of the file by which a result is known.
+
+    Raises:
+        SplatFileError: `out` is a file, is in use, or the folder around it cannot be written.
+    """
+    path = Path(out)
+    around = _existing_parent(path)
+    if not around.is_dir():
+        raise SplatFileError(message(str(out), "a folder, or a free name", f"the file {around}", "pass another name"))
+    if not os.access(around, os.W_OK | os.X_OK):
+        do = "pass a folder that you may write"
+        raise SplatFileError(message(str(out), "a folder that can be written", f"read-only {around}", do))
+    if not path.exists():
+        return
+    names = sorted(entry.name for entry in path.iterdir() if not is_temporary(entry.name))
+    if not names:
+        return
+    held = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    if not force:
+        do = "pass another folder" + (", or --force to replace this result" if record in names else "")
+        raise SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", do))
+    if record not in names:
+        do = "delete the folder yourself, or pass another"
+        raise SplatFileError(message(str(out), f"an older result ({record}) to replace", f"one that holds {held}", do))
+
+
+@contextlib.contextmanager
+def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> Iterator[Path]:
+    """Write a folder of results whole or not at all.
+
+    The body writes into a temporary folder beside `out`, which takes the name `out` when the body ends. When it raises,
+    the temporary folder is removed and `out` is as it was. After a kill the old result is there or the new one; in the
+    instant between two renames, the old one lies beside it under a name that begins with a dot.
+
+    Args:
+        out: The folder to write; the folders above it are made.
+        force: As in `check_new_folder`.
+        record: As in `check_new_folder`.
+
+    Yields:
+        The folder to write into.
+
+    Raises:
+        SplatFileError: As in `check_new_folder`, or the disk is full.
+    """
+    check_new_folder(out, force=force, record=record)
+    target = Path(os.path.realpath(out))
+    temporary, old = (target.parent / temporary_name() for _ in range(2))
+    sweep_temporary(target.parent)
+    try:
+        temporary.mkdir(parents=True)
+    except OSError as error:
+        raise from_os_error(os.fspath(out), "a folder that can be written", error) from error
+    try:
+        yield temporary
+        try:
+            if target.exists():
+                os.rename(target, old)
+            os.rename(temporary, target)
+        except OSError as error:
+            if old.exists() and not target.exists():
+                os.rename(old, target)
+            raise from_os_error(os.fspath(out), "a folder that can be written", error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _existing_parent(path: Path) -> Path:
+    """The nearest of a path and those above it that is there."""
+    path = Path(os.path.abspath(path))
+    while not os.path.lexists(path):
+        path = path.parent
+    return Path(os.path.realpath(path))

@@ -1,0 +1,78 @@
+"""Near planes: 3DGS's on usual scenes, and such on small ones that nothing of them is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mi_splat.bounds import REFERENCE_NEAR, bounds, culled_in_view, near_plane
+from mi_splat.cameras import Camera, look_at
+from mi_splat.scene import GaussianScene
+from tests import oracle
+
+
+def looking_from(x: float, *, size: int = 32) -> Camera:
+    return Camera(to_world=look_at((x, 0.0, 0.0), (0.0, 0.0, 0.0)), focal=float(size), width=size, height=size)
+
+
+def scaled(scene: GaussianScene, factor: float) -> GaussianScene:
+    """The scene, so many times its size, about the origin."""
+    return scene.replace(means=factor * scene.means, scales=factor * scene.scales)
+
+
+@pytest.fixture
+def scene() -> GaussianScene:
+    """A cloud of two world units' radius about the origin."""
+    cloud = oracle.random_scene(400, degree=0, seed=3)
+    middle, radius = bounds(cloud)
+    return scaled(cloud.replace(means=cloud.means - torch.tensor(middle)), 2.5 / radius)
+
+
+def test_a_scene_of_usual_size_has_the_near_plane_of_3dgs(scene: GaussianScene) -> None:
+    assert near_plane(scene) == REFERENCE_NEAR
+    assert near_plane(scene, [looking_from(7.0)]) == REFERENCE_NEAR
+    assert near_plane(scaled(scene, 1000.0), [looking_from(7000.0)]) == REFERENCE_NEAR
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.03, 1e-4])
+def test_near_shrinks_with_a_small_scene(scene: GaussianScene, factor: float) -> None:
+    _, radius = bounds(scaled(scene, factor))
+    assert near_plane(scaled(scene, factor)) == pytest.approx(0.1 * radius)
+
+
+def test_near_shrinks_with_cameras_that_are_near(scene: GaussianScene) -> None:
+    assert near_plane(scene, [looking_from(0.5)]) == pytest.approx(0.05, rel=0.05)
+    _, radius = bounds(scene)
+    assert near_plane(scene, [looking_from(1e-6)]) == pytest.approx(0.01 * radius)
+
+
+def test_an_empty_scene_and_a_point_have_a_near_plane(scene: GaussianScene) -> None:
+    assert near_plane(scene.select(slice(0, 0))) == REFERENCE_NEAR
+    assert 0 < near_plane(scene.select(slice(0, 1))) <= REFERENCE_NEAR
+
+
+def test_what_near_culls_is_counted() -> None:
+    x = torch.tensor([2.95, 2.85, 2.0, 3.2, 2.95])
+    y = torch.tensor([0.0, 0.0, 0.0, 0.0, 1.0])  # the last is beside the picture, the one before behind the camera
+    cloud = oracle.random_scene(5, degree=0, seed=0).replace(means=torch.stack([x, y, 0 * x], dim=1))
+    camera = looking_from(3.0)
+    assert culled_in_view(cloud, camera, 0.1) == 1
+    assert culled_in_view(cloud, camera, 0.2) == 2
+    assert culled_in_view(cloud, camera, 0.01) == 0
+
+
+def test_a_small_scene_looks_the_same_as_a_large_one(scene: GaussianScene) -> None:
+    """The faults that the near plane had: at 3 % of its size, a scene was culled whole.
+
+    0.3 pixels are added to every Gaussian on the screen whatever its size, so the pictures are equal.
+    """
+    from mi_splat.rendering import Renderer, RenderSettings
+
+    pictures = []
+    for factor in (1.0, 0.03):
+        small, camera = scaled(scene, factor), looking_from(7.0 * factor)
+        settings = RenderSettings(near=near_plane(small, [camera]))
+        pictures.append(Renderer(settings)(small, camera).numpy())
+    assert pictures[0].max() > 0.2
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-4)
