@@ -5,11 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.neighbours import nearest_neighbours
 from mi_splat.selection.planes import find_plane
-from mi_splat.sh import sh_to_colour
+from mi_splat.sh import dc_to_colour
 
 NEIGHBOURS, NEAREST = 12, 8
 """Neighbours that a Gaussian may be linked to, and the one whose distance is the measure of nearness."""
@@ -32,11 +31,7 @@ def clusters(
 
     Returns:
         (N,) int64, 0 for Gaussians of the largest component; those of the same size come in the order of the scene.
-
-    Raises:
-        InvalidValueError: A number is out of range.
     """
-    _check(link_distance, link_colour, planes)
     points = scene.means.detach().cpu().double()
     distances, rows = nearest_neighbours(points, NEIGHBOURS)
     if not rows.shape[1]:
@@ -47,19 +42,9 @@ def clusters(
     linked = distances <= link_distance * torch.minimum(spacing[ours], spacing[rows])
     linked &= group[ours] == group[rows]
     if link_colour is not None:
-        colours = sh_to_colour(scene.sh[:, :1].detach().cpu(), torch.tensor([0.0, 0.0, 1.0]).expand(len(scene), 3))
+        colours = dc_to_colour(scene.sh[:, 0].detach().cpu())
         linked &= (colours[ours] - colours[rows]).abs().amax(-1) <= link_colour
     return _by_size(components(len(scene), ours[linked], rows[linked]))
-
-
-def _check(link_distance: float, link_colour: float | None, planes: int) -> None:
-    """Raise unless the numbers can be used."""
-    if not 0 < link_distance < float("inf"):
-        raise InvalidValueError(message("link distance", "a positive number", link_distance, "1.5 is usual"))
-    if link_colour is not None and not 0 <= link_colour <= 1:
-        raise InvalidValueError(message("link colour", "a difference in [0, 1]", link_colour, "0.1 is strict"))
-    if planes < 0:
-        raise InvalidValueError(message("planes", "0 or more", planes, "1 is usual"))
 
 
 def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
@@ -101,7 +86,7 @@ def components(count: int, first: Tensor, second: Tensor) -> Tensor:
 
 def _by_size(root: Tensor) -> Tensor:
     """Components numbered from the largest."""
-    _, label, sizes = root.unique(return_inverse=True, return_counts=True)
+    _, label, sizes = torch.unique(root, return_inverse=True, return_counts=True)
     order = sizes.argsort(descending=True, stable=True)
     rank = torch.empty_like(order)
     rank[order] = torch.arange(len(order))

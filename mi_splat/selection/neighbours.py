@@ -62,7 +62,7 @@ def _within(points: Tensor, groups: Tensor, count: int) -> tuple[Tensor, Tensor]
     """The nearest neighbours of each point within its group; infinitely far where the group has too few."""
     distances = torch.full((len(points), count), math.inf, dtype=torch.float64)
     rows = torch.zeros(len(points), count, dtype=torch.int64)
-    for some in groups.split(_GROUPS):
+    for some in torch.split(groups, _GROUPS):
         placed = points[some]
         gaps = torch.cdist(placed, placed, compute_mode=_EXACT)
         gaps = gaps.masked_fill(some[:, :, None] == some[:, None, :], math.inf)

@@ -21,6 +21,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
     "files": ("mi_splat.io",),
+    "selection": ("mi_splat.selection",),
     "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
     "objects": ("mi_splat.assets",),
     "rasterization": ("mi_splat.rasterization",),
