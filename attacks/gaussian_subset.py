@@ -8,14 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.pgd import Parameters
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import ATTRIBUTES, GaussianScene
+
+Mask: TypeAlias = Tensor | slice | Sequence[bool] | Sequence[int] | NDArray[np.bool_] | NDArray[np.integer[Any]]
+"""What selects the Gaussians of an object: (N,) bool, row numbers, or a slice; a tensor, an array or a list."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,30 +39,13 @@ class GaussianSubset:
     clean: Parameters
 
     @classmethod
-    def of(cls, scene: GaussianScene, mask: Tensor | slice) -> GaussianSubset:
-        """The object that `mask` (a bool tensor, integer indices or a slice) selects.
+    def of(cls, scene: GaussianScene, mask: Mask) -> GaussianSubset:
+        """The object that a mask (see `Mask`) selects.
 
         Raises:
             InvalidValueError: The mask does not fit the scene or selects nothing.
         """
-        count = len(scene.means)
-        if isinstance(mask, Tensor) and mask.dtype == torch.bool and mask.shape != (count,):
-            raise InvalidValueError(
-                message("mask", f"shape ({count},)", tuple(mask.shape), "pass one value per Gaussian")
-            )
-        everything = torch.arange(count)
-        if isinstance(mask, Tensor) and mask.dtype != torch.bool:
-            outside = mask.dtype.is_floating_point or bool(((mask < 0) | (mask >= count)).any())
-            if outside:
-                raise InvalidValueError(
-                    message(
-                        "mask", f"bool values or indices in 0..{count - 1}", mask.dtype, "pass a mask or row numbers"
-                    )
-                )
-        rows = torch.unique(everything[mask if isinstance(mask, slice) else mask.detach().cpu()])
-        if not len(rows):
-            raise InvalidValueError(message("mask", "at least one Gaussian", "none", "name an object of the scene"))
-        rows = rows.to(scene.means.device)
+        rows = _rows_of(mask, len(scene.means)).to(scene.means.device)
         return cls(scene, rows, to_raw_parameters(scene.select(rows).detach()))
 
     def parameters(self, attributes: Sequence[str]) -> Parameters:
@@ -90,3 +79,30 @@ class GaussianSubset:
             before, after = getattr(self.scene, name), getattr(attacked, name)
             differs |= (before != after).reshape(len(before), -1).any(-1)
         return int(differs.sum())
+
+
+def _rows_of(mask: Mask, count: int) -> Tensor:
+    """Ascending row numbers of the Gaussians that a mask selects out of `count`."""
+    everything = torch.arange(count)
+    rows: Tensor = torch.unique(everything[mask if isinstance(mask, slice) else _checked_mask(mask, count)])
+    if not len(rows):
+        raise InvalidValueError(message("mask", "at least one Gaussian", "none", "name an object of the scene"))
+    return rows
+
+
+def _checked_mask(mask: object, count: int) -> Tensor:
+    """A mask or row numbers as a tensor on the CPU that fits `count` Gaussians."""
+    expected = f"bool values or indices in 0..{count - 1}"
+    try:
+        found = torch.as_tensor(mask).detach().cpu()
+    except (TypeError, ValueError, RuntimeError):
+        raise InvalidValueError(message("mask", expected, f"{mask!r:.80}", "pass a mask or row numbers")) from None
+    if not found.numel():
+        return found.long()
+    if found.dtype == torch.bool and found.shape != (count,):
+        raise InvalidValueError(message("mask", f"shape ({count},)", tuple(found.shape), "pass one value per Gaussian"))
+    if found.dtype == torch.bool:
+        return found
+    if found.is_floating_point() or found.is_complex() or bool(((found < 0) | (found >= count)).any()):
+        raise InvalidValueError(message("mask", expected, found.dtype, "pass a mask or row numbers"))
+    return found.long()

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from mi_splat import variant
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rasterization.settings import checked_background, checked_near
 from mi_splat.scene import GaussianScene
@@ -105,14 +105,21 @@ class Renderer:
             (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1 are not clipped.
 
         Raises:
-            InvalidValueError: The scene's tensors are not on the device of the variant.
+            InvalidValueError: The scene's tensors are not on the device of the variant, or something else was passed.
         """
+        if not isinstance(camera, Camera):
+            got = f"{type(camera).__name__}"
+            raise InvalidValueError(message("camera", "one Camera", got, "call batch(scene, cameras) for several"))
         return self.batch(scene, [camera])[0]
 
-    def batch(self, scene: GaussianScene, cameras: Sequence[Camera]) -> list[Tensor]:
+    def batch(self, scene: GaussianScene, cameras: Camera | Sequence[Camera]) -> list[Tensor]:
         """Render one picture per camera in one differentiable call; sizes may differ."""
+        cameras = as_cameras(cameras)
         if not cameras:
             return []
+        if not isinstance(scene, GaussianScene):
+            do = "load_splat(path) gives one"
+            raise InvalidValueError(message("scene", "a GaussianScene", type(scene).__name__, do))
         variant.use(self.variant)
         device = "cuda" if self.variant.startswith("cuda") else "cpu"
         if scene.means.device.type != device:

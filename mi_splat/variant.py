@@ -22,7 +22,7 @@ def use(variant: str = "") -> str:
             render splats and "llvm_ad_rgb" is set otherwise.
 
     Raises:
-        VariantError: The variant cannot render splats, or this build lacks it.
+        VariantError: The variant cannot render splats, this build lacks it, or there is no GPU for it.
         LLVMError: No libLLVM can be found.
     """
     import mitsuba as mi
@@ -36,7 +36,17 @@ def use(variant: str = "") -> str:
         )
     if variant.startswith("llvm"):
         prepare_llvm()
+    elif not _has_cuda():
+        do = f"use {DEFAULT_VARIANT}, or install the GPU's driver"
+        raise VariantError(message(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do))
     if mi.variant() != variant:
         mi.set_variant(variant)
     plugins.register()
     return variant
+
+
+def _has_cuda() -> bool:
+    """Whether Dr.Jit finds a GPU and its driver."""
+    import drjit as dr
+
+    return bool(dr.has_backend(dr.JitBackend.CUDA))

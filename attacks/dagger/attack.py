@@ -12,28 +12,29 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from torch import Generator, Tensor
+from torch import Generator
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import AttackProblem, AttackView, joint_verdict
 from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
+from attacks.detectors.registry import as_detectors
 from attacks.evaluation.views import as_saved
 from attacks.evaluation.visibility import clamped_fraction, image_change
-from attacks.gaussian_subset import GaussianSubset
+from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective
 from attacks.pgd import Outcome, Parameters, Step, pgd
 from mi_splat import provenance
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, scene_hash
 
 
 def attack(
     scene: GaussianScene,
-    mask: Tensor | slice,
-    cameras: Sequence[Camera],
-    detector: Detector,
+    mask: Mask,
+    cameras: Camera | Sequence[Camera],
+    detector: Detector | str,
     objective: Objective,
     *,
     render: RenderFn,
@@ -45,8 +46,8 @@ def attack(
     Args:
         scene: The clean splat.
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: Views that are attacked together.
-        detector: The one attacked; its weights are known (white box).
+        cameras: Views that are attacked together, or one.
+        detector: The one attacked, or its name; its weights are known (white box).
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
@@ -58,6 +59,7 @@ def attack(
     """
     config = config or DaggerConfig()
     begun = time.perf_counter()
+    cameras, (detector,) = as_cameras(cameras), as_detectors(detector)
     if objective.label is not None and objective.label not in detector.classes:
         raise InvalidValueError(
             message("target", f"one of {', '.join(detector.classes)}", objective.label, "choose a class that it knows")

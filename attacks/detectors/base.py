@@ -125,6 +125,9 @@ def check_images(images: Tensor) -> None:
         InvalidValueError: It is not floating point of shape (B, H, W, 3), is empty, or holds values that are not finite
             or not in [0, 1]; rounding may exceed that by 1e-3.
     """
+    if not isinstance(images, Tensor):
+        got = type(images).__name__
+        raise InvalidValueError(message("images", "a torch tensor", got, "use torch.from_numpy or torch.stack"))
     if images.ndim != 4 or images.shape[-1] != 3 or not images.is_floating_point() or 0 in images.shape:
         raise InvalidValueError(
             message(

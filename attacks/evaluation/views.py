@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections, Detector
+from attacks.detectors.registry import as_detectors
 from attacks.evaluation.visibility import visible_box, visible_weight
-from attacks.gaussian_subset import GaussianSubset
+from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import confidence
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
@@ -69,8 +70,8 @@ class ViewDetections:
 
 def detect_views(
     scene: GaussianScene,
-    cameras: Sequence[Camera],
-    detectors: Sequence[Detector],
+    cameras: Camera | Sequence[Camera],
+    detectors: Detector | str | Sequence[Detector | str],
     *,
     render: RenderFn,
     boxes: Sequence[Tensor | None] | None = None,
@@ -84,7 +85,7 @@ def detect_views(
     Args:
         scene: The scene, as it was loaded from its file.
         cameras: Views.
-        detectors: Any number, with different names.
+        detectors: Any number, with different names; or their names.
         render: The renderer; no gradient is taken.
         boxes: For each camera the object's box, (4,) pixels, or None where the object does not show.
         batch: Pictures that a detector gets at once; those of different sizes never go together.
@@ -95,6 +96,7 @@ def detect_views(
     Raises:
         InvalidValueError: There are not as many boxes as cameras.
     """
+    cameras, detectors = as_cameras(cameras), as_detectors(detectors)
     if boxes is not None and len(boxes) != len(cameras):
         raise InvalidValueError(
             message("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
@@ -138,7 +140,7 @@ def as_saved(scene: GaussianScene) -> GaussianScene:
 
 
 def object_boxes(
-    scene: GaussianScene, mask: Tensor | slice, cameras: Sequence[Camera], *, render: RenderFn
+    scene: GaussianScene, mask: Mask, cameras: Camera | Sequence[Camera], *, render: RenderFn
 ) -> list[Tensor | None]:
     """Where an object shows in each view, what hides it taken into account.
 
@@ -152,14 +154,14 @@ def object_boxes(
         (4,) pixels for each camera, None where the object does not show.
     """
     subset = GaussianSubset.of(scene, mask)
-    return [visible_box(visible_weight(subset, camera, render)) for camera in cameras]
+    return [visible_box(visible_weight(subset, camera, render)) for camera in as_cameras(cameras)]
 
 
 def evaluate(
     scenes: Mapping[str, GaussianScene],
-    mask: Tensor | slice,
-    cameras: Sequence[Camera],
-    detectors: Sequence[Detector],
+    mask: Mask,
+    cameras: Camera | Sequence[Camera],
+    detectors: Detector | str | Sequence[Detector | str],
     *,
     render: RenderFn,
     batch: int = BATCH,
@@ -170,7 +172,7 @@ def evaluate(
         scenes: Scenes by name, with the same Gaussians in the same order; one must be called "clean".
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
         cameras: Views; better others than those that were attacked.
-        detectors: Any number, with different names.
+        detectors: Any number, with different names; or their names.
         render: The renderer.
         batch: Pictures that a detector gets at once.
 
@@ -183,6 +185,7 @@ def evaluate(
     """
     if CLEAN not in scenes:
         raise InvalidValueError(message("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene"))
+    detectors = as_detectors(detectors)
     boxes = object_boxes(scenes[CLEAN], mask, cameras, render=render)
     return {
         name: list(detect_views(as_saved(scene), cameras, detectors, render=render, boxes=boxes, batch=batch))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 
 from mi_splat.errors import InvalidValueError, message
@@ -14,7 +15,7 @@ def checked_near(value: float) -> float:
     Raises:
         InvalidValueError: It is not a positive finite number.
     """
-    if not (math.isfinite(value) and value > 0):
+    if not (isinstance(value, numbers.Real) and math.isfinite(value) and value > 0):
         raise InvalidValueError(message("near", "a positive distance", value, "pass world units, such as 0.2"))
     return value
 
