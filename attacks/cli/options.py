@@ -11,6 +11,8 @@ from tyro.conf import OmitArgPrefixes, Positional
 from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
+from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.selection.config import Selection
 
 SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 
@@ -19,14 +21,17 @@ SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 class DaggerOptions:
     """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
 
-    Writes before.png, after.png, difference.png, detections.png, attacked.ply and result.json into --out. The exit
+    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object) and result.json
+    into --out; of a scene XML also attacked.xml with its parts, which can be rendered and attacked again. The exit
     status is 0 also when the attack fails: that is a result.
     """
 
     scene: Positional[Path] = Path("scenes/car_street.xml")
-    """Scene XML made of splats."""
-    object: str = "car"
-    """Id of the shape in the scene whose Gaussians are attacked; all others stay as they are."""
+    """Scene XML made of splats, or a splat file."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """The cameras attacked at once."""
     objective: Literal["relabel", "hide", "untargeted"] = "relabel"
     """The aim: another class (--target), no detection at all, or any but the right class."""
     target: str = "person"
@@ -39,8 +44,6 @@ class DaggerOptions:
     """File with the detector's weights; None takes the shipped ones."""
     config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
-    views: tuple[str, ...] = ()
-    """Ids of the cameras attacked at once; the first of the scene if none is named."""
     out: Path = Path("out/dagger")
     """Folder for the results; made if it is not there."""
     json: bool = False

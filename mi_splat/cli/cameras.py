@@ -26,7 +26,9 @@ ALL = "all"
 SIZE = (640, 480)
 AZIMUTH, ELEVATION = 30.0, 20.0
 _TRIED = ((30.0, 20.0), (120.0, 20.0), (210.0, 20.0), (300.0, 20.0), (30.0, 60.0), (30.0, -20.0))
-"""Azimuth and elevation of the cameras among which the one that shows most of the object is chosen."""
+"""Azimuth and elevation of the cameras of which the first is taken that shows the object well."""
+_GOOD = 0.6
+"""Share of the best one's part of the picture from which on a camera shows the object well."""
 
 Shows = Callable[[Camera], float]
 """How much of its picture an object makes up, seen from a camera."""
@@ -41,7 +43,7 @@ def find_cameras(
         loaded: The scene.
         options: Which cameras.
         focus: What to look at; all of the scene if None.
-        shows: Chooses between several orbit cameras where nothing says which one is meant; the first of them if None.
+        shows: By it one of several orbit cameras is chosen where nothing says which is meant; the first if None.
 
     Raises:
         InvalidValueError: A camera is not there, or a number is out of range.
@@ -62,7 +64,9 @@ def find_cameras(
         return {name: _sized(camera, options)}
     if shows is not None and options.azimuth is None and options.elevation is None:
         tried = [_orbit(target, options, azimuth, elevation) for azimuth, elevation in _TRIED]
-        return {"orbit": max(tried, key=shows)}  # of equal ones the first
+        shares = [shows(camera) for camera in tried]
+        good = (camera for camera, share in zip(tried, shares, strict=True) if share >= _GOOD * max(shares))
+        return {"orbit": next(good)}
     azimuth = AZIMUTH if options.azimuth is None else options.azimuth
     return {"orbit": _orbit(target, options, azimuth, ELEVATION if options.elevation is None else options.elevation)}
 
