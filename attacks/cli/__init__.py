@@ -1,7 +1,8 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
-Only the standard library is imported here, so that `--help` answers at once. A command's options are parsed (by tyro,
-from a dataclass in `options` beside it) before its module, and with it torch and Mitsuba, is imported.
+Only the standard library is imported here, so that `--help` answers at once. A command's options are parsed (by
+`attacks.cli.parsing`, from a dataclass in `options` beside it) before its module, and with it torch and Mitsuba, is
+imported.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from mi_splat.cli.console import PROGRAM, progress, warn
+from mi_splat.cli.ranges import UsageError
 from mi_splat.errors import MiSplatError
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
@@ -117,6 +119,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output, `head` for instance, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except UsageError as error:
+        warn(f"{words[0]}: {error} (see {PROGRAM} {words[0]} --help)")
+        return MISUSED
     except (MiSplatError, OSError) as error:
         warn(" ".join(str(error).split()))
         return FAILED
@@ -138,21 +143,12 @@ def _dispatch(words: list[str]) -> int:
         hint = f"did you mean {near[0]}?" if near else f"try {PROGRAM} --help"
         warn(f"command: expected one of {', '.join(COMMANDS)}, got {name}; {hint}")
         return MISUSED
-    options = _parse(name, rest)
+    from attacks.cli.parsing import parse
+
+    options = parse(name, COMMANDS[name], rest)
     with progress("starting"):
         module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
     return int(module.run(options))
-
-
-def _parse(name: str, rest: list[str]) -> object:
-    """The options of command `name` as its frozen dataclass; ends the process for --help and wrong usage."""
-    import tyro
-
-    command = COMMANDS[name]
-    options, program = importlib.import_module(f"{command.package}.options"), f"{PROGRAM} {name}"
-    default = {"default": getattr(options, command.defaults)(rest, program=program)} if command.defaults else {}
-    kind = getattr(options, command.options)
-    return tyro.cli(kind, args=rest, prog=program, config=(tyro.conf.FlagCreatePairsOff,), **default)
 
 
 def _help() -> str:

@@ -1,0 +1,55 @@
+"""Examples of every command and the commands that go with it, for `--help`; the tests parse every example."""
+
+from __future__ import annotations
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "capture": (
+        "capture truck.glb --cameras hemisphere:210 --test 20 --out out/truck",
+        "capture car:900004 --cameras orbit:36@20 --size 128 --samples 16 --out out/orbit",
+    ),
+    "train": (
+        "train out/truck --out out/truck-splat --iterations 7000",
+        "train my_colmap_folder --out out/desk --downscale 2 --max-gaussians 200000",
+        "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
+    ),
+    "render": (
+        "render scenes/car_street.xml --out car.png",
+        "render desk.ply --azimuth 40 --elevation 15 --out desk.png",
+    ),
+    "info": ("info desk.ply", "info scenes/car_street.xml --json"),
+    "example-scenes": ("example-scenes stop_sign --out out/scenes",),
+    "dagger": (
+        "dagger scenes/car_street.xml --object car --target person --out out/dagger",
+        "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
+    ),
+    "dagger-study": ("dagger-study --seeds 3 --out out/studies/dagger",),
+    "cloak": (
+        "cloak scenes/cloak_car_colour.toml --forecast",
+        "cloak scenes/cloak_demo.toml --out out/cloak",
+    ),
+    "cloak-experiment": ("cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",),
+    "detectors": ("detectors", "detectors --json"),
+    "train-detector": ("train-detector --detector fasterrcnn_small --out out/detector",),
+    "evaluate-detector": ("evaluate-detector --weights out/detector/best.safetensors",),
+    "plot-detector-training": ("plot-detector-training out/detector/curves.json --out curves.png",),
+    "doctor": ("doctor",),
+}
+"""Name of a command to calls of it, without the program's name."""
+
+SEE_ALSO: dict[str, tuple[str, ...]] = {
+    "capture": ("train", "render"),
+    "train": ("capture", "render", "info"),
+    "render": ("info", "train"),
+    "info": ("render",),
+    "example-scenes": ("render", "dagger"),
+    "dagger": ("dagger-study", "detectors", "render"),
+    "dagger-study": ("dagger",),
+    "cloak": ("cloak-experiment", "capture", "train"),
+    "cloak-experiment": ("cloak",),
+    "detectors": ("dagger", "doctor"),
+    "train-detector": ("evaluate-detector", "plot-detector-training"),
+    "evaluate-detector": ("train-detector",),
+    "plot-detector-training": ("train-detector",),
+    "doctor": ("detectors",),
+}
+"""Name of a command to others that a user of it looks for."""

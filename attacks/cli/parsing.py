@@ -1,0 +1,106 @@
+"""The options of a command from the words that the user typed: tyro, with ranges checked and help that can be read."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import types
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
+
+import tyro
+from tyro.conf import FlagCreatePairsOff
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from attacks.cli.examples import EXAMPLES, SEE_ALSO
+from attacks.cli.ranges import ALL_RANGES
+from mi_splat.cli.console import PROGRAM
+from mi_splat.cli.ranges import check_ranges
+
+if TYPE_CHECKING:
+    from attacks.cli import Command
+
+_NONE = "none"
+_REGISTRY = ConstructorRegistry()
+
+
+def parse(name: str, command: Command, words: Sequence[str]) -> object:
+    """The options of a command as its frozen dataclass; ends the process for --help and wrong usage.
+
+    Args:
+        name: Of the command.
+        command: Where its options are.
+        words: What the user typed after its name.
+
+    Raises:
+        UsageError: A number is out of its range.
+    """
+    module, program = importlib.import_module(f"{command.package}.options"), f"{PROGRAM} {name}"
+    kind = getattr(module, command.options)
+    default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
+    options = tyro.cli(
+        kind,
+        args=words,
+        prog=program,
+        description=description(name, kind),
+        config=(FlagCreatePairsOff,),
+        registry=_REGISTRY,
+        **default,
+    )
+    check_ranges(options, ALL_RANGES)
+    return options
+
+
+def description(name: str, kind: type) -> str:
+    """What `--help` says above the options: what the command does, examples, and commands that go with it.
+
+    Args:
+        name: Of the command.
+        kind: Its options; their docstring says what the command does.
+    """
+    parts = [inspect.getdoc(kind) or ""]
+    if EXAMPLES.get(name):
+        parts.append("\n".join(["Examples:", *(f"  {PROGRAM} {line}" for line in EXAMPLES[name])]))
+    if SEE_ALSO.get(name):
+        parts.append("See also: " + ", ".join(f"{PROGRAM} {other}" for other in SEE_ALSO[name]))
+    return "\n\n".join(parts)
+
+
+@_REGISTRY.primitive_rule
+def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """`X | None` is asked for as X, and "none" stands for None; tyro would write `{None}|X`."""
+    inner = [kind for kind in get_args(info.type) if kind is not type(None)]
+    is_union = get_origin(info.type) in (Union, types.UnionType)
+    if not is_union or len(inner) != 1 or len(inner) == len(get_args(info.type)):
+        return None
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(inner[0], info.markers))
+    if not isinstance(spec, PrimitiveConstructorSpec):
+        return None
+    return dataclasses.replace(
+        spec,
+        choices=None if spec.choices is None else (*spec.choices, _NONE),
+        instance_from_str=lambda words: (
+            None if [w.lower() for w in words] == [_NONE] else spec.instance_from_str(words)
+        ),
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=lambda value: [_NONE] if value is None else spec.str_from_instance(value),
+    )
+
+
+@_REGISTRY.primitive_rule
+def _any_number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """`tuple[X, ...]` without a value has the default "none"; tyro would write nothing."""
+    if get_origin(info.type) is not tuple or get_args(info.type)[1:] != (Ellipsis,):
+        return None
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(get_args(info.type)[0], info.markers))
+    if not isinstance(spec, PrimitiveConstructorSpec) or spec.nargs != 1:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=f"[{spec.metavar} ...]",
+        instance_from_str=lambda words: tuple(spec.instance_from_str([word]) for word in words),
+        is_instance=lambda values: isinstance(values, tuple) and all(map(spec.is_instance, values)),
+        str_from_instance=lambda values: [spec.str_from_instance(value)[0] for value in values] or [_NONE],
+        choices=spec.choices,
+    )
