@@ -57,6 +57,13 @@ COMMANDS = {
     "dagger": Command(
         "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
     ),
+    "detect": Command("attacks.cli", "DetectOptions", "detect", "what detectors see in pictures, splats and scenes"),
+    "evaluate": Command(
+        "attacks.cli",
+        "EvaluateOptions",
+        "evaluate",
+        "how often an object is found, missed or misread, clean and attacked",
+    ),
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
     ),

@@ -51,6 +51,68 @@ class DaggerOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DetectOptions:
+    """Let detectors look at pictures, or at splats and scenes from cameras; draw the boxes and list them.
+
+    Writes a picture with boxes for each picture and detector, and detections.json, into --out.
+    """
+
+    inputs: Positional[tuple[Path, ...]]
+    """Pictures, splat files and scene XMLs."""
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """Where splats and scenes are looked at from."""
+    min_confidence: float = 0.3
+    """Confidence from which a detection is drawn and listed."""
+    out: Path = Path("out/detect")
+    """Folder for the results; a new one."""
+    force: bool = False
+    """Replace a folder that an earlier call has written."""
+    json: bool = False
+    """Print the detections as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluateOptions:
+    """Look at a clean and an attacked splat from many cameras, and compare what detectors make of them.
+
+    Says how often the object is found, missed, or taken for the target, with 95 % intervals. The cameras should be
+    others than those that were attacked. Writes a picture of both splats side by side for each detector, and
+    evaluation.json, into --out.
+    """
+
+    clean: Positional[Path]
+    """The splat or scene XML before the attack."""
+    attacked: Positional[Path]
+    """The splat or scene XML after it."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """The object in the clean splat; if nothing is said, the Gaussians that differ."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """Where both are looked at from."""
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    original: str | None = None
+    """Class that the object is; None is what each detector calls it in most views of the clean splat."""
+    target: str | None = None
+    """Class that the attacker wants."""
+    min_confidence: float = 0.5
+    """Confidence from which a detection counts."""
+    pictures: int = 8
+    """Views shown side by side; 0 writes no pictures."""
+    out: Path = Path("out/evaluate")
+    """Folder for the results; a new one."""
+    force: bool = False
+    """Replace a folder that an earlier call has written."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerStudyOptions:
     """Run many attacks: the paper's pairs, smaller balls, other norms, hiding, every other attribute; make tables.
 

@@ -46,9 +46,9 @@ class Selection:
     def __post_init__(self) -> None:
         if self.box is not None:
             low, high = self.box[:3], self.box[3:]
-            if not all(a < b for a, b in zip(low, high, strict=True)):  # not of nan either
+            if not all(a <= b for a, b in zip(low, high, strict=True)):  # not of nan either
                 do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
-                raise InvalidValueError(message("box", "each first number below its second", self.box, do))
+                raise InvalidValueError(message("box", "no first number above its second", self.box, do))
         if not all(math.isfinite(angle) for angle in self.box_rotation):
             raise InvalidValueError(message("box rotation", "three angles in degrees", self.box_rotation, "change it"))
         if self.cluster is not None and self.cluster < 1:
