@@ -16,7 +16,8 @@ from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.drawing import annotated, listed
 from attacks.evaluation.views import detect_views
 from mi_splat.cli.camera_options import CameraOptions
-from mi_splat.cli.cameras import describe, find_cameras, render_settings
+from mi_splat.cli.camera_records import describe
+from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.datasets.pictures import SUFFIXES, read_picture
 from mi_splat.io.documents import save_json, save_png

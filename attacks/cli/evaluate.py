@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+
+import torch
 
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import EvaluateOptions
 from attacks.evaluation.comparison import Comparison, changed_mask, compare, side_by_side
 from attacks.evaluation.views import CLEAN, evaluate
 from mi_splat.cameras import Camera
-from mi_splat.cli.cameras import describe
+from mi_splat.cli.camera_records import describe, recorded_cameras
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.selecting import choose, look_at_object
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.folders import RECORD as RESULT
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import open_scene
 
@@ -114,18 +115,8 @@ def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Pa
 
 def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
     """How many cameras the record beside an attacked splat names as attacked; 0 without a record."""
-    try:
-        record = json.loads((attacked.parent / "result.json").read_text())
-        poses = [view["camera"]["to_world"] for view in record["views"]]
-    except (OSError, ValueError, KeyError, TypeError):
-        return 0
-    return sum(any(_near(camera.to_world.tolist(), pose) for pose in poses) for camera in cameras.values())
-
-
-def _near(one: Any, other: Any) -> bool:
-    """Whether two poses are the same but for rounding."""
-    flat = [[value for row in pose for value in row] for pose in (one, other)]
-    return len(flat[0]) == len(flat[1]) and all(abs(a - b) < 1e-6 for a, b in zip(*flat, strict=True))
+    poses = [camera.to_world for camera in (recorded_cameras(attacked.parent / RESULT) or {}).values()]
+    return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
 
 
 def _tell(found: list[Comparison], doubts: list[str], options: EvaluateOptions) -> None:

@@ -14,6 +14,7 @@ from mi_splat.bounds import bounds, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
@@ -89,17 +90,6 @@ def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[st
     return settings
 
 
-def describe(name: str, camera: Camera) -> dict[str, object]:
-    """A camera as JSON can hold it; the pose has x right, y down, z forward."""
-    return {
-        "name": name,
-        "to_world": camera.to_world.tolist(),
-        "focal": [camera.fx, camera.fy],
-        "principal": [camera.cx, camera.cy],
-        "size": [camera.width, camera.height],
-    }
-
-
 def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> dict[str, Camera]:
     """The cameras that one text means."""
     if text in loaded.cameras:
@@ -107,6 +97,9 @@ def _named(text: str, loaded: SplatScene, options: CameraOptions, target: Gaussi
     if text == ALL and loaded.cameras:
         return {name: _sized(camera, options) for name, camera in loaded.cameras.items()}
     path = Path(text)
+    recorded = recorded_cameras(path) if path.suffix.lower() == ".json" else None
+    if recorded is not None:
+        return {name: _sized(camera, options) for name, camera in recorded.items()}
     if path.suffix.lower() == ".json":
         read = camera_set(text, (0, 0, 0), distance=1, focal=1, size=options.size or SIZE)
         return _numbered(path.stem, [_sized(camera, options) for camera in read])

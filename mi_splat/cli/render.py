@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from mi_splat.bounds import culled_in_view
 from mi_splat.cameras import Camera
-from mi_splat.cli.cameras import describe, find_cameras, render_settings
+from mi_splat.cli.camera_records import describe
+from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.console import Advance, progress, show, show_json, warn
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
