@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
     from mi_splat.scene import GaussianScene
     from mi_splat.scene_files import read_scene
+    from mi_splat.selection.config import Selection
+    from mi_splat.selection.select import select
     from mi_splat.training.initialization import from_points
     from mi_splat.training.loop import FitConfig, fit
 
@@ -31,6 +33,7 @@ __all__ = [
     "RenderSettings",
     "Renderer",
     "ScreenGradients",
+    "Selection",
     "View",
     "fit",
     "from_points",
@@ -41,6 +44,7 @@ __all__ = [
     "near_plane",
     "read_scene",
     "save_splat",
+    "select",
 ]
 
 __getattr__, __dir__ = _lazy.attach(
@@ -55,6 +59,8 @@ __getattr__, __dir__ = _lazy.attach(
         "mi_splat.rendering": ("Renderer", "RenderSettings", "ScreenGradients"),
         "mi_splat.scene": ("GaussianScene",),
         "mi_splat.scene_files": ("read_scene",),
+        "mi_splat.selection.config": ("Selection",),
+        "mi_splat.selection.select": ("select",),
         "mi_splat.training.initialization": ("from_points",),
         "mi_splat.training.loop": ("FitConfig", "fit"),
     },

@@ -46,13 +46,23 @@ COMMANDS = {
     "train": Command(
         "mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras", defaults="train_defaults"
     ),
-    "render": Command("mi_splat.cli", "RenderOptions", "render", "render a scene XML or a splat file to a PNG"),
+    "render": Command("mi_splat.cli", "RenderOptions", "render", "render a splat: a picture, many, or an animation"),
+    "select": Command(
+        "mi_splat.cli", "SelectOptions", "select", "select one object of a splat, and see whether it is the right one"
+    ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
     "example-scenes": Command(
         "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
     ),
     "dagger": Command(
         "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
+    ),
+    "detect": Command("attacks.cli", "DetectOptions", "detect", "what detectors see in pictures, splats and scenes"),
+    "evaluate": Command(
+        "attacks.cli",
+        "EvaluateOptions",
+        "evaluate",
+        "how often an object is found, missed or misread, clean and attacked",
     ),
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
+from attacks.cli.loading import load_detectors
 from attacks.cli.options import CloakOptions
 from attacks.cloak.study.ablations import check_variations, vary
-from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
 from attacks.cloak.study.study_file import read_study
-from attacks.detectors import load_detector
-from attacks.detectors.base import Detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn
-from mi_splat.errors import InvalidValueError, message
 
 _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 
@@ -27,7 +24,7 @@ def run(options: CloakOptions) -> int:
     if options.detectors:
         study = replace(study, evaluation=replace(study.evaluation, detectors=options.detectors))
     with progress("loading the detectors"):
-        detectors = _detectors(study, options)
+        detectors = load_detectors(study.evaluation.detectors, options.weights)
         stages = options.stages or options.out / "stages"
         if options.vary:
             plans = check_variations(study, options.vary, detectors, options.out, stages)
@@ -63,16 +60,6 @@ def run(options: CloakOptions) -> int:
     else:
         _tell(summary, options)
     return 0
-
-
-def _detectors(study: StudyConfig, options: CloakOptions) -> list[Detector]:
-    """The detectors that a study names."""
-    names = study.evaluation.detectors
-    if options.weights and len(options.weights) != len(names):
-        do = f"pass one for each of {', '.join(names)}"
-        raise InvalidValueError(message("--weights", f"{len(names)} files", len(options.weights), do))
-    files = options.weights or [None] * len(names)
-    return [load_detector(name, weights=file) for name, file in zip(names, files, strict=True)]
 
 
 def _tell(summary: dict[str, Any], options: CloakOptions) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from attacks.cli.options import DaggerOptions
@@ -14,9 +16,14 @@ from attacks.detectors import load_detector
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import SplatScene, choose_camera, open_scene
+from mi_splat.cli.selecting import Chosen, choose
+from mi_splat.scene_files import SplatScene, open_scene
+from mi_splat.scene_writing import write_scene
+from mi_splat.selection.config import Selection
+from mi_splat.selection.masks import save_mask
+
+DEFAULT_OBJECT = "car"
+"""Part that is attacked if nothing else is said."""
 
 
 def run(options: DaggerOptions) -> int:
@@ -25,21 +32,22 @@ def run(options: DaggerOptions) -> int:
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
-        rows = _object_rows(loaded, options)
-        cameras = [choose_camera(loaded, name, options.scene) for name in options.views or (None,)]
+        chosen = choose(loaded, _selection(loaded, options), options.view)
         detector = load_detector(options.detector, weights=options.weights)
         advance("attacking", 0)
         result = attack(
             loaded.scene,
-            rows,
-            cameras,
+            chosen.mask,
+            list(chosen.cameras.values()),
             detector,
             _objective(options),
-            render=Renderer(loaded.settings),
+            render=chosen.render,
             config=config,
             on_step=_follow(advance),
         )
+        result = dataclasses.replace(result, origin={**result.origin, **_origin(loaded, chosen, options)})
         files = write_report(result, options.out)
+        files |= _write_parts(loaded, chosen, result, options.out)
     if options.json:
         show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
     else:
@@ -58,14 +66,28 @@ def _objective(options: DaggerOptions) -> Objective:
     return aims[options.objective](**limit)
 
 
-def _object_rows(loaded: SplatScene, options: DaggerOptions) -> slice:
-    """The Gaussians of the object that the options name."""
-    if options.object not in loaded.objects:
-        expected = f"one of {', '.join(loaded.objects)}"
-        raise InvalidValueError(
-            message(f"object of {options.scene}", expected, options.object, "name a shape with --object")
-        )
-    return loaded.objects[options.object]
+def _selection(loaded: SplatScene, options: DaggerOptions) -> Selection:
+    """What the options select; the part called car if they say nothing and there is one."""
+    nothing = options.selection.is_empty and DEFAULT_OBJECT in loaded.objects
+    return dataclasses.replace(options.selection, object=DEFAULT_OBJECT) if nothing else options.selection
+
+
+def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[str, Any]:
+    """What was attacked, and from which cameras, for the record."""
+    return {
+        "scene": str(options.scene),
+        "selection": _selection(loaded, options).as_dict(),
+        "cameras": list(chosen.cameras),
+    }
+
+
+def _write_parts(loaded: SplatScene, chosen: Chosen, result: Result, out: Path) -> dict[str, Path]:
+    """The object's mask, and of a scene file its parts and the XML that names them; paths by name."""
+    mask = out / "mask.npy"
+    save_mask(chosen.mask, mask)
+    # A bare splat has no cameras, and so makes no scene file.
+    parts = write_scene(loaded, result.scene, out / "attacked.xml") if loaded.cameras else []
+    return {path.name: path for path in (mask, *parts)}
 
 
 def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
@@ -81,9 +103,7 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     views = found["views"]
     reached = sum(view["success"] for view in views)
     outcome = "SUCCESS" if result.success else "FAILED"
-    show(
-        f"{outcome}: {options.detector} shall {aim} in place of the {options.object}; {reached} of {len(views)} views."
-    )
+    show(f"{outcome}: {options.detector} shall {aim} in place of {_name(options)}; {reached} of {len(views)} views.")
     show(
         f"{_seen(views[0], found['target'])} after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
@@ -95,7 +115,14 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     for warning in result.warnings:
         show(f"warning: {warning}")
     show(f"Look at {options.out / 'detections.png'} first. Beside it: before.png, after.png, difference.png,")
-    show("the splat (attacked.ply) and every number (result.json).")
+    show("the splat (attacked.ply), the object (mask.npy) and every number (result.json).")
+
+
+def _name(options: DaggerOptions) -> str:
+    """The object, as a human calls it."""
+    if options.selection.is_empty:
+        return f"the {DEFAULT_OBJECT}"
+    return "the selection" if options.selection.object is None else f"the {options.selection.object}"
 
 
 def _seen(view: Mapping[str, Any], target: str | None) -> str:

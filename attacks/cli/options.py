@@ -11,6 +11,8 @@ from tyro.conf import OmitArgPrefixes, Positional
 from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
+from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.selection.config import Selection
 
 SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 
@@ -19,14 +21,17 @@ SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 class DaggerOptions:
     """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
 
-    Writes before.png, after.png, difference.png, detections.png, attacked.ply and result.json into --out. The exit
+    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object) and result.json
+    into --out; of a scene XML also attacked.xml with its parts, which can be rendered and attacked again. The exit
     status is 0 also when the attack fails: that is a result.
     """
 
     scene: Positional[Path] = Path("scenes/car_street.xml")
-    """Scene XML made of splats."""
-    object: str = "car"
-    """Id of the shape in the scene whose Gaussians are attacked; all others stay as they are."""
+    """Scene XML made of splats, or a splat file."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """The cameras attacked at once."""
     objective: Literal["relabel", "hide", "untargeted"] = "relabel"
     """The aim: another class (--target), no detection at all, or any but the right class."""
     target: str = "person"
@@ -39,12 +44,72 @@ class DaggerOptions:
     """File with the detector's weights; None takes the shipped ones."""
     config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
-    views: tuple[str, ...] = ()
-    """Ids of the cameras attacked at once; the first of the scene if none is named."""
     out: Path = Path("out/dagger")
     """Folder for the results; made if it is not there."""
     json: bool = False
     """Print the result as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectOptions:
+    """Let detectors look at pictures, or at splats and scenes from cameras; draw the boxes and list them.
+
+    Writes a picture with boxes for each picture and detector, and detections.json, into --out.
+    """
+
+    inputs: Positional[tuple[Path, ...]]
+    """Pictures, splat files and scene XMLs."""
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """Where splats and scenes are looked at from."""
+    min_confidence: float = 0.3
+    """Confidence from which a detection is drawn and listed."""
+    out: Path = Path("out/detect")
+    """Folder for the results; a new one."""
+    force: bool = False
+    """Replace a folder that an earlier call has written."""
+    json: bool = False
+    """Print the detections as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluateOptions:
+    """Look at a clean and an attacked splat from many cameras, and compare what detectors make of them.
+
+    Says how often the object is found, missed, or taken for the target, with 95 % intervals. The cameras should be
+    others than those that were attacked. Writes a picture of both splats side by side for each detector, and
+    evaluation.json, into --out.
+    """
+
+    clean: Positional[Path]
+    """The splat or scene XML before the attack."""
+    attacked: Positional[Path]
+    """The splat or scene XML after it."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """The object in the clean splat; if nothing is said, the Gaussians that differ."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """Where both are looked at from."""
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    original: str | None = None
+    """Class that the object is; None is what each detector calls it in most views of the clean splat."""
+    target: str | None = None
+    """Class that the attacker wants."""
+    min_confidence: float = 0.5
+    """Confidence from which a detection counts."""
+    pictures: int = 8
+    """Views shown side by side; 0 writes no pictures."""
+    out: Path = Path("out/evaluate")
+    """Folder for the results; a new one."""
+    force: bool = False
+    """Replace a folder that an earlier call has written."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ ALL_RANGES: dict[str, Range] = {
     # DAGGER
     "eps": at_least(0, "units of the splat file", "5 is the paper's"),
     "confidence": FRACTION,
+    "min_confidence": FRACTION,
     "step_factor": above(0, do="2 is the paper's"),
     "restarts": at_least(1),
     "required_views": POSITIVE_FRACTION,

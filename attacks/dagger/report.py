@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from attacks.dagger.problem import ViewResult
 from attacks.dagger.result import Result
-from attacks.detectors.base import Detections
-from attacks.evaluation.drawing import annotated, difference, stacked
+from attacks.evaluation.drawing import annotated, difference, listed, stacked
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import to_bytes
@@ -101,8 +100,8 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
         "target_confidence": view.confidence(label, attacked=True) if label else None,
         "target_confidence_clean": view.confidence(label, attacked=False) if label else None,
         "box": [round(float(x), 2) for x in target.box],
-        "clean": _listed(view.before.detections),
-        "attacked": _listed(view.after.detections),
+        "clean": listed(view.before.detections),
+        "attacked": listed(view.after.detections),
         "camera": {
             "to_world": camera.to_world.tolist(),
             "focal": [camera.fx, camera.fy],
@@ -110,11 +109,6 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
             "size": [camera.width, camera.height],
         },
     }
-
-
-def _listed(found: Detections) -> list[dict[str, Any]]:
-    rows = zip(found.labels, found.scores.tolist(), found.boxes.tolist(), strict=True)
-    return [{"label": a, "score": round(b, 6), "box": [round(x, 2) for x in c]} for a, b, c in rows]
 
 
 def before_and_after(view: ViewResult, *, min_confidence: float = 0.3) -> NDArray[np.uint8]:

@@ -1,9 +1,10 @@
-"""Boxes on pictures, and what differs between pictures, as pixels that a report can save."""
+"""Boxes on pictures and in lists, and what differs between pictures, as a report can save them."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -73,6 +74,12 @@ def stacked(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """(H, W, 3) pictures below one another; narrower ones are filled up with black on the right."""
     width = max(picture.shape[1] for picture in pictures)
     return np.concatenate([np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0))) for p in pictures])
+
+
+def listed(found: Detections) -> list[dict[str, Any]]:
+    """Detections as JSON can hold them: label, score and box (x0, y0, x1, y1 in pixels) of each."""
+    rows = zip(found.labels, found.scores.tolist(), found.boxes.tolist(), strict=True)
+    return [{"label": a, "score": round(b, 6), "box": [round(x, 2) for x in c]} for a, b, c in rows]
 
 
 def _colour(label: str) -> str:

@@ -61,7 +61,7 @@ def rates(
     clean: Sequence[ViewDetections],
     attacked: Sequence[ViewDetections],
     *,
-    original: str,
+    original: str | None,
     wanted: str | None,
     min_confidence: float = 0.5,
     detector: str | None = None,
@@ -71,7 +71,7 @@ def rates(
     Args:
         clean: The clean scene, from `evaluate` or `detect_views`.
         attacked: The attacked scene, from the same cameras by the same detectors.
-        original: What the object is.
+        original: What the object is; None counts any class.
         wanted: What the attacker wants it to be; None counts a view as a success when `original` is gone.
         min_confidence: Confidence from which a detection counts, in [0, 1].
         detector: Name of the detector whose views count; None counts those of all.

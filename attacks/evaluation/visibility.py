@@ -11,27 +11,16 @@ from torch import Tensor
 
 from attacks.gaussian_subset import GaussianSubset
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, degree_of, sh_basis
+from mi_splat.selection.visibility import object_weight
+from mi_splat.sh import degree_of, sh_basis
 
 
 def visible_weight(subset: GaussianSubset, camera: Camera, render: RenderFn) -> Tensor:
     """How much of each pixel the object makes up: (H, W) in [0, 1], occlusion by the rest of the scene included.
 
-    The scene is rendered with the object white and all else black, and again all black, which takes any background
-    away.
+    As in `object_weight`.
     """
-    scene = subset.scene
-    black = torch.zeros_like(scene.sh)
-    black[:, 0] = colour_to_dc(black.new_zeros(3))
-    white = black.clone()
-    white[subset.rows, 0] = colour_to_dc(black.new_ones(3))
-    with torch.no_grad():
-        pictures = [
-            render(GaussianScene.unchecked(scene.means, scene.scales, scene.rotations, scene.opacities, sh), camera)
-            for sh in (white, black)
-        ]
-    return (pictures[0] - pictures[1]).mean(-1).clamp(0, 1)
+    return object_weight(subset.scene, subset.rows, camera, render)
 
 
 def visible_box(weight: Tensor, *, threshold: float = 0.5) -> Tensor | None:

@@ -28,12 +28,12 @@ def run(options: InfoOptions) -> int:
 
 
 def _splat_facts(path: Path) -> dict[str, object]:
-    """Facts about a splat file; Gaussians that are not valid are described and left out of the rest."""
+    """Facts about a splat file, which has no parts; Gaussians that are not valid are described, and left out of others."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SplatFileWarning)
         scene = load_splat(path, on_invalid="drop")
     dropped = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
-    return {**scene_facts(scene), "invalid": " ".join(dropped) or None}
+    return {"parts": None, **scene_facts(scene), "invalid": " ".join(dropped) or None}
 
 
 def _scene_file_facts(path: Path) -> dict[str, object]:
@@ -43,17 +43,29 @@ def _scene_file_facts(path: Path) -> dict[str, object]:
     loaded = read_scene(path)
     parts = {name: len(range(*rows.indices(len(loaded.scene)))) for name, rows in loaded.objects.items()}
     cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
-    return {"parts": parts, "cameras": cameras, **scene_facts(loaded.scene)}
+    boxes = {name: _bounds(loaded.scene.select(rows)) for name, rows in loaded.objects.items() if parts[name]}
+    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **scene_facts(loaded.scene)}
 
 
 def scene_facts(scene: GaussianScene) -> dict[str, object]:
-    """Numbers that describe a scene, as JSON can hold them; bounds and scales in world units."""
+    """Numbers that describe a scene, as JSON can hold them; bounds and scales in world units.
+
+    Of a captured scene `bounds` are those of the farthest floaters, and `bounds_98%` tell where the scene is.
+    """
     facts: dict[str, object] = {"gaussians": len(scene), "sh_degree": scene.degree}
     if len(scene):
-        facts["bounds"] = [scene.means.amin(0).tolist(), scene.means.amax(0).tolist()]
+        facts["bounds"] = _bounds(scene)
+        facts["bounds_98%"] = _bounds(scene, outside=0.01)
         facts["opacity"] = _quantiles(scene.opacities)
         facts["scale"] = _quantiles(scene.scales.flatten())
     return {**facts, "hash": scene_hash(scene)}
+
+
+def _bounds(scene: GaussianScene, *, outside: float = 0.0) -> list[list[float]]:
+    """Lower and upper corner of the box around the means, without so large a share at either end of each axis."""
+    ordered = scene.means.sort(dim=0).values
+    last = len(ordered) - 1
+    return [ordered[round(share * last)].tolist() for share in (outside, 1 - outside)]
 
 
 def _quantiles(values: Tensor) -> dict[str, float]:

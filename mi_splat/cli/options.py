@@ -11,42 +11,56 @@ from typing import Annotated, Literal
 from tyro import MISSING
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.selection.config import Selection
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderOptions:
-    """Render a scene XML or a splat file to a PNG.
+    """Render a scene XML or a splat file: a picture, a picture from each of several cameras, or an animation.
 
-    A scene XML is seen from one of its cameras. A bare splat file, or a scene with any of --azimuth, --elevation and
-    --distance given, is seen from an orbit around the middle of its Gaussians (z is up), by default at a distance that
-    shows all of them.
+    A scene XML is seen from its first camera, a bare splat file from an orbit around the middle of its Gaussians, at a
+    distance that shows all of them, unless the flags below say something else.
     """
 
     scene: Positional[Path]
     """Scene XML made of splats, or a 3DGS PLY."""
     out: Path = Path("picture.png")
-    """The PNG to write."""
-    camera: str | None = None
-    """Id of the scene's camera; None is the first."""
-    azimuth: float | None = None
-    """Degrees from +x towards +y; 30 if an orbit is used without it."""
-    elevation: float | None = None
-    """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
-    distance: float | None = None
-    """World units from the middle of the Gaussians."""
-    fov: float = 45.0
-    """Field of view of an orbit camera in degrees, over the shorter side of the picture."""
-    size: tuple[int, int] | None = None
-    """Width and height in pixels; None is the camera's own, 640 x 480 for an orbit."""
+    """What to write: NAME.png or NAME.jpg; NAME.gif or NAME.mp4 (needs the extra `video`) of several cameras one after
+    the other; a folder, or a name with {} for the camera's, for a picture from each."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """Where from."""
+    fps: float = 24.0
+    """Pictures a second of an animation."""
     method: Literal["tile"] = "tile"
     """How it is rendered: tile is the picture of the reference 3DGS rasteriser."""
-    background: tuple[float, float, float] | None = None
-    """sRGB colour behind the Gaussians; None is the scene's own, black for a bare splat file."""
+    force: bool = False
+    """Replace a folder of pictures that an earlier call has written."""
     json: bool = False
     """Print what was rendered as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectOptions:
+    """Select one object of a splat, and see whether it is the right one.
+
+    Prints how many Gaussians it has, where they are, how much of the picture it makes up, and what is doubtful about
+    it. The same flags choose the object of `mi-splat dagger` and `mi-splat evaluate`.
+    """
+
+    scene: Positional[Path]
+    """A splat file, or a scene XML made of splats."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """Which object."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
+    out: tuple[Path, ...] = ()
+    """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
+    json: bool = False
+    """Print what was selected as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -74,8 +74,17 @@ RANGES: dict[str, Range] = {
     "near": LENGTH,
     "centre": Range(unit="world units"),
     "fov": Range(0, 180, open_low=True, open_high=True, unit="degrees", do="45 is usual"),
+    "up": Range(),
+    "fps": Range(0, 1000, open_low=True, unit="pictures a second", do="24 is usual"),
     "size": Range(1, 1 << 15, unit="pixels", do="for instance 256"),
     "background": Range(0, 1, unit="sRGB", do="divide 8-bit values by 255"),
+    # selection
+    "box": Range(unit="world units"),
+    "box_rotation": Range(-360, 360, unit="degrees"),
+    "cluster": at_least(1, do="1 is the largest"),
+    "link_distance": above(0, do="1.5 is usual"),
+    "link_colour": FRACTION,
+    "planes": Range(0, 20, do="1 is usual"),
     # capture
     "samples": Range(1, 1 << 16, unit="samples per pixel", do="32 is usual"),
     "test": Range(0, 100_000, unit="pictures"),

@@ -1,66 +1,126 @@
-"""`mi-splat render`: a scene XML or a splat file to a PNG."""
+"""`mi-splat render`: a scene XML or a splat file as a picture, as many pictures, or as an animation."""
 
 from __future__ import annotations
 
-import dataclasses
 import time
+from collections.abc import Mapping
+from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
+from mi_splat.bounds import culled_in_view
 from mi_splat.cameras import Camera
-from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.camera_records import describe
+from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.cli.console import Advance, progress, show, show_json, warn
 from mi_splat.cli.options import RenderOptions
-from mi_splat.io.documents import save_png
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import save_json
+from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.io.images import to_bytes
+from mi_splat.io.pictures import check_animation, is_animation, is_picture, save_animation, save_picture
 from mi_splat.rendering import Renderer
-from mi_splat.scene_files import SplatScene, choose_camera, open_scene, orbit_camera, resized
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import open_scene
+
+RECORD = "cameras.json"
+"""In a folder of pictures, the camera of each."""
+_PLACE = "{}"
+_CULLED = 0.01
+"""A share of the Gaussians that the near plane hides before it is said."""
 
 
 def run(options: RenderOptions) -> int:
-    """Render and save the picture."""
-    with progress("rendering"):
+    """Render and save."""
+    with progress("loading") as advance:
         loaded = open_scene(options.scene)
-        camera = _camera(loaded, options)
-        settings = loaded.settings
-        if options.background is not None:
-            settings = dataclasses.replace(settings, background=options.background)
+        cameras = find_cameras(loaded, options.view)
+        _check_out(options, cameras)
+        settings = render_settings(loaded, options.view, cameras)
         begun = time.perf_counter()
-        with torch.no_grad():
-            picture = Renderer(settings)(loaded.scene, camera)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        save_png(to_bytes(picture), options.out)
+        pictures = _pictures(loaded.scene, cameras, Renderer(settings), advance)
+        files = _save(pictures, cameras, options)
     seconds = time.perf_counter() - begun
+    _warn_of_culling(loaded.scene, cameras, settings.near)
+    first = next(iter(cameras.values()))
     if options.json:
         show_json(
             {
                 "out": str(options.out),
+                "files": [str(file) for file in files],
                 "gaussians": len(loaded.scene),
-                "width": camera.width,
-                "height": camera.height,
-                "camera_to_world": camera.to_world.tolist(),
-                "focal": [camera.fx, camera.fy],
+                "width": first.width,
+                "height": first.height,
+                "near": settings.near,
+                "camera_to_world": first.to_world.tolist(),
+                "focal": [first.fx, first.fy],
+                "cameras": [describe(name, camera) for name, camera in cameras.items()],
                 "seconds": seconds,
             }
         )
-    else:
-        size = f"{camera.width} x {camera.height}"
-        show(
-            f"{options.out}: {len(loaded.scene):,} Gaussians at {size} in {seconds:.2f} s (the first picture compiles)"
-        )
+        return 0
+    size = f"{first.width} x {first.height}"
+    many = f"{len(cameras)} pictures, " if len(cameras) > 1 else ""
+    took = f"{seconds:.2f} s (the first picture compiles)"
+    show(f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}")
     return 0
 
 
-def _camera(loaded: SplatScene, options: RenderOptions) -> Camera:
-    """The camera that the options describe."""
-    orbit = any(value is not None for value in (options.azimuth, options.elevation, options.distance))
-    if options.camera is not None or (loaded.cameras and not orbit):
-        camera = choose_camera(loaded, options.camera, options.scene)
-        return camera if options.size is None else resized(camera, options.size)
-    return orbit_camera(
-        loaded.scene,
-        azimuth=30.0 if options.azimuth is None else options.azimuth,
-        elevation=20.0 if options.elevation is None else options.elevation,
-        distance=options.distance,
-        fov=options.fov,
-        size=options.size or (640, 480),
-    )
+def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
+    """Raise, before anything is rendered, unless --out can take these pictures."""
+    out = options.out
+    if is_animation(out):
+        check_animation(out)
+    elif is_picture(out):
+        if len(cameras) > 1 and _PLACE not in out.name:
+            do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif or .mp4"
+            raise InvalidValueError(message("--out", f"room for {len(cameras)} pictures", out, do))
+    elif out.suffix:
+        expected = "a name that ends in .png, .jpg, .gif or .mp4, or a folder"
+        raise InvalidValueError(message("--out", expected, out, "change the ending"))
+    else:
+        check_new_folder(out, force=options.force, record=RECORD)
+
+
+def _pictures(
+    scene: GaussianScene, cameras: Mapping[str, Camera], render: Renderer, advance: Advance
+) -> dict[str, NDArray[np.uint8]]:
+    """The picture from each camera."""
+    found = {}
+    for number, (name, camera) in enumerate(cameras.items(), 1):
+        advance(f"rendering {number} of {len(cameras)}")
+        with torch.no_grad():
+            found[name] = to_bytes(render(scene, camera))
+    return found
+
+
+def _save(
+    pictures: Mapping[str, NDArray[np.uint8]], cameras: Mapping[str, Camera], options: RenderOptions
+) -> list[Path]:
+    """Write what --out says, and name the files."""
+    out = options.out
+    if is_animation(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        save_animation(list(pictures.values()), out, fps=options.fps)
+        return [out]
+    if is_picture(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        files = [out.with_name(out.name.replace(_PLACE, name)) for name in pictures]
+        for file, pixels in zip(files, pictures.values(), strict=True):
+            save_picture(pixels, file)
+        return files
+    with new_folder(out, force=options.force, record=RECORD) as folder:
+        for name, pixels in pictures.items():
+            save_picture(pixels, folder / f"{name}.png")
+        save_json([describe(name, camera) for name, camera in cameras.items()], folder / RECORD)
+    return [*(out / f"{name}.png" for name in pictures), out / RECORD]
+
+
+def _warn_of_culling(scene: GaussianScene, cameras: Mapping[str, Camera], near: float) -> None:
+    """Say so where the near plane hides many Gaussians that are in a picture."""
+    counts = {name: culled_in_view(scene, camera, near) for name, camera in cameras.items()}
+    worst = max(counts, key=lambda name: counts[name])
+    if counts[worst] > _CULLED * len(scene):
+        warn(f"camera {worst}: {counts[worst]:,} Gaussians are nearer than {near:g} and not drawn; --near changes that")

@@ -23,7 +23,7 @@ else:
     import tomli as tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-ALSO = {"PIL": "pillow"}
+ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg"}
 """Modules that are not called as their package is."""
 
 
@@ -33,11 +33,11 @@ def packages(requirements: list[str]) -> set[str]:
 
 def test_doctor_knows_the_extras() -> None:
     extras = {name: packages(needed) for name, needed in PROJECT["optional-dependencies"].items() if name != "dev"}
-    assert {name: {module} for name, module in EXTRAS.items()} == extras
+    assert {name: {ALSO.get(module, module)} for name, module in EXTRAS.items()} == extras
 
 
 def test_what_is_imported_is_installed() -> None:
-    installed = packages(PROJECT["dependencies"]) | set(EXTRAS.values())
+    installed = packages(PROJECT["dependencies"]) | {ALSO.get(module, module) for module in EXTRAS.values()}
     for package in PACKAGES:
         for name, other in edges(package):
             top = other.split(".")[0]
@@ -87,6 +87,7 @@ elevation = [60, 90]
         ("figures", ["cloak", "scenes/cloak_demo.toml"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
+        ("video", ["render", "scenes/stop_sign.xml", "--cameras", "orbit:2@20", "--out", "OUT.mp4"]),
         ("yolo", ["dagger", "--detector", "yolov8n_small"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),
     ],

@@ -1,0 +1,141 @@
+"""`mi-splat detect`: what detectors report on pictures, and on splats as cameras see them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from attacks.cli.loading import load_detectors
+from attacks.cli.options import DetectOptions
+from attacks.detectors.base import Detections, Detector
+from attacks.evaluation.drawing import annotated, listed
+from attacks.evaluation.views import detect_views
+from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.camera_records import describe
+from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.cli.console import progress, show, show_json
+from mi_splat.datasets.pictures import SUFFIXES, read_picture
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import open_scene
+
+RECORD = "detections.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """What one detector reports on one picture.
+
+    Attributes:
+        source: The picture's file, or that of the scene.
+        camera: Where from, as JSON can hold it; None of a picture.
+        detector: Its name.
+        image: (H, W, 3) sRGB in [0, 1].
+        detections: What is reported.
+    """
+
+    source: Path
+    camera: Mapping[str, object] | None
+    detector: str
+    image: Tensor
+    detections: Detections
+
+    @property
+    def name(self) -> str:
+        """What the picture is called."""
+        camera = "" if self.camera is None else f"-{self.camera['name']}"
+        return f"{self.source.stem}{camera}-{self.detector}"
+
+
+def run(options: DetectOptions) -> int:
+    """Detect, draw the boxes, and list them."""
+    check_new_folder(options.out, force=options.force, record=RECORD)
+    with progress("loading the detectors") as advance:
+        detectors = load_detectors(options.detectors, options.weights)
+        found = []
+        for source in options.inputs:
+            advance(f"looking at {source}")
+            found += list(seen_in(source, detectors, options.view))
+        names = _distinct([seen.name for seen in found])
+        rows = [
+            {**_row(seen, options.min_confidence), "picture": f"{name}.png"}
+            for seen, name in zip(found, names, strict=True)
+        ]
+        document = {
+            "min_confidence": options.min_confidence,
+            "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
+            "pictures": rows,
+        }
+        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+            for seen, name in zip(found, names, strict=True):
+                drawn = annotated(seen.image, seen.detections, name, min_confidence=options.min_confidence)
+                save_png(drawn, folder / f"{name}.png")
+            save_json(document, folder / RECORD)
+    if options.json:
+        show_json({**document, "out": str(options.out)})
+        return 0
+    for row, name in zip(rows, names, strict=True):
+        boxes = ", ".join(f"{item['label']} {item['score']:.0%}" for item in row["detections"])
+        show(f"{name}: {boxes or 'nothing'}")
+    show(f"{options.out}: {len(names)} pictures with boxes, and {RECORD}")
+    return 0
+
+
+def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Iterator[Seen]:
+    """What every detector reports on a picture, or on a scene from every camera.
+
+    Args:
+        source: A picture, or a scene.
+        detectors: With different names.
+        view: Where a scene is looked at from.
+
+    Yields:
+        A value for each picture and detector.
+
+    Raises:
+        MiSplatError: The file cannot be read, or a camera is not there.
+    """
+    if source.suffix.lower() in SUFFIXES:
+        image, _ = read_picture(source, downscale=1, background=view.background or (0.0, 0.0, 0.0))
+        for detector in detectors:
+            with torch.no_grad():
+                (detections,) = detector.detect(image[None])
+            yield Seen(source=source, camera=None, detector=detector.name, image=image, detections=detections)
+        return
+    loaded = open_scene(source)
+    cameras = find_cameras(loaded, view)
+    render = Renderer(render_settings(loaded, view, cameras))
+    places = [describe(name, camera) for name, camera in cameras.items()]
+    for one in detect_views(loaded.scene, list(cameras.values()), detectors, render=render):
+        yield Seen(
+            source=source,
+            camera=places[one.view],
+            detector=one.detector,
+            image=one.image,
+            detections=one.detections,
+        )
+
+
+def _row(seen: Seen, min_confidence: float) -> dict[str, Any]:
+    """One picture and detector as JSON can hold it; boxes are x0, y0, x1, y1 in pixels."""
+    return {
+        "source": str(seen.source),
+        "camera": seen.camera,
+        "detector": seen.detector,
+        "size": [seen.image.shape[1], seen.image.shape[0]],
+        "detections": [item for item in listed(seen.detections) if item["score"] >= min_confidence],
+    }
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """The names, with a number behind those that were there before."""
+    found: list[str] = []
+    for name in names:
+        found.append(name if name not in found else f"{name}-{len(found)}")
+    return found

@@ -1,0 +1,139 @@
+"""`mi-splat evaluate`: a clean and an attacked splat from many cameras, and what detectors make of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+
+from attacks.cli.loading import load_detectors
+from attacks.cli.options import EvaluateOptions
+from attacks.evaluation.comparison import Comparison, changed_mask, compare, side_by_side
+from attacks.evaluation.views import CLEAN, evaluate
+from mi_splat.cameras import Camera
+from mi_splat.cli.camera_records import describe, recorded_cameras
+from mi_splat.cli.console import progress, show, show_json, show_table, warn
+from mi_splat.cli.selecting import choose, look_at_object
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.folders import RECORD as RESULT
+from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.scene_files import open_scene
+
+RECORD, ATTACKED = "evaluation.json", "attacked"
+FEW = 10
+"""Views from which on an interval says something."""
+WORDS = {
+    "found_clean": "found in the clean splat",
+    "found_attacked": "found in the attacked one",
+    "missed": "missed, of those found",
+    "target_clean": "taken for the target, clean",
+    "target_attacked": "taken for the target, attacked",
+}
+
+
+def run(options: EvaluateOptions) -> int:
+    """Evaluate, and write pictures and numbers."""
+    check_new_folder(options.out, force=options.force, record=RECORD)
+    with progress("loading") as advance:
+        loaded, attacked = open_scene(options.clean), open_scene(options.attacked)
+        if options.selection.is_empty:
+            chosen = look_at_object(loaded, changed_mask(loaded.scene, attacked.scene), options.view)
+        else:
+            chosen = choose(loaded, options.selection, options.view)
+        detectors = load_detectors(options.detectors, options.weights)
+        for name in (options.original, options.target):
+            _check_class(name, {detector.name: tuple(detector.classes) for detector in detectors})
+        advance(f"looking from {len(chosen.cameras)} cameras")
+        seen = evaluate(
+            {CLEAN: loaded.scene, ATTACKED: attacked.scene},
+            chosen.mask,
+            list(chosen.cameras.values()),
+            detectors,
+            render=chosen.render,
+        )
+        found = [
+            compare(
+                seen[CLEAN],
+                seen[ATTACKED],
+                detector=detector.name,
+                original=options.original,
+                target=options.target,
+                min_confidence=options.min_confidence,
+            )
+            for detector in detectors
+        ]
+        doubts = _doubts(found, chosen.cameras, options.attacked)
+        document = {
+            "clean": str(options.clean),
+            "attacked": str(options.attacked),
+            "selection": options.selection.as_dict() or "the Gaussians that differ",
+            "object_gaussians": int(chosen.mask.sum()),
+            "min_confidence": options.min_confidence,
+            "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
+            "detectors": {comparison.detector: comparison.as_dict() for comparison in found},
+            "warnings": doubts,
+            "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
+        }
+        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+            for detector in detectors if options.pictures else ():
+                drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=detector.name, most=options.pictures)
+                save_png(drawn, folder / f"{detector.name}.png")
+            save_json(document, folder / RECORD)
+    if options.json:
+        show_json({**document, "out": str(options.out)})
+    else:
+        _tell(found, doubts, options)
+    return 0
+
+
+def _check_class(name: str | None, classes: Mapping[str, tuple[str, ...]]) -> None:
+    """Raise if a detector does not know a class."""
+    for detector, known in classes.items():
+        if name is not None and name not in known:
+            do = "name a class that it knows"
+            raise InvalidValueError(message(f"class for {detector}", f"one of {', '.join(known)}", name, do))
+
+
+def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Path) -> list[str]:
+    """Reasons to look twice before the rates are believed."""
+    doubts = []
+    same = _attacked_cameras(attacked, cameras)
+    if same:
+        doubts.append(f"{same} of {len(cameras)} cameras are those that were attacked: pass others, with --cameras")
+    for one in found:
+        if one.views < FEW:
+            doubts.append(f"{one.detector}: the object shows in {one.views} of {len(cameras)} views, which says little")
+        if one.original is None:
+            doubts.append(f"{one.detector} finds nothing on the clean object, so that it is missed proves nothing")
+        elif one.found_clean.fraction < 0.5:
+            rate = one.found_clean
+            doubts.append(f"{one.detector} finds the clean object in {rate.successes} of {rate.total} views only")
+    return doubts
+
+
+def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
+    """How many cameras the record beside an attacked splat names as attacked; 0 without a record."""
+    poses = [camera.to_world for camera in (recorded_cameras(attacked.parent / RESULT) or {}).values()]
+    return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
+
+
+def _tell(found: list[Comparison], doubts: list[str], options: EvaluateOptions) -> None:
+    """A table for each detector, and where to look."""
+    for one in found:
+        of = "any object" if one.original is None else one.original
+        show(f"{one.detector}: {of}{'' if one.target is None else f', target {one.target}'}, {one.views} views")
+        rows = [
+            (f"  {WORDS[name]}", f"{rate.successes} of {rate.total} ({_percent(*rate.interval)})")
+            for name, rate in one.rates.items()
+        ]
+        change = "the same" if one.psnr is None else f"{one.psnr:.1f} dB"
+        show_table([*rows, ("  pictures, attacked against clean", change)])
+    for doubt in doubts:
+        warn(f"warning: {doubt}")
+    show(f"{options.out}: pictures side by side, and {RECORD}")
+
+
+def _percent(low: float, high: float) -> str:
+    return f"95 % interval {low:.0%} to {high:.0%}"

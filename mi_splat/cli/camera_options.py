@@ -1,0 +1,45 @@
+"""Where a scene is looked at from, as one value that all commands share; light, so that --help is fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import arg
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOptions:
+    """Where a scene is looked at from.
+
+    Without any of these flags it is the scene's own first camera, or an orbit camera that shows the object, or all if
+    no object is meant.
+    """
+
+    cameras: Annotated[tuple[str, ...], arg(aliases=("--camera", "--views"))] = ()
+    """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
+    cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
+    command (its cameras again); the folder of a set of pictures (COLMAP or transforms)."""
+    azimuth: float | None = None
+    """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an orbit is used without it."""
+    elevation: float | None = None
+    """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
+    distance: float | None = None
+    """World units from the centre; None is as near as shows the object or the scene whole."""
+    centre: tuple[float, float, float] | None = None
+    """Point that cameras of an orbit or a set look at; None is the middle of the object, or of all Gaussians."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction that is up in the scene, for orbits and sets; scenes from COLMAP often have 0 -1 0."""
+    fov: float = 45.0
+    """Field of view of orbits and sets in degrees, over the shorter side of the picture."""
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; None is the camera's own, 640 x 480 for orbits and sets."""
+    near: float | None = None
+    """Gaussians nearer than this to the camera are not drawn, world units; None is what suits scene and cameras."""
+    background: tuple[float, float, float] | None = None
+    """sRGB colour behind the Gaussians; None is the scene's own, black for a bare splat file."""
+
+    @property
+    def orbits(self) -> bool:
+        """Whether one camera on an orbit is asked for."""
+        return any(value is not None for value in (self.azimuth, self.elevation, self.distance, self.centre))

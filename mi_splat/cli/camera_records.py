@@ -1,0 +1,76 @@
+"""Cameras in the JSON files that the commands write, so that a later command can look from the same places."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+
+
+def describe(name: str, camera: Camera) -> dict[str, object]:
+    """A camera as JSON can hold it; the pose has x right, y down, z forward."""
+    return {
+        "name": name,
+        "to_world": camera.to_world.tolist(),
+        "focal": [camera.fx, camera.fy],
+        "principal": [camera.cx, camera.cy],
+        "size": [camera.width, camera.height],
+    }
+
+
+def recorded_cameras(path: Path) -> dict[str, Camera] | None:
+    """The cameras of a file that `mi-splat render`, `dagger` or `evaluate` has written, by name.
+
+    Args:
+        path: cameras.json, result.json or evaluation.json.
+
+    Returns:
+        None if it is no such file; it may be one of another program.
+
+    Raises:
+        InvalidValueError: It is such a file, but a camera in it is broken.
+    """
+    try:
+        document = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    entries = _entries(document)
+    if not entries:
+        return None
+    try:
+        return {str(entry.get("name", number)): _camera(entry) for number, entry in enumerate(entries)}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        do = "write it again"
+        raise InvalidValueError(message(str(path), "cameras as the commands write them", error, do)) from error
+
+
+def _entries(document: Any) -> list[Any]:
+    """What describes the cameras in a document; nothing in one of another program."""
+    if isinstance(document, list):
+        return document
+    if not isinstance(document, dict) or "frames" in document:
+        return []
+    if isinstance(document.get("views"), list):  # of an attack, whose cameras are called by names beside the views
+        names = document.get("cameras") or range(len(document["views"]))
+        pairs = zip(names, document["views"], strict=False)
+        return [{"name": name, **view["camera"]} for name, view in pairs if isinstance(view, dict) and "camera" in view]
+    found = document.get("cameras")
+    return found if isinstance(found, list) else []
+
+
+def _camera(entry: dict[str, Any]) -> Camera:
+    width, height = entry["size"]
+    fx, fy = entry["focal"]
+    cx, cy = entry["principal"]
+    return Camera(
+        to_world=torch.tensor(entry["to_world"], dtype=torch.float64),
+        focal=(fx, fy),
+        width=width,
+        height=height,
+        principal=(cx, cy),
+    )

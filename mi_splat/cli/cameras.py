@@ -1,0 +1,174 @@
+"""The cameras that a command's options describe, with a name for each, and how their pictures are made."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from mi_splat.bounds import bounds, near_plane
+from mi_splat.camera_sets import FORMS, camera_set, framing
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.camera_records import recorded_cameras
+from mi_splat.datasets import load_dataset
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.rendering import RenderSettings
+from mi_splat.rotation import is_rotation
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import SplatScene, resized
+
+ALL = "all"
+"""Names all cameras of a scene."""
+SIZE = (640, 480)
+AZIMUTH, ELEVATION = 30.0, 20.0
+_TRIED = ((30.0, 20.0), (120.0, 20.0), (210.0, 20.0), (300.0, 20.0), (30.0, 60.0), (30.0, -20.0))
+"""Azimuth and elevation of the cameras of which the first is taken that shows the object well."""
+_GOOD = 0.6
+"""Share of the best one's part of the picture from which on a camera shows the object well."""
+
+Shows = Callable[[Camera], float]
+"""How much of its picture an object makes up, seen from a camera."""
+
+
+def find_cameras(
+    loaded: SplatScene, options: CameraOptions, *, focus: GaussianScene | None = None, shows: Shows | None = None
+) -> dict[str, Camera]:
+    """The cameras by name, in the order in which they are asked for.
+
+    Args:
+        loaded: The scene.
+        options: Which cameras.
+        focus: What to look at; all of the scene if None.
+        shows: By it one of several orbit cameras is chosen where nothing says which is meant; the first if None.
+
+    Raises:
+        InvalidValueError: A camera is not there, or a number is out of range.
+        DatasetError: A file with cameras cannot be read.
+    """
+    target = loaded.scene if focus is None else focus
+    if options.cameras and options.azimuth is not None and options.elevation is not None:
+        got = f"both {' '.join(options.cameras)} and an orbit"
+        raise InvalidValueError(message("cameras", "--cameras, or --azimuth and --elevation", got, "leave one out"))
+    if options.cameras:
+        found: dict[str, Camera] = {}
+        for text in options.cameras:
+            for name, camera in _named(text, loaded, options, target).items():
+                found[name if name not in found else f"{name}-{len(found)}"] = camera
+        return found
+    if loaded.cameras and not options.orbits:
+        name, camera = next(iter(loaded.cameras.items()))
+        return {name: _sized(camera, options)}
+    if shows is not None and options.azimuth is None and options.elevation is None:
+        tried = [_orbit(target, options, azimuth, elevation) for azimuth, elevation in _TRIED]
+        shares = [shows(camera) for camera in tried]
+        good = (camera for camera, share in zip(tried, shares, strict=True) if share >= _GOOD * max(shares))
+        return {"orbit": next(good)}
+    azimuth = AZIMUTH if options.azimuth is None else options.azimuth
+    return {"orbit": _orbit(target, options, azimuth, ELEVATION if options.elevation is None else options.elevation)}
+
+
+def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> RenderSettings:
+    """How the pictures are made: the scene's settings, but for what the options say.
+
+    Args:
+        loaded: The scene.
+        options: Near plane and background, if they are given.
+        cameras: Where from. A bare splat says nothing of its near plane, so it is the one that suits them.
+    """
+    settings = loaded.settings
+    if options.near is not None:
+        settings = dataclasses.replace(settings, near=options.near)
+    elif not loaded.cameras:
+        settings = dataclasses.replace(settings, near=near_plane(loaded.scene, tuple(cameras.values())))
+    if options.background is not None:
+        settings = dataclasses.replace(settings, background=options.background)
+    return settings
+
+
+def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> dict[str, Camera]:
+    """The cameras that one text means."""
+    if text in loaded.cameras:
+        return {text: _sized(loaded.cameras[text], options)}
+    if text == ALL and loaded.cameras:
+        return {name: _sized(camera, options) for name, camera in loaded.cameras.items()}
+    path = Path(text)
+    recorded = recorded_cameras(path) if path.suffix.lower() == ".json" else None
+    if recorded is not None:
+        return {name: _sized(camera, options) for name, camera in recorded.items()}
+    if path.suffix.lower() == ".json":
+        read = camera_set(text, (0, 0, 0), distance=1, focal=1, size=options.size or SIZE)
+        return _numbered(path.stem, [_sized(camera, options) for camera in read])
+    if path.is_dir():
+        pictures = load_dataset(path, split=None)
+        return {
+            file.stem: _sized(camera, options) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)
+        }
+    if ":" not in text:
+        own = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
+        raise InvalidValueError(message("camera", f"{own}; or {FORMS}, or a folder", text, "name one that is there"))
+    centre, distance, focal = _placement(target, options)
+    cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
+    return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])
+
+
+def _numbered(kind: str, cameras: list[Camera]) -> dict[str, Camera]:
+    width = len(str(len(cameras) - 1))
+    return {f"{kind}-{number:0{width}}": camera for number, camera in enumerate(cameras)}
+
+
+def _sized(camera: Camera, options: CameraOptions) -> Camera:
+    return camera if options.size is None else resized(camera, options.size)
+
+
+def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[float, float, float], float, float]:
+    """Where cameras look, how far away they are, and their focal length."""
+    size = options.size or SIZE
+    if not 0 < options.fov < 180:
+        raise InvalidValueError(message("fov", "degrees between 0 and 180", options.fov, "45 is usual"))
+    if min(size) < 1:
+        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance 640 480"))
+    middle, radius = bounds(target)
+    distance, focal = framing(radius, fov=options.fov, size=size)
+    centre = middle if options.centre is None else options.centre
+    return centre, distance if options.distance is None else options.distance, focal
+
+
+def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> Camera:
+    """One camera that looks at the target."""
+    centre, distance, focal = _placement(target, options)
+    width, height = options.size or SIZE
+    pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance)
+    return _turned(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
+
+
+def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float, float, float]) -> Camera:
+    """A camera that was placed around a point with z up, turned with that point fixed so that `up` is up."""
+    turn = _from_z(torch.tensor(up, dtype=torch.float64))
+    if torch.equal(turn, torch.eye(3, dtype=torch.float64)):
+        return camera
+    middle = torch.tensor(centre, dtype=torch.float64)
+    pose = camera.to_world.clone()
+    pose[:3, :3] = turn @ pose[:3, :3]
+    pose[:3, 3] = turn @ (pose[:3, 3] - middle) + middle
+    return dataclasses.replace(camera, to_world=pose)
+
+
+def _from_z(up: Tensor) -> Tensor:
+    """(3, 3) the shortest rotation that takes z to a direction; about x where it is straight down (Rodrigues)."""
+    length = float(up.norm())
+    if not (math.isfinite(length) and length > 0):
+        raise InvalidValueError(message("up", "a direction", up.tolist(), "for instance 0 0 1"))
+    x, y, z = (up / length).tolist()
+    if z < -1 + 1e-12:
+        return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+    k = 1 / (1 + z)
+    turn = torch.tensor(
+        [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]], dtype=torch.float64
+    )
+    assert is_rotation(turn)
+    return turn

@@ -1,0 +1,106 @@
+"""`mi-splat select`: one object of a splat, tinted in a picture, as a mask, or as a splat of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cli.console import progress, show, show_json, warn
+from mi_splat.cli.options import SelectOptions
+from mi_splat.cli.selecting import choose
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import save_splat
+from mi_splat.io.images import to_bytes
+from mi_splat.io.pictures import is_picture, save_picture
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import open_scene
+from mi_splat.selection.masks import save_mask
+from mi_splat.selection.select import SEEN, doubts
+
+TINT = (1.0, 0.0, 0.8)
+"""sRGB colour of the object in the picture, mixed half and half with its own."""
+
+
+def run(options: SelectOptions) -> int:
+    """Select, save, and say what was selected."""
+    for path in options.out:
+        if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
+            expected = "names that end in .png, .jpg, .npy or .ply"
+            raise InvalidValueError(message("--out", expected, path, "change the ending"))
+    with progress("selecting"):
+        loaded = open_scene(options.scene)
+        chosen = choose(loaded, options.selection, options.view)
+        scene, mask, weights = loaded.scene, chosen.mask, chosen.weights(loaded)
+        first = next(iter(chosen.cameras.values()))
+        for path in options.out:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _save(path, scene, mask, weights[0], first, chosen.render)
+    found = _facts(scene, mask, dict(zip(chosen.cameras, weights, strict=True)))
+    for doubt in doubts(mask, weights):
+        warn(f"warning: {doubt}")
+    if options.json:
+        files = [str(path) for path in options.out]
+        show_json({**found, "selection": options.selection.as_dict(), "doubts": doubts(mask, weights), "files": files})
+        return 0
+    low, high = (" ".join(f"{value:.4g}" for value in corner) for corner in found["box"])
+    show(f"{found['gaussians']:,} of {len(scene):,} Gaussians, in the box {low} {high}")
+    for view in found["views"]:
+        show(f"{'seen' if view['seen'] else 'not seen'} by {view['camera']}: {view['share']:.1%} of the pixels")
+    for path in options.out:
+        show(str(path))
+    return 0
+
+
+def _facts(scene: GaussianScene, mask: Tensor, weights: dict[str, Tensor]) -> dict[str, Any]:
+    """What was selected, in numbers."""
+    means = scene.means[mask]
+    return {
+        "gaussians": int(mask.sum()),
+        "of": len(mask),
+        "box": [means.amin(0).tolist(), means.amax(0).tolist()],
+        "views": [
+            {
+                "camera": name,
+                "seen": bool((weight >= SEEN).any()),
+                "share": float((weight >= SEEN).double().mean()),
+                "highest": float(weight.max()),
+            }
+            for name, weight in weights.items()
+        ],
+    }
+
+
+def _save(path: Path, scene: GaussianScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
+    """Write one of the files, of the kind that its name says."""
+    if path.suffix.lower() == ".npy":
+        save_mask(mask, path)
+    elif path.suffix.lower() == ".ply":
+        save_splat(scene.select(mask), path)
+    else:
+        save_picture(tinted(scene, weight, camera, render), path)
+
+
+def tinted(scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderFn) -> NDArray[np.uint8]:
+    """The picture of a scene in which an object has another colour, and all else is paler.
+
+    Args:
+        scene: The scene.
+        weight: (H, W) share of each pixel that the object makes up.
+        camera: Where from.
+        render: The renderer.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    with torch.no_grad():
+        picture = render(scene, camera)[..., :3].clamp(0, 1)
+    share = weight[..., None].to(picture)
+    tint = 0.5 * picture + 0.5 * torch.tensor(TINT).to(picture)
+    pixels: NDArray[np.uint8] = to_bytes(share * tint + (1 - share) * (0.35 + 0.65 * picture.mean(-1, keepdim=True)))
+    return pixels

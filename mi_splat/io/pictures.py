@@ -1,0 +1,118 @@
+"""Pictures and animations in the format that their names end in; they appear whole or not at all."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.atomic import atomic_write, write_all
+
+PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
+"""Format of a picture by the ending of its name."""
+ANIMATIONS = (".gif", ".mp4")
+_JPEG_QUALITY = 95
+
+
+class VideoError(MiSplatError):
+    """What writes videos is not installed."""
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a name ends as that of a picture that can be written."""
+    return path.suffix.lower() in PICTURES
+
+
+def is_animation(path: Path) -> bool:
+    """Whether a name ends as that of an animation that can be written."""
+    return path.suffix.lower() in ANIMATIONS
+
+
+def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
+    """Write (H, W, 3) pixels as PNG or JPEG, as the name says.
+
+    Raises:
+        InvalidValueError: The name ends in something else.
+        SplatFileError: The file cannot be written.
+    """
+    if not is_picture(path):
+        do = "end it in .png or .jpg"
+        raise InvalidValueError(message(str(path), "the name of a picture", path.suffix or "no ending", do))
+    buffer, kind = io.BytesIO(), PICTURES[path.suffix.lower()]
+    options = {"quality": _JPEG_QUALITY, "subsampling": 0} if kind == "JPEG" else {}
+    Image.fromarray(pixels).save(buffer, format=kind, **options)
+    with atomic_write(path) as file:
+        write_all(file, memoryview(buffer.getvalue()))
+
+
+def check_animation(path: Path) -> None:
+    """Raise, before any work is done, if an animation of that name cannot be written here.
+
+    Raises:
+        VideoError: The package that a video needs is not installed.
+    """
+    if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        do = "pip install 'mi-splat[video]', or end the name in .gif"
+        raise VideoError(message(str(path), "imageio-ffmpeg, which writes videos", "no such package", do))
+
+
+def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
+    """Write (H, W, 3) pictures one after the other, as GIF (in a loop) or as MP4 (H.264), as the name says.
+
+    Args:
+        frames: Pictures of one size.
+        path: The file.
+        fps: Pictures a second.
+
+    Raises:
+        InvalidValueError: There are none, their sizes differ, the rate is not positive, or the name ends in something
+            else.
+        VideoError: The package that a video needs is not installed.
+        SplatFileError: The file cannot be written.
+    """
+    sizes = {frame.shape for frame in frames}
+    if len(sizes) != 1:
+        got = f"{len(sizes)} sizes" if sizes else "none"
+        raise InvalidValueError(message("animation", "pictures of one size", got, "pass --size"))
+    if not 0 < fps <= 1000:
+        raise InvalidValueError(message("fps", "pictures a second, up to 1000", fps, "24 is usual"))
+    if not is_animation(path):
+        do = "end it in .gif or .mp4"
+        raise InvalidValueError(message(str(path), "the name of an animation", path.suffix or "no ending", do))
+    data = _gif(frames, fps) if path.suffix.lower() == ".gif" else _mp4(frames, path, fps)
+    with atomic_write(path) as file:
+        write_all(file, memoryview(data))
+
+
+def _gif(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:
+    """The file; GIF counts in hundredths of a second, and has 256 colours a picture."""
+    first, *rest = (Image.fromarray(frame).quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames)
+    buffer = io.BytesIO()
+    first.save(buffer, format="GIF", save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+    return buffer.getvalue()
+
+
+def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+    """The file; H.264 wants even sizes, so the last row and column are written twice where they are not."""
+    check_animation(path)
+    import imageio_ffmpeg
+
+    height, width = frames[0].shape[:2]
+    padding = ((0, height % 2), (0, width % 2), (0, 0))
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "video.mp4"
+        writer = imageio_ffmpeg.write_frames(
+            str(target), (width + width % 2, height + height % 2), fps=fps, macro_block_size=2, ffmpeg_log_level="error"
+        )
+        writer.send(None)  # the writer waits for its first picture
+        for frame in frames:
+            writer.send(np.ascontiguousarray(np.pad(frame, padding, mode="edge")))
+        writer.close()
+        return target.read_bytes()

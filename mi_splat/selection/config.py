@@ -1,0 +1,95 @@
+"""Which Gaussians are meant, as one value: the API and the flags of the command line. Light, so that --help is fast."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mi_splat.errors import InvalidValueError, message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """One object of a splat. Of several selectors together, what all of them select.
+
+    Attributes:
+        object: Part of a scene XML, by its id.
+        box: Gaussians whose means lie in this box: x0 y0 z0 x1 y1 z1, world units.
+        box_rotation: Yaw, pitch and roll in degrees by which the box is turned about its own middle: by the roll about
+            world x first, then by the pitch about y, then by the yaw about z.
+        mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY with the positions of some.
+        click: Pixels x,y of the first camera's picture; the object in front there, with all that is connected to it.
+        cluster: Connected component by its size; 1 is the largest.
+        link_distance: Two Gaussians are connected if each is within this multiple of the distance to the eighth
+            neighbour of the other (click, cluster).
+        link_colour: Largest difference in a channel of sRGB of connected Gaussians, in [0, 1]; None if colour does not
+            count (click, cluster). Set it where two objects touch.
+        planes: Objects stand on a floor, a desk or a street, which would connect them: so many of the largest planes
+            are components of their own (click, cluster).
+
+    Raises:
+        InvalidValueError: A value is out of its range.
+    """
+
+    object: str | None = None
+    box: tuple[float, float, float, float, float, float] | None = None
+    box_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mask: Path | None = None
+    click: tuple[str, ...] = ()
+    cluster: int | None = None
+    link_distance: float = 1.5
+    link_colour: float | None = None
+    planes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.box is not None:
+            low, high = self.box[:3], self.box[3:]
+            if not all(a <= b for a, b in zip(low, high, strict=True)):  # not of nan either
+                do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
+                raise InvalidValueError(message("box", "no first number above its second", self.box, do))
+        if not all(math.isfinite(angle) for angle in self.box_rotation):
+            raise InvalidValueError(message("box rotation", "three angles in degrees", self.box_rotation, "change it"))
+        if self.cluster is not None and self.cluster < 1:
+            raise InvalidValueError(message("cluster", "1 or more", self.cluster, "1 is the largest"))
+        if not 0 < self.link_distance < math.inf:
+            raise InvalidValueError(message("link distance", "a positive number", self.link_distance, "1.5 is usual"))
+        if self.link_colour is not None and not 0 <= self.link_colour <= 1:
+            raise InvalidValueError(message("link colour", "a number in [0, 1]", self.link_colour, "0.1 is strict"))
+        if not 0 <= self.planes <= 20:
+            raise InvalidValueError(message("planes", "0 to 20", self.planes, "1 is usual"))
+        _ = self.pixels
+
+    @property
+    def pixels(self) -> tuple[tuple[int, int], ...]:
+        """The clicks as (x, y) in pixels, from the upper left."""
+        found = []
+        for text in self.click:
+            x, _, y = text.partition(",")
+            if not (x.strip().isdecimal() and y.strip().isdecimal()):
+                raise InvalidValueError(message("click", "a pixel x,y", repr(text), "for instance --click 120,80"))
+            found.append((int(x), int(y)))
+        return tuple(found)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is selected."""
+        return not any(
+            (self.object is not None, self.box is not None, self.mask is not None, self.click, self.cluster is not None)
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was selected by, as JSON can hold it; selectors that were not used are left out."""
+        found: dict[str, Any] = {}
+        if self.object is not None:
+            found["object"] = self.object
+        if self.box is not None:
+            found |= {"box": list(self.box), "box_rotation": list(self.box_rotation)}
+        if self.mask is not None:
+            found["mask"] = str(self.mask)
+        if self.click or self.cluster is not None:
+            found |= {"click": list(self.click)} if self.click else {}
+            found |= {"cluster": self.cluster} if self.cluster is not None else {}
+            found |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
+        return found

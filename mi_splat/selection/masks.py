@@ -1,0 +1,128 @@
+"""Masks of Gaussians: of a box, and in files."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.errors import SplatFileError, from_os_error
+from mi_splat.io.points import load_points
+from mi_splat.rotation import multiply, to_matrix
+from mi_splat.scene import GaussianScene
+
+
+def box_mask(
+    scene: GaussianScene,
+    box: tuple[float, float, float, float, float, float],
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Tensor:
+    """(N,) bool, which Gaussians have their means in a box; those on its faces count.
+
+    Args:
+        scene: The scene.
+        box: x0, y0, z0, x1, y1, z1 before the box is turned, world units.
+        rotation: Yaw, pitch and roll in degrees, as in `Selection.box_rotation`.
+    """
+    low, high = torch.tensor([box[:3], box[3:]], dtype=torch.float64)
+    yaw, pitch, roll = rotation
+    turn = to_matrix(multiply(_about(2, yaw), multiply(_about(1, pitch), _about(0, roll))))
+    local = (scene.means.detach().cpu().double() - (low + high) / 2) @ turn  # by the inverse, as rows
+    inside: Tensor = (local.abs() <= (high - low) / 2).all(1)
+    return inside
+
+
+def _about(axis: int, degrees: float) -> Tensor:
+    """(4,) float64 quaternion (w, x, y, z) of a turn about a world axis."""
+    half = math.radians(degrees) / 2
+    turn = torch.zeros(4, dtype=torch.float64)
+    turn[0], turn[1 + axis] = math.cos(half), math.sin(half)
+    return turn
+
+
+def load_mask(path: Path, scene: GaussianScene) -> Tensor:
+    """(N,) bool, which Gaussians of a scene a file names.
+
+    Args:
+        path: .npy with one bool (or 0 and 1) a Gaussian or with row numbers; or a PLY, splat or points, with the
+            positions of some of them, equal to the bit.
+        scene: The scene.
+
+    Raises:
+        InvalidValueError: The file does not fit the scene, or is of another kind.
+        SplatFileError: The file cannot be read.
+    """
+    if path.suffix.lower() == ".npy":
+        return _from_array(_load_array(path), len(scene), path)
+    if path.suffix.lower() == ".ply":
+        return _at_positions(load_points(path).points, scene, path)
+    do = "save a mask with numpy.save, or a part of the splat as PLY"
+    raise InvalidValueError(message(str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do))
+
+
+def save_mask(mask: Tensor, path: Path) -> None:
+    """Save a (N,) bool mask as .npy; the file appears whole or not at all.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    buffer = io.BytesIO()
+    np.save(buffer, mask.detach().cpu().numpy().astype(bool))
+    with atomic_write(path) as file:
+        write_all(file, memoryview(buffer.getvalue()))
+
+
+def _load_array(path: Path) -> NDArray[np.generic]:
+    """The array in a file."""
+    try:
+        found: NDArray[np.generic] = np.load(path, allow_pickle=False)
+        return found
+    except OSError as error:
+        raise from_os_error(str(path), "a .npy file that can be read", error) from error
+    except (ValueError, EOFError) as error:
+        raise SplatFileError(message(str(path), "an array of NumPy", str(error), "save it with numpy.save")) from error
+
+
+def _from_array(values: NDArray[np.generic], count: int, path: Path) -> Tensor:
+    """A mask from bools, from zeros and ones, or from row numbers."""
+    if values.ndim != 1 or values.dtype.kind not in "biu":
+        got, do = f"{values.dtype} of shape {values.shape}", "save a one-dimensional array"
+        raise InvalidValueError(message(str(path), f"({count},) bools, or row numbers", got, do))
+    binary = values.dtype.kind == "b" or (len(values) == count and bool(((values == 0) | (values == 1)).all()))
+    if binary:
+        if len(values) != count:
+            do = "make it from this scene"
+            raise InvalidValueError(message(str(path), f"{count} bools, one a Gaussian", len(values), do))
+        return torch.from_numpy(values.astype(bool))
+    rows = torch.from_numpy(values.astype(np.int64))
+    if len(rows) and not bool(((rows >= 0) & (rows < count)).all()):
+        got = f"{int(rows.min())} to {int(rows.max())}"
+        raise InvalidValueError(message(str(path), f"row numbers in 0..{count - 1}", got, "make them from this scene"))
+    mask = torch.zeros(count, dtype=torch.bool)
+    mask[rows] = True
+    return mask
+
+
+def _at_positions(points: Tensor, scene: GaussianScene, path: Path) -> Tensor:
+    """Which Gaussians lie exactly at one of the points."""
+    wanted, ours = (_keys(values) for values in (points, scene.means.detach().cpu()))
+    strange = int((~np.isin(wanted, ours)).sum())
+    if strange:
+        got = f"{strange:,} of {len(wanted):,} that are not"
+        do = "pass a part of this very splat, not one that was moved, resized or trained on"
+        raise InvalidValueError(message(str(path), "positions that are those of Gaussians of the scene", got, do))
+    return torch.from_numpy(np.isin(ours, wanted))
+
+
+def _keys(points: Tensor) -> NDArray[np.void]:
+    """Each (N, 3) position as one value that is equal where all three numbers are."""
+    values = np.ascontiguousarray(points.numpy().astype(np.float32) + np.float32(0))  # of -0 and 0, 0
+    keys: NDArray[np.void] = values.view(np.dtype((np.void, 12)))[:, 0]
+    return keys

@@ -1,0 +1,133 @@
+"""From a `Selection` to the mask of its Gaussians, and what is doubtful about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+from mi_splat.selection.clusters import clusters
+from mi_splat.selection.config import Selection
+from mi_splat.selection.masks import box_mask, load_mask
+from mi_splat.selection.visibility import pixel_weights
+
+FEWEST = 10
+"""A selection of fewer Gaussians is doubted."""
+MOST = 0.95
+"""A selection of a larger share of the scene is doubted."""
+SEEN = 0.5
+"""A pixel shows the object where this share of it is the object's."""
+
+
+def select(
+    scene: GaussianScene,
+    selection: Selection,
+    *,
+    objects: Mapping[str, slice] | None = None,
+    camera: Camera | None = None,
+    render: RenderFn | None = None,
+) -> Tensor:
+    """The Gaussians of one object.
+
+    Args:
+        scene: The scene.
+        selection: Which; of several selectors together, what all of them select.
+        objects: Rows of the parts of a scene file, for `Selection.object`.
+        camera: Whose picture is clicked on, for `Selection.click`.
+        render: Makes that picture, for `Selection.click`.
+
+    Returns:
+        (N,) bool, at least one of them true.
+
+    Raises:
+        InvalidValueError: Nothing is selected, the selection does not fit the scene, or something that it needs is not
+            given.
+        SplatFileError: A mask file cannot be read.
+    """
+    if selection.is_empty:
+        do = _HOW + (f"; parts: {', '.join(objects)}" if objects else "")
+        raise InvalidValueError(message("selection", "which Gaussians are meant", "nothing", do))
+    mask = torch.ones(len(scene), dtype=torch.bool)
+    if selection.object is not None:
+        mask &= _part(selection.object, objects or {}, len(scene))
+    if selection.box is not None:
+        mask &= box_mask(scene, selection.box, selection.box_rotation)
+    if selection.mask is not None:
+        mask &= load_mask(selection.mask, scene)
+    if selection.click or selection.cluster is not None:
+        labels = clusters(
+            scene,
+            link_distance=selection.link_distance,
+            link_colour=selection.link_colour,
+            planes=selection.planes,
+        )
+        if selection.cluster is not None:
+            mask &= _component(labels, selection.cluster)
+        if selection.click:
+            mask &= _clicked(scene, labels, selection, camera, render)
+    if not bool(mask.any()):
+        do = f"look at the scene with `mi-splat info` and `mi-splat render`; {_HOW}"
+        raise InvalidValueError(message("selection", "at least one Gaussian", f"none of {len(scene):,}", do))
+    return mask
+
+
+_HOW = "name a part with --object, or use --box, --click, --cluster or --mask"
+
+
+def doubts(mask: Tensor, weights: list[Tensor]) -> list[str]:
+    """Reasons to look twice at a selection, in words.
+
+    Args:
+        mask: (N,) bool, the selection.
+        weights: (H, W) share of the pixels that it makes up, for each camera.
+    """
+    count, total = int(mask.sum()), len(mask)
+    found = []
+    if count < FEWEST:
+        found.append(f"the selection has {count} of {total:,} Gaussians, which is hardly an object")
+    if count > MOST * total:
+        found.append(f"the selection has {count:,} of {total:,} Gaussians: nearly the whole scene, surroundings, too")
+    hidden = sum(not bool((weight >= SEEN).any()) for weight in weights)
+    if weights and hidden:
+        of = "the picture" if len(weights) == 1 else f"{hidden} of {len(weights)} pictures"
+        strongest = max(float(weight.max()) for weight in weights)
+        found.append(
+            f"the selection is not seen in {of}: it makes up at most {strongest:.0%} of any pixel; something hides it, "
+            "or it is outside: choose another camera"
+        )
+    return found
+
+
+def _part(name: str, objects: Mapping[str, slice], count: int) -> Tensor:
+    """The Gaussians of a part of the scene file."""
+    if name not in objects:
+        expected = f"one of {', '.join(objects)}" if objects else "no name, since the scene has no parts"
+        raise InvalidValueError(message("object", expected, name, _HOW))
+    mask = torch.zeros(count, dtype=torch.bool)
+    mask[objects[name]] = True
+    return mask
+
+
+def _component(labels: Tensor, number: int) -> Tensor:
+    """The Gaussians of the component of that size."""
+    sizes = labels.bincount()
+    if number > len(sizes):
+        raise InvalidValueError(message("cluster", f"1 to {len(sizes):,}", number, "1 is the largest"))
+    return labels == number - 1
+
+
+def _clicked(
+    scene: GaussianScene, labels: Tensor, selection: Selection, camera: Camera | None, render: RenderFn | None
+) -> Tensor:
+    """The components that make up most of the pixels that were clicked on."""
+    if camera is None or render is None:
+        raise InvalidValueError(message("click", "a camera and a renderer", "none", "say in whose picture"))
+    mask = torch.zeros(len(scene), dtype=torch.bool)
+    for pixel in selection.pixels:
+        weights = pixel_weights(scene, camera, pixel, render).cpu()
+        mask |= labels == int(torch.bincount(labels, weights.double()).argmax())
+    return mask
