@@ -123,7 +123,7 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="other files"):
         check(SMALL, [], tmp_path, tmp_path / "stages")
     (tmp_path / "study.json").write_text("{}")
-    with pytest.raises(InvalidValueError, match="those of another"):
+    with pytest.raises(InvalidValueError, match="results of a study with name None and not"):
         check(SMALL, [], tmp_path, tmp_path / "stages")
 
 

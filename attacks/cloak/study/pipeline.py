@@ -143,7 +143,8 @@ class StudyPipeline:
 
     def renderer(self, *, screen_gradients: bool = False) -> Renderer:
         """The renderer of trainings and of all pictures of splats."""
-        settings = RenderSettings(background=self.study.scene.background)
+        near = setup.near_of(self.study, self.mesh_scene.target)
+        settings = RenderSettings(background=self.study.scene.background, near=near)
         return Renderer(settings, screen_gradients=ScreenGradients() if screen_gradients else None)
 
     def views(self, pictures: PictureSet) -> Dataset:

@@ -20,6 +20,7 @@ from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import sheet
 from mi_splat.assets.textures import grass, road
+from mi_splat.bounds import near_plane_of
 from mi_splat.camera_sets import HELD_OUT_START, framing, hemisphere, orbit
 from mi_splat.cameras import Camera, project_box
 from mi_splat.capture.mesh_files import load_mesh
@@ -86,6 +87,13 @@ def lens_of(study: StudyConfig, target: Asset) -> dict[str, object]:
     size = (cameras.size, cameras.size)
     distance, focal = framing(float(np.linalg.norm(high - low)) / 2, fov=cameras.fov, size=size)
     return {"distance": distance if cameras.distance is None else cameras.distance, "focal": focal, "size": size}
+
+
+def near_of(study: StudyConfig, target: Asset) -> float:
+    """Near plane of every renderer of a study, world units."""
+    low, high = target.bounds.astype(np.float64)
+    radius = float(np.linalg.norm(high - low)) / 2
+    return near_plane_of(centre_of(study), radius, training_cameras(study, target))
 
 
 def training_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
