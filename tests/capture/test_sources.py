@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from mi_splat.capture.settings import MeshSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import InvalidValueError, MiSplatError
 
@@ -33,12 +34,12 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
     pytest.importorskip("trimesh")
     (tmp_path / "mesh.obj").write_text(OBJ)
-    mesh = open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z")
+    mesh = open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0, up="z"))
     assert mesh.assets[0].bounds.tolist() == [[0, 0, 0], [2, 2, 2]]
-    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z").digest
-    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), scale=2.0).digest
+    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0, up="z")).digest
+    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0)).digest
     with pytest.raises(InvalidValueError, match="radius"):
-        open_source(str(tmp_path / "mesh.obj"), scale=1e4)
+        open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=1e9))
 
 
 def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
