@@ -60,19 +60,17 @@ def coloured(
     faces = np.asarray(piece.faces, np.int64)
     if np.linalg.det(placed[:3, :3]) < 0:  # a mirror turns every face around
         faces = faces[:, ::-1]
-    material = piece.visual.material if piece.visual.kind == "texture" else None
+    material = _material(piece)
     name = str(getattr(material, "name", "") or "")
     said = notes.materials.get(name) or notes.materials.get("") or MaterialNotes()
     linear = path.suffix.lower() in (".glb", ".gltf")  # as that format lays down
-    picture = None if material is None else _picture(material, said, path, fault)
+    picture = _picture(material, said, path, fault)
     colours = _corner_colours(piece, faces)
     if picture is not None:
         if colours is not None:
             left_out = f"{said.picture or 'a texture'}: colours of vertices beside it, which are not multiplied with it"
             (fault if linear else remark)(left_out)
         return _textured(piece, vertices, faces, _times(picture, said), said, fault)
-    if material is None and said.picture is not None:
-        fault(f"{said.picture} (texture): no texture coordinates")
     if colours is not None:
         factor = said.factor if said.factor is not None else 1.0
         return _baked(vertices, faces, to_srgb(colours * np.float32(factor)) if linear else colours)
@@ -100,13 +98,21 @@ def _textured(
     return Surface(vertices=vertices, faces=faces, uvs=uvs, texture=texture)
 
 
-def _picture(material: Any, said: MaterialNotes, path: Path, fault: Report) -> Floats | None:
+def _material(piece: Any) -> Any | None:
+    """A mesh's material; None if it has none, or the one that trimesh puts in its place."""
+    material = piece.visual.material if piece.visual.kind == "texture" else None
+    made_up = getattr(material, "image", None)
+    return None if made_up is not None and made_up.format is None else material  # read from no file
+
+
+def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Report) -> Floats | None:
     """(h, w, 3) sRGB picture of a material; None if it has none, or none that can be read."""
     picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if picture is None:
         if said.picture is not None:
             there = said.picture.startswith("picture ") or beside(path, said.picture)
-            fault(f"{said.picture} (texture): {'cannot be read as a picture' if there else 'no such file'}")
+            found = "cannot be read as a picture, or has no coordinates" if there else "no such file"
+            fault(f"{said.picture} (texture): {found}")
         return None
     try:
         if picture.mode.startswith("I"):  # 16 bits, which Pillow would clip to 8

@@ -28,8 +28,9 @@ SMALLEST, LARGEST = 1e-4, 1e6
 """Radii in metres of a mesh."""
 SMALLEST_XML, LARGEST_XML = 0.02, 400.0
 """Radii in world units of a Mitsuba scene, which is photographed as it is, so that its camera sees everything."""
-FAR_XML, FARTHEST_XML = 10.0, 300.0
-"""Largest coordinate of a Mitsuba scene's middle, in radii, from which it is warned of and from which it is refused."""
+FAR_XML, FARTHEST_XML = 100.0, 1000.0
+"""Largest coordinate of a Mitsuba scene's middle, in radii, from which it is warned of and from which it is refused:
+its pictures are then about 60 and 50 dB from those at the origin."""
 GROUND_SIDE, GROUND_TILE = 6.5, 1.65
 """Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a car, as in the studies of CLOAK."""
 
@@ -221,7 +222,7 @@ def _far_away(path: Path, centre: tuple[float, float, float], radius: float) -> 
     text = message(str(path), expected, f"{away:.0f}", "subtract the middle from the transforms of its shapes")
     if away > FARTHEST_XML:
         raise MiSplatError(text)
-    return (f"{text}; shadows near surfaces are lost until then",)
+    return (f"{text}; until then, light and shadows near surfaces are coarse",)
 
 
 def _digest_of(assets: Iterable[Asset], light: Light, beside: Iterable[bytes] = ()) -> str:

@@ -132,7 +132,11 @@ def write_glb(
     """
     made = made.placed(y_up=True)
     down = (made.uvs * (1, -1) + (0, 1)).astype("<f4")
-    arrays: dict[str, NDArray[Any]] = {"POSITION": made.vertices.astype("<f4"), "TEXCOORD_0": down, **(attributes or {})}
+    arrays: dict[str, NDArray[Any]] = {
+        "POSITION": made.vertices.astype("<f4"),
+        "TEXCOORD_0": down,
+        **(attributes or {}),
+    }
     accessors, views, data = [], [], b""
     for name, array in arrays.items():
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
