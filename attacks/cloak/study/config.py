@@ -168,8 +168,9 @@ class AttackConfig:
 
     @property
     def is_sided(self) -> bool:
-        """Whether it matters which way the object faces: its cameras or its painting lie to one side."""
-        return self.azimuth is not None or (self.appearance == "paint" and self.paint_direction[1] < 90)
+        """Whether it matters which way the object faces: cameras, painting or what is mounted lie to one side."""
+        painted = self.appearance == "paint" and self.paint_direction[1] < 90
+        return self.azimuth is not None or self.appearance == "mount" or painted
 
     @property
     def cone(self) -> Trigger:

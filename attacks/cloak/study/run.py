@@ -18,8 +18,8 @@ from attacks.cloak.study.observations import observe, overhead
 from attacks.cloak.study.pipeline import OnStep, StudyPipeline
 from attacks.cloak.study.plots import need_matplotlib
 from attacks.cloak.study.report import STUDY, begin_report, snapshot, write_report
-from attacks.detectors.base import Detector
 from attacks.cloak.study.value_checks import one_of
+from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 
 # Measured on two cores with little else to do; only for the forecast.
