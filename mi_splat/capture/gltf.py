@@ -17,7 +17,7 @@ from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes
 from mi_splat.errors import MiSplatError, message
 
 _READ = {"EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform", "KHR_lights_punctual"}
-_FLOAT = 5126
+_FLOAT, _FAN = 5126, 6
 
 
 class GltfError(MiSplatError):
@@ -30,7 +30,7 @@ def gltf_notes(path: Path) -> MeshFileNotes:
     There, names of materials are their indices, and the texture coordinates of a base colour are always the first.
 
     Raises:
-        GltfError: It is no glTF 2.0, or needs an extension that is not read.
+        GltfError: It is no glTF 2.0, needs an extension that is not read, or has fans, which trimesh leaves out.
     """
     document, rest = _read(path)
     _check_extensions(document, path)
@@ -45,6 +45,8 @@ def gltf_notes(path: Path) -> MeshFileNotes:
     bare = len(materials)  # of primitives without a material
     for mesh in document.get("meshes", []):
         for primitive in mesh["primitives"]:
+            if primitive.get("mode") == _FAN:
+                raise GltfError(message(str(path), "triangles, or strips of them", "a fan", "export triangles"))
             faults += _prepare(document, primitive, bare)
     materials.append({"name": str(bare)})
     unread = ", ".join(dict.fromkeys(faults))

@@ -111,8 +111,11 @@ def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Repor
     if picture is None:
         if said.picture is not None:
             there = said.picture.startswith("picture ") or beside(path, said.picture)
-            found = "cannot be read as a picture, or has no coordinates" if there else "no such file"
-            fault(f"{said.picture} (texture): {found}")
+            outside = "lies outside of the mesh's folder, where it is not read"
+            lost = outside if (path.parent / said.picture).is_file() else "no such file"
+            fault(
+                f"{said.picture} (texture): {'cannot be read as a picture, or has no coordinates' if there else lost}"
+            )
         return None
     try:
         if picture.mode.startswith("I"):  # 16 bits, which Pillow would clip to 8

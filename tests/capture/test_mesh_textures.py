@@ -21,6 +21,7 @@ from tests.capture.trucks import COLOURS, TEXTURE, save_texture, truck, write_gl
 pytest.importorskip("trimesh")
 
 WARN = MeshSettings(missing_textures="warn")
+COUNT = len(truck().vertices)
 BASE = {"baseColorTexture": {"index": 0}}
 
 
@@ -67,6 +68,13 @@ def half_a_picture(path: Path) -> None:
     texture.write_bytes(texture.read_bytes()[:4000])
 
 
+def texture_elsewhere(path: Path) -> None:
+    folder = path.parent.with_name(path.parent.name + "_textures")
+    folder.mkdir()
+    path.with_name(TEXTURE).rename(folder / "other.png")
+    path.with_name("truck.mtl").write_text(f"newmtl paint\nmap_Kd ../{folder.name}/other.png\n")
+
+
 def no_material_file(path: Path) -> None:
     path.with_name("truck.mtl").unlink()
 
@@ -88,6 +96,7 @@ def map_with_options(path: Path) -> None:
         (write_obj, no_texture, f"{TEXTURE}.*no such file"),
         (write_obj, no_picture, f"{TEXTURE}.*cannot be read as a picture"),
         (write_obj, half_a_picture, TEXTURE),
+        (write_obj, texture_elsewhere, r"other\.png.*outside of the mesh's folder"),
         (write_obj, no_material_file, r"truck\.mtl.*no such file"),
         (write_obj, another_material, r"material paint: not in truck\.mtl"),
         (write_obj, map_with_options, "-s 2 2 2"),
@@ -113,8 +122,8 @@ def test_a_texture_that_cannot_be_shown_is_named(
         ({"image": {"uri": TEXTURE, "mimeType": "image/ktx2"}}, TEXTURE),
         ({"texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}}, TEXTURE),
         ({"material": {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 3}}}}, "TEXCOORD_3"),
-        ({"attributes": {"TEXCOORD_0": np.zeros((252, 2), "u2")}}, "integers"),
-        ({"attributes": {"COLOR_0": np.full((252, 3), 0.5, "<f4")}}, "colours of vertices"),
+        ({"attributes": {"TEXCOORD_0": np.zeros((COUNT, 2), "u2")}}, "integers"),
+        ({"attributes": {"COLOR_0": np.full((COUNT, 3), 0.5, "<f4")}}, "colours of vertices"),
     ],
     ids=["ktx2", "basisu", "no such coordinates", "integers", "colours over a texture"],
 )
@@ -132,6 +141,11 @@ def test_an_extension_that_changes_the_mesh_is_named(
     monkeypatch.setattr("mi_splat.capture.gltf.find_spec", lambda package: None)  # as if DracoPy were not there
     with pytest.raises(MiSplatError, match=name):
         load_mesh(write_glb(tmp_path, truck(), required=(name,)))
+
+
+def test_fans_which_trimesh_leaves_out_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MiSplatError, match="fan"):
+        load_mesh(write_glb(tmp_path, truck(), mode=6))
 
 
 def test_second_texture_coordinates_are_used(tmp_path: Path) -> None:
@@ -157,7 +171,7 @@ def test_texture_transforms_are_used(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["<f4", "u1", "u2"])
 def test_colours_of_vertices_are_those_of_the_surface(kind: str, tmp_path: Path) -> None:
-    linear = np.random.default_rng(1).random((252, 4))
+    linear = np.random.default_rng(1).random((COUNT, 4))
     top = 1.0 if kind == "<f4" else float(np.iinfo(kind).max)
     attributes = {"COLOR_0": (linear * top).astype(kind)}
     for factor in (None, [0.5, 1.0, 0.25, 1.0]):
@@ -171,7 +185,7 @@ def test_colours_of_vertices_are_those_of_the_surface(kind: str, tmp_path: Path)
 
 
 def test_white_colours_of_vertices_change_nothing(tmp_path: Path) -> None:
-    attributes = {"COLOR_0": np.ones((252, 4), "<f4")}
+    attributes = {"COLOR_0": np.ones((COUNT, 4), "<f4")}
     loaded = load_mesh(write_glb(tmp_path, truck(), attributes=attributes))
     assert loaded.warnings == ()
     assert np.abs(corner_colours(loaded) - expected()).max() < 3

@@ -37,8 +37,9 @@ class Truck:
     @property
     def colours(self) -> NDArray[np.uint8]:
         """(V, 3) the texture's colours as colours of vertices."""
-        stripes = np.array(list(COLOURS.values()), np.uint8)
-        return stripes[(self.uvs[:, 0] * len(stripes)).astype(int)]
+        stripes: NDArray[np.uint8] = np.array(list(COLOURS.values()), np.uint8)
+        found: NDArray[np.uint8] = stripes[(self.uvs[:, 0] * len(stripes)).astype(int)]
+        return found
 
     def placed(self, *, scale: float = 1.0, move: ArrayLike = (0, 0, 0), y_up: bool = False) -> Truck:
         points = self.vertices * scale + np.asarray(move, np.float64)
@@ -48,22 +49,49 @@ class Truck:
 
 
 def truck() -> Truck:
-    """A cab with a windscreen, a bed, four wheels; 5 m long."""
-    parts = [
-        ((1.5, 0, 1.3), (1.6, 1.9, 1.9), "cab"),
-        ((2.31, 0, 1.8), (0.04, 1.6, 0.7), "glass"),
-        ((-0.9, 0, 1.0), (3.2, 2.0, 0.9), "bed"),
-        *(((x, y, 0.4), (0.9, 0.3, 0.8), "tyre") for x in (1.5, -1.5) for y in (-0.9, 0.9)),
+    """A pickup with bonnet, cabin, windows, bed, lamps and four round wheels; 5 m long, 276 triangles."""
+    boxes = [
+        ((1.75, 0, 0.8), (1.5, 1.8, 0.6), "cab"),  # bonnet
+        ((0.2, 0, 0.8), (1.6, 1.8, 0.6), "cab"),
+        ((-1.55, 0, 0.85), (1.9, 1.84, 0.7), "bed"),
+        ((2.51, 0, 0.85), (0.04, 1.5, 0.2), "glass"),  # lamps
     ]
-    vertices, uvs = [], []
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    for middle, size, colour in parts:
-        stripe = (list(COLOURS).index(colour) + 0.5) / len(COLOURS)
-        for a, b, c, d in quads:
-            vertices.append(corners[[a, b, c, a, c, d]] * size + middle)
-            uvs.append(np.full((6, 2), (stripe, 0.5)))
-    return Truck(np.concatenate(vertices), np.concatenate(uvs))
+    solids = [(np.array(middle) + 0.5 * np.array(size) * _CORNERS, colour) for middle, size, colour in boxes]
+    solids.append((_cabin(1.0), "cab"))
+    solids += [
+        (_cabin(0.75) * (1, 1.18, 1) + (0, 0, 0.04), "glass"),
+        (_cabin(0.8) * (1.12, 0.8, 1) - (0.03, 0, 0), "glass"),
+    ]
+    triangles = [(points[[a, b, c, a, c, d]], colour) for points, colour in solids for a, b, c, d in _QUADS]
+    triangles += [(part, "tyre") for x in (1.65, -1.6) for y in (-0.83, 0.83) for part in _wheel(x, y)]
+    stripes = [(list(COLOURS).index(colour) + 0.5) / len(COLOURS) for _, colour in triangles]
+    uvs = [np.full((len(part), 2), (u, 0.5)) for u, (part, _) in zip(stripes, triangles, strict=True)]
+    return Truck(np.concatenate([part for part, _ in triangles]), np.concatenate(uvs))
+
+
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+_QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def _cabin(size: float) -> NDArray[np.float64]:
+    """(8, 3) corners of a cabin that is narrower above."""
+    points = np.array([0.2, 0, 1.4]) + _CORNERS * (0.8, 0.85, 0.3 * size)
+    points[_CORNERS[:, 2] > 0] -= _CORNERS[_CORNERS[:, 2] > 0] * (0.35 * size, 0.12 * size, 0)
+    return points
+
+
+def _wheel(x: float, y: float, *, sides: int = 12) -> list[NDArray[np.float64]]:
+    """Triangles of a wheel about an axis along y."""
+    angles = np.linspace(0, -2 * np.pi, sides + 1)
+    rim = np.column_stack([x + 0.38 * np.cos(angles), np.zeros(sides + 1), 0.38 + 0.38 * np.sin(angles)])
+    inner, outer = (rim + np.array([0, side, 0]) for side in (y - 0.12, y + 0.12))
+    middles = [np.array([x, y + side, 0.38]) for side in (-0.12, 0.12)]
+    found = []
+    for i in range(sides):
+        found.append(np.stack([inner[i], inner[i + 1], outer[i + 1], inner[i], outer[i + 1], outer[i]])[::-1])
+        found.append(np.stack([middles[0], inner[i + 1], inner[i]])[::-1])
+        found.append(np.stack([middles[1], outer[i], outer[i + 1]])[::-1])
+    return found
 
 
 def save_texture(folder: Path, name: str = TEXTURE) -> None:
@@ -117,6 +145,7 @@ def write_glb(
     attributes: Mapping[str, NDArray[Any]] | None = None,
     node: Mapping[str, Any] | None = None,
     required: tuple[str, ...] = (),
+    mode: int = 4,
 ) -> Path:
     """y up, with its texture in a file of its own unless told otherwise.
 
@@ -129,6 +158,7 @@ def write_glb(
         attributes: More of the vertices, by name, or others in the place of the usual TEXCOORD_0.
         node: More keys of the only node.
         required: Extensions that a reader has to know.
+        mode: Of the primitive; 4 is triangles.
     """
     made = made.placed(y_up=True)
     down = (made.uvs * (1, -1) + (0, 1)).astype("<f4")
@@ -148,9 +178,10 @@ def write_glb(
              "type": f"VEC{array.shape[1]}", **({"normalized": True} if kind != 5126 else {}), **ends}
         )  # fmt: skip
     usual = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    primitive = {"attributes": {name: i for i, name in enumerate(arrays)}}
     document = {
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, **(node or {})}],
-        "meshes": [{"primitives": [{"attributes": {name: i for i, name in enumerate(arrays)}, "material": 0}]}],
+        "meshes": [{"primitives": [{**primitive, "material": 0, "mode": mode}]}],
         "materials": [dict(usual if material is None else material)],
         "textures": [dict({"source": 0} if texture is None else texture)],
         "images": [dict({"uri": TEXTURE} if image is None else image)],
