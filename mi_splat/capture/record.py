@@ -137,7 +137,8 @@ def _unknown(key: str, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> s
     """The words for a difference in content alone."""
     what = {"scene": "another scene", "cameras": "other cameras"}[key]
     if there.get("format", 1) < FORMAT:
-        return f"{what} (the record was written by an older version, which cannot say what differs)"
+        why = "the record was written by an older version: it cannot say what differs"
+        return f"{what} ({why}; that version may also have read the same scene otherwise)"
     where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
     versions = there.get("version"), wanted["version"]
     upgrade = f", or how version {versions[1]} reads them, where {versions[0]} began" if len(set(versions)) > 1 else ""

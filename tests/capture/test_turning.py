@@ -181,7 +181,7 @@ def test_captures_of_other_versions(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert json.loads(file.read_text()) == older(record)
     for words, says in ((["--scale", "2"], "another scene"), (["--distance", "9"], "other cameras")):
         assert cli.main(command(tmp_path, path, *words)) == 1
-        assert f"{says} (the record was written by an older version, which cannot say" in capsys.readouterr().err
+        assert f"{says} (the record was written by an older version: it cannot say" in capsys.readouterr().err
     assert cli.main(command(tmp_path, path, "--seed", "1")) == 1
     assert "got seed 0, now 1;" in capsys.readouterr().err
     file.write_text(json.dumps({**record, "version": "0.0.1"}))
