@@ -46,6 +46,7 @@ COMMANDS = {
     ),
     "render": Command("mi_splat.cli", "RenderOptions", "render", "render a scene XML or a splat file to a PNG"),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
+    "convert": Command("mi_splat.cli", "ConvertOptions", "convert", "convert a splat file to another format"),
     "example-scenes": Command(
         "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
     ),
