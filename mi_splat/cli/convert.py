@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 
@@ -29,22 +30,28 @@ def run(options: ConvertOptions) -> int:
         encoded = write_splat_file(kept, options.out, spz_version=options.spz_version)
         again = load_splat(options.out)
     changes = differences(_as_written(scene, encoded), again)
-    cut = dropped_bands(Values.of(scene), kept.degree)
-    lost = [str(loss) for loss in (*cut, *encoded.losses)]
+    losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
     if options.json:
-        sizes = {"bytes_before": options.source.stat().st_size, "bytes_after": options.out.stat().st_size}
-        document = {"source": str(options.source), "out": str(options.out), "gaussians": len(again), **sizes}
-        degrees = {"sh_degree_before": scene.degree, "sh_degree_after": again.degree}
-        show_json(
-            {**document, **degrees, "lost": losses, "largest_changes": changes, "reordered": encoded.order is not None}
-        )
+        document = {
+            "source": str(options.source),
+            "out": str(options.out),
+            "gaussians": len(again),
+            "bytes_before": options.source.stat().st_size,
+            "bytes_after": options.out.stat().st_size,
+            "sh_degree_before": scene.degree,
+            "sh_degree_after": again.degree,
+            "reordered": encoded.order is not None,
+            "largest_changes": changes,
+            "lost": [dataclasses.asdict(loss) for loss in losses],
+        }
+        show_json(document)
         return 0
     rows = [("file", f"{options.out}, {options.out.stat().st_size:,} bytes"), ("gaussians", f"{len(again):,}")]
     rows += [("sh degree", f"{scene.degree} before, {again.degree} after")]
     rows += [("order", "changed" if encoded.order is not None else "kept")]
     show_table([*rows, *(("largest change", f"{name}: {value:.3g}") for name, value in changes.items())])
-    for text in lost:
-        show(f"lost: {text}")
+    for loss in losses:
+        show(f"lost: {loss}")
     return 0
 
 

@@ -26,7 +26,14 @@ class Fields:
     where: str
 
     def bad(self, name: str, expected: str, found: object, do: str = _AGAIN) -> SplatFileError:
-        """The error for a field."""
+        """The error for a field.
+
+        Args:
+            name: Name of the field.
+            expected: What would have been right.
+            found: What is there.
+            do: What to do about it.
+        """
         shown = repr(found)
         shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
         return SplatFileError(message(f"{self.where}: {name}", expected, shown, do))
