@@ -82,7 +82,7 @@ def judged(
         sh: (N, K, 3).
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        arrays = [np.ascontiguousarray(value, np.float32) for value in (means, scales, rotations, opacities, sh)]
+        arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
         arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
         good = [
             np.isfinite(arrays[0]),

@@ -81,7 +81,7 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     sh[:, 0] = dc_of(shown)
     if rest is not None:
         table = _columns(file, header, rest, rest_names(len(names)), np.uint8, path)
-        sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, -1).transpose(0, 2, 1)
+        sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, len(names) // 3).transpose(0, 2, 1)
     return judged(means, scales, _unpack_rotations(packed[:, 1]), colours[:, 3], sh)
 
 
@@ -105,7 +105,8 @@ def write_compressed_ply(scene: GaussianScene) -> Encoded:
         ],
         axis=1,
     ).astype("<u4")
-    rest = values.sh[:, 1:].transpose(0, 2, 1).reshape(len(order), -1)
+    rest = values.sh[:, 1:].transpose(0, 2, 1)
+    rest = rest.reshape(len(order), 3 * rest.shape[2])
     shape = [
         ("chunk", len(ranges[0]), "float", [*_RANGES, *_SCALES, *_COLOURS]),
         ("vertex", len(order), "uint", _PACKED),

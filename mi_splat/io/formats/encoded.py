@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,7 +108,7 @@ def outside(what: str, values: Array, low: ArrayLike, high: ArrayLike, unit: str
         high: Largest one.
         unit: Unit of the values.
     """
-    rows = values.reshape(len(values), -1)
+    rows = values.reshape(len(values), math.prod(values.shape[1:]))
     excess = np.maximum(np.asarray(low) - rows, rows - np.asarray(high)).max(axis=1, initial=0.0)
     count = int((excess > 0).sum())
     return [Loss(what, count, float(excess.max()), unit)] if count else []
@@ -133,5 +134,5 @@ def dc_of(colours: Array) -> Array:
 
 def dropped_bands(values: Values, degree: int) -> list[Loss]:
     """The loss of the SH coefficients above a degree, as a list of one or none."""
-    rest = values.sh[:, (degree + 1) ** 2 :].reshape(len(values.sh), -1)
+    rest = values.sh[:, (degree + 1) ** 2 :]
     return outside(f"SH above degree {degree} dropped", rest, 0, 0, "of a coefficient")

@@ -26,6 +26,10 @@ from mi_splat.scene import GaussianScene, Similarity, merge
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
+_MOST_PARTS = 1000
+_LEAST_BYTES = 4
+"""Bytes that a Gaussian takes at the least, however often nodes place the same mesh."""
+
 _KNOWN = (EXTENSION, "KHR_mesh_quantization")
 _KINDS = {
     "POSITION": ("f4", "i1", "u1", "i2", "u2"),
@@ -57,8 +61,10 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             if EXTENSION not in extensions.values:
                 others += 1
                 continue
-            total += _count(document, primitive)
-            check_count(total, len(data), path)
+            total += document.count(primitive.object("attributes"), "POSITION")
+            check_count(total, len(data) // _LEAST_BYTES, path)
+            if len(parts) == _MOST_PARTS:
+                raise SplatFileError(message(path, f"at most {_MOST_PARTS} splats", "more", "merge them"))
             parts.append(_placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
     if not parts:
         found = f"none, but {others} other primitives" if others else "none"
@@ -67,11 +73,6 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
         text = message(path, "splats only", f"{others} other primitives", "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=3)
     return _together(parts)
-
-
-def _count(document: Glb, primitive: Fields) -> int:
-    """Number of Gaussians of a primitive."""
-    return document.count(primitive.object("attributes"), "POSITION")
 
 
 def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:

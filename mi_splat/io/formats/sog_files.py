@@ -44,7 +44,7 @@ def archive_files(data: bytes, path: str) -> Files:
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
     except _ZIP_ERRORS as error:
-        raise SplatFileError(message(path, "a zip archive", error, _AGAIN)) from None
+        raise SplatFileError(message(path, "a zip archive", str(error)[:100], _AGAIN)) from None
 
     def read(name: str, most: int) -> bytes:
         try:
@@ -60,7 +60,7 @@ def archive_files(data: bytes, path: str) -> Files:
             found = ", ".join(archive.namelist())[:100] or "an empty archive"
             raise SplatFileError(message(path, f"a member {name}", found, _AGAIN)) from None
         except _ZIP_ERRORS as error:
-            raise SplatFileError(message(f"{path}: {name}", "an intact member", error, _AGAIN)) from None
+            raise SplatFileError(message(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN)) from None
         if len(plain) > most:
             raise SplatFileError(message(f"{path}: {name}", f"at most {most} bytes", "more", _AGAIN))
         return plain

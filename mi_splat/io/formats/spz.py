@@ -62,7 +62,7 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
     loaded = judged(
         _unpack_means(parts["means"], count) / 2.0**head.bits,
         np.exp(parts["scales"].reshape(count, 3) / 16.0 - 10),
-        unpack(parts["rotations"].reshape(count, -1)),
+        unpack(parts["rotations"].reshape(count, 3 if head.version < 3 else 4)),
         parts["opacities"] / 255.0,
         sh,
     )
