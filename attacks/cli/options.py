@@ -59,8 +59,8 @@ class DetectOptions:
     Writes a picture with boxes for each picture and detector, and detections.json, into --out.
     """
 
-    inputs: Positional[tuple[Path, ...]]
-    """Pictures, splat files and scene XMLs."""
+    inputs: Positional[tuple[Path, ...]] = ()
+    """Pictures, splat files and scene XMLs; at least one."""
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
