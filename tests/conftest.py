@@ -8,6 +8,8 @@ import hypothesis
 import pytest
 import torch
 
+from mi_splat.cli import console
+
 # Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
 torch.set_num_threads(1)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that tests start
@@ -35,3 +37,9 @@ def variant() -> str:
 def _seeded() -> None:
     """A test that forgets to seed torch is reproducible nevertheless."""
     torch.manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
+def _no_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine any command may take so long that it says how far it is; tests look at what else it says."""
+    monkeypatch.setattr(console, "LINE_SECONDS", float("inf"))

@@ -1,4 +1,4 @@
-"""Examples of every command and the commands that go with it, for `--help`; the tests parse every example."""
+"""Examples of every command, the commands that go with it, and other names of options; the tests parse them all."""
 
 from __future__ import annotations
 
@@ -65,3 +65,20 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "doctor": ("detectors",),
 }
 """Name of a command to others that a user of it looks for."""
+
+ALIASES: dict[str, dict[str, str]] = {
+    "train": {
+        "position_lr_init": "lr-means",
+        "position_lr_final": "lr-means-final",
+        "feature_lr": "lr-sh",
+        "opacity_lr": "lr-opacities",
+        "scaling_lr": "lr-scales",
+        "rotation_lr": "lr-rotations",
+        "densify_from_iter": "densify-from",
+        "densify_until_iter": "densify-until",
+        "densification_interval": "densify-interval",
+        "cap_max": "max-gaussians",
+        "noise_lr": "noise-lr",
+    },
+}
+"""Name of a command to names that options have in the published code of 3DGS and of its MCMC variant."""

@@ -6,14 +6,14 @@ import dataclasses
 import importlib
 import inspect
 import types
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
 import tyro
 from tyro.conf import FlagCreatePairsOff
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from attacks.cli.examples import EXAMPLES, SEE_ALSO
+from attacks.cli.examples import ALIASES, EXAMPLES, SEE_ALSO
 from attacks.cli.ranges import ALL_RANGES
 from mi_splat.cli.console import PROGRAM
 from mi_splat.cli.ranges import check_ranges
@@ -41,7 +41,7 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
     default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
     options = tyro.cli(
         kind,
-        args=words,
+        args=[_canonical(word, ALIASES.get(name, {})) for word in words],
         prog=program,
         description=description(name, kind),
         config=(FlagCreatePairsOff,),
@@ -65,6 +65,13 @@ def description(name: str, kind: type) -> str:
     if SEE_ALSO.get(name):
         parts.append("See also: " + ", ".join(f"{PROGRAM} {other}" for other in SEE_ALSO[name]))
     return "\n\n".join(parts)
+
+
+def _canonical(word: str, aliases: Mapping[str, str]) -> str:
+    """A word with the name of an option in the place of another name for it; --a-b and --a_b are the same."""
+    flag, equals, value = word.partition("=")
+    name = flag.removeprefix("--").replace("-", "_")
+    return f"--{aliases[name]}{equals}{value}" if flag.startswith("--") and name in aliases else word
 
 
 @_REGISTRY.primitive_rule

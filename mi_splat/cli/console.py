@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
 
 PROGRAM = "mi-splat"
+LINE_SECONDS = 10.0
+"""Time between two lines of progress where there is no terminal."""
 
 
 class Advance(Protocol):
@@ -56,7 +59,7 @@ def show_table(rows: Iterable[tuple[str, str]]) -> None:
 
 @contextmanager
 def progress(text: str, total: int | None = None) -> Iterator[Advance]:
-    """A progress bar on stderr while the block runs; nothing at all where stderr is no terminal.
+    """A progress bar on stderr while the block runs; where stderr is no terminal, a line every ten seconds.
 
     Args:
         text: What is going on.
@@ -66,7 +69,7 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
         A function to call after each unit of work.
     """
     if not sys.stderr.isatty():
-        yield lambda text=None, units=1: None
+        yield _Lines(text, total)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -76,3 +79,19 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=total)
         yield lambda text=None, units=1: bar.update(task, advance=units, description=text)
+
+
+class _Lines:
+    """Progress as plain lines on stderr, for logs: at most one every `LINE_SECONDS`, so none of what is quick."""
+
+    def __init__(self, text: str, total: int | None) -> None:
+        self._text, self._total, self._done = text, total, 0
+        self._last = time.monotonic()
+
+    def __call__(self, text: str | None = None, units: int = 1) -> None:
+        self._text = self._text if text is None else text
+        self._done += units
+        now = time.monotonic()
+        if now - self._last >= LINE_SECONDS:
+            self._last = now
+            warn(f"{self._done} of {self._total}: {self._text}" if self._total else self._text)

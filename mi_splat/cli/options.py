@@ -114,7 +114,11 @@ class TrainOptions:
     """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
 
     Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
-    when the same command is given again, and makes the bits that it would have made.
+    when the same command is given again, and makes the bits that it would have made. A run also goes on with more
+    --iterations than it had.
+
+    Options of 3DGS are taken under its names, too: --position_lr_init, --feature_lr, --opacity_lr, --scaling_lr,
+    --rotation_lr, --densify_from_iter, --densification_interval, ...
     """
 
     dataset: Positional[Path]
@@ -135,7 +139,10 @@ class TrainOptions:
     downscale: int = 1
     """Integer factor by which the pictures shrink."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """sRGB colour behind the splat, and behind transparent pixels."""
+    """sRGB colour behind the splat, and behind transparent pixels; white is 1 1 1. See also --random-background."""
+    near: float | None = None
+    """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
+    scene or the distance of its cameras is small."""
     lpips: bool = False
     """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
     checkpoint_every: int = 1000

@@ -6,8 +6,9 @@ import json
 import time
 from collections.abc import Sequence
 
+from mi_splat.bounds import culled_in_view, near_plane
 from mi_splat.cameras import View
-from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.cli.options import TrainOptions
 from mi_splat.datasets import Dataset, has_tests, load_dataset
 from mi_splat.errors import InvalidValueError, message
@@ -15,9 +16,12 @@ from mi_splat.io import load_splat
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
-from mi_splat.training.initialization import from_points, random_points, with_outliers
-from mi_splat.training.loop import Progress
+from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
+from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.resume import METRICS, SPLAT, train
+
+_WORTH_A_WORD = 0.001
+"""Share of the Gaussians from which it is said that the near plane hides them."""
 
 
 def run(options: TrainOptions) -> int:
@@ -28,12 +32,18 @@ def run(options: TrainOptions) -> int:
         views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
         held_out = _held_out(options)
         start = _start(views, options)
-        screen_gradients = ScreenGradients() if config.strategy.needs_screen_gradients else None
-        render = Renderer(RenderSettings(background=options.background), screen_gradients=screen_gradients)
+        near = near_plane(start, views.cameras) if options.near is None else options.near
+        render = _renderer(options, near)
+    _warn_of_culled(start, views, near)
     begun = time.monotonic()
     lpips = load_lpips() if options.lpips else None
     words = _Words()
     with progress("training", total=config.iterations) as advance:
+
+        def resumed(state: TrainState) -> None:
+            warn(_resumed(state, config.iterations))
+            advance("training", state.iteration)
+
         found = train(
             views,
             start,
@@ -44,6 +54,8 @@ def run(options: TrainOptions) -> int:
             held_out=held_out,
             every=options.checkpoint_every,
             lpips=lpips,
+            settings={"near": near, "background": list(options.background)},
+            on_resume=resumed,
             on_step=lambda line: advance(words(line)),
         )
     figures = json.loads((options.out / METRICS).read_text())
@@ -65,11 +77,37 @@ def _held_out(options: TrainOptions) -> Sequence[View]:
     return load_dataset(options.dataset, split="test", downscale=options.downscale, background=options.background)
 
 
+def _renderer(options: TrainOptions, near: float) -> Renderer:
+    """The renderer that the training needs."""
+    config = options.fit
+    if config.random_background and any(options.background):
+        do = "leave out --background or --random-background"
+        raise InvalidValueError(message("--background", "black beside --random-background", options.background, do))
+    settings = RenderSettings(background=options.background, near=near, alpha=config.random_background)
+    return Renderer(settings, screen_gradients=ScreenGradients() if config.strategy.needs_screen_gradients else None)
+
+
+def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
+    """Say how much of the start no picture will show, if it is worth a word."""
+    culled = [culled_in_view(start, camera, near) for camera in views.cameras]
+    if max(culled) > _WORTH_A_WORD * len(start):
+        most = f"{max(culled):,} of {len(start):,} Gaussians"
+        warn(f"in {sum(map(bool, culled))} of {len(culled)} pictures, up to {most} are nearer than near = {near:g}")
+
+
+def _resumed(state: TrainState, iterations: int) -> str:
+    """What is said of a run that goes on."""
+    if state.iteration >= iterations:
+        return f"the run has all its {iterations:,} steps; only its results are written again"
+    return f"going on from step {state.iteration:,} of {iterations:,}"
+
+
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     """The Gaussians to begin with."""
     if options.outliers and not (options.start is None and options.random is None):
         do = "leave out --start and --random"
         raise InvalidValueError(message("--outliers", "a start on the points of the set", "another", do))
+    limit = options.fit.strategy.max_gaussians if options.fit.strategy.adds_gaussians else None
     if options.start is not None:
         return load_splat(options.start)
     if options.random is not None:
@@ -79,6 +117,9 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
             message(str(options.dataset), "a point cloud", "none", "pass --random 10000, or a splat with --start")
         )
     cloud = with_outliers(views.points, views, options.outliers, seed=options.seed)
+    if limit is not None and len(cloud.points) > limit:
+        warn(f"starting on {limit:,} of {len(cloud.points):,} points, evenly at random: no more are allowed")
+        cloud = thinned(cloud, limit, seed=options.seed)
     return from_points(cloud.points, cloud.colours)
 
 

@@ -9,7 +9,7 @@ import os
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import overload
+from typing import NamedTuple, overload
 
 from torch import Tensor
 
@@ -24,6 +24,20 @@ from mi_splat.io.points import PointCloud, load_points
 
 CACHE_BYTES = 256 << 20
 """How much of a set a `Dataset` keeps in memory unless told otherwise."""
+
+
+class _Entry(NamedTuple):
+    """One picture in memory: the view, (H, W) alpha and (H, W) mask, if it has them."""
+
+    view: View
+    alpha: Tensor | None
+    mask: Tensor | None
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it takes."""
+        planes = [plane for plane in (self.alpha, self.mask) if plane is not None]
+        return 4 * (math.prod(self.view.image.shape) + sum(plane.numel() for plane in planes))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,7 +59,7 @@ class Dataset(ViewSet):
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     cache_bytes: int = CACHE_BYTES
     cameras: tuple[Camera, ...] = field(init=False)
-    _cache: OrderedDict[int, tuple[View, Tensor | None]] = field(init=False, repr=False, default_factory=OrderedDict)
+    _cache: OrderedDict[int, _Entry] = field(init=False, repr=False, default_factory=OrderedDict)
 
     def __post_init__(self) -> None:
         if not (isinstance(self.downscale, int) and self.downscale >= 1):
@@ -85,7 +99,25 @@ class Dataset(ViewSet):
         """
         if isinstance(index, slice):
             return dataclasses.replace(self, frames=self.frames[index])
-        return self._read(index)[0]
+        return self._read(index).view
+
+    def alpha(self, index: int) -> Tensor | None:
+        """(H, W) float32 in [0, 1], opacity of the picture; None if it has none.
+
+        Raises:
+            DatasetError: The picture or its mask cannot be read.
+            IndexError: There is no such view.
+        """
+        return self._read(index).alpha
+
+    def loss_mask(self, index: int) -> Tensor | None:
+        """(H, W) float32 in [0, 1], 1 where the picture's mask lets it count; None if it has no mask.
+
+        Raises:
+            DatasetError: The picture or its mask cannot be read.
+            IndexError: There is no such view.
+        """
+        return self._read(index).mask
 
     def mask(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], 1 where the picture counts: its alpha times its mask; None if it has neither.
@@ -94,20 +126,23 @@ class Dataset(ViewSet):
             DatasetError: The picture or its mask cannot be read.
             IndexError: There is no such view.
         """
-        return self._read(index)[1]
+        entry = self._read(index)
+        if entry.mask is None or entry.alpha is None:
+            return entry.alpha if entry.mask is None else entry.mask
+        return entry.mask * entry.alpha
 
-    def _read(self, index: int) -> tuple[View, Tensor | None]:
-        """A view and its mask, from memory or from the disk."""
+    def _read(self, index: int) -> _Entry:
+        """A view with its alpha and its mask, from memory or from the disk."""
         index = range(len(self.frames))[operator.index(index)]
         entry = self._cache.pop(index, None) or self._load(index)
         self._cache[index] = entry  # as the last one
-        kept = self.cache_bytes // max(_bytes(entry), 1)
+        kept = self.cache_bytes // max(entry.bytes, 1)
         while len(self._cache) > max(kept, 1):
             self._cache.popitem(last=False)
         return entry
 
-    def _load(self, index: int) -> tuple[View, Tensor | None]:
-        """A view and its mask from the disk."""
+    def _load(self, index: int) -> _Entry:
+        """A view with its alpha and its mask from the disk."""
         frame = self.frames[index]
         image, alpha = read_picture(frame.path, downscale=self.downscale, background=self.background)
         mask = None if frame.mask is None else read_mask(frame.mask, downscale=self.downscale)
@@ -116,9 +151,7 @@ class Dataset(ViewSet):
             if values is not None and tuple(values.shape[:2]) != wanted:
                 got, do = tuple(values.shape[:2]), "it has changed: load the set again"
                 raise DatasetError(message(str(name), f"{wanted} rows and columns", got, do))
-        if mask is not None and alpha is not None:
-            mask = mask * alpha
-        return View(self.cameras[index], image), alpha if mask is None else mask
+        return _Entry(View(self.cameras[index], image), alpha, mask)
 
 
 def load_dataset(
@@ -178,9 +211,3 @@ def has_tests(path: str | os.PathLike[str]) -> bool:
     """Whether `load_dataset` has pictures for tests in a folder; a transforms_train.json alone has none."""
     transforms = find_transforms(Path(path))
     return transforms is None or transforms.name not in PARTS.values() or transforms.with_name(PARTS["test"]).is_file()
-
-
-def _bytes(entry: tuple[View, Tensor | None]) -> int:
-    """Memory that a view and its mask take."""
-    view, mask = entry
-    return 4 * (math.prod(view.image.shape) + (0 if mask is None else mask.numel()))

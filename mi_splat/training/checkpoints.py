@@ -6,7 +6,7 @@ A run that is taken up again makes the bits that it would have made without the 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from mi_splat.errors import MiSplatError, message
+from mi_splat import provenance
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
@@ -45,7 +46,16 @@ def to_json(config: FitConfig) -> dict[str, Any]:
 
 
 def from_json(plain: dict[str, Any]) -> FitConfig:
-    """The inverse of `to_json`."""
+    """The inverse of `to_json`; settings that are not there have their defaults, as in a file of an older version.
+
+    Raises:
+        InvalidValueError: It holds settings that this version does not know.
+    """
+    unknown = plain.keys() - {field.name for field in fields(FitConfig)}
+    if unknown:
+        do = "end the run with the version that began it, or train anew in another folder"
+        known = "settings that this version knows"
+        raise InvalidValueError(message("settings", known, ", ".join(sorted(unknown)), do))
     options = dict(plain["strategy"])
     strategy = strategy_config(options.pop("kind"), **options)
     return FitConfig(**{**plain, "strategy": strategy, "trainable": tuple(plain["trainable"])})
@@ -71,6 +81,8 @@ def save_state(state: TrainState, path: Path) -> None:
         "data_digest": state.data_digest,
         "iteration": state.iteration,
         "view_queue": state.view_queue,
+        "settings": state.settings,
+        "version": provenance.versions().get("mi-splat"),
         "threads": torch.get_num_threads(),
         "history": [asdict(line) for line in state.history],
     }
@@ -99,6 +111,9 @@ def load_state(path: Path) -> tuple[TrainState, int]:
                 raise CheckpointError(message(f"checkpoint {path}", expected, f"format {notes.get('format', 1)}", do))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         return _assemble(notes, tensors), notes["threads"]
+    except InvalidValueError as error:
+        written = notes.get("version") or "an older version"
+        raise CheckpointError(f"checkpoint {path}, written by mi-splat {written}: {error}") from error
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise CheckpointError(
@@ -129,6 +144,7 @@ def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> TrainState:
     state.strategy_state = {
         name.removeprefix(_STRATEGY): value for name, value in tensors.items() if name.startswith(_STRATEGY)
     }
+    state.settings = dict(notes.get("settings", {}))
     state.generator.set_state(tensors["generator"])
     state.history = [_line(line) for line in notes["history"]]
     state.data_digest = notes["data_digest"]

@@ -27,6 +27,9 @@ class FitConfig:
         lr_rotations: Learning rate of the quaternions.
         lr_opacities: Learning rate of the logit opacities.
         lr_sh: Learning rate of the first SH coefficient; the others have a twentieth of it.
+        masks: Leave out of the loss what is black in the masks of the set, people who walk by for instance.
+        random_background: Put another colour behind splat and pictures in every step, so that what is transparent in
+            the pictures stays so; the renderer has to give alpha, and pictures without alpha count as opaque.
         eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
     """
 
@@ -42,6 +45,8 @@ class FitConfig:
     lr_rotations: float = 1e-3
     lr_opacities: float = 5e-2
     lr_sh: float = 2.5e-3
+    masks: bool = False
+    random_background: bool = False
     eval_interval: int = 1000
 
     def __post_init__(self) -> None:

@@ -41,7 +41,7 @@ def score(
     rows = []
     with torch.no_grad():
         for view in views:
-            image = render(scene, view.camera).clamp(0, 1)
+            image = render(scene, view.camera)[..., :3].clamp(0, 1)  # a fourth channel is alpha
             row = [psnr(image, view.image), ssim(image, view.image)]
             rows.append([float(value) for value in (*row, *([lpips(image, view.image)] if lpips else []))])
     if not rows:

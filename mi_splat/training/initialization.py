@@ -94,6 +94,14 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
     return PointCloud(points, torch.cat([cloud.colours, cloud.colours[owners]]))
 
 
+def thinned(cloud: PointCloud, count: int, *, seed: int = 0) -> PointCloud:
+    """So many points of a cloud, each as likely as any other, in the order of the cloud; all if it has no more."""
+    if len(cloud.points) <= count:
+        return cloud
+    kept = torch.randperm(len(cloud.points), generator=Generator().manual_seed(seed))[:count].sort().values
+    return PointCloud(cloud.points[kept], cloud.colours[kept])
+
+
 def _in_picture(points: Tensor, camera: Camera) -> Tensor:
     """(N,) bool, which of (N, 3) points lie in a camera's picture, whatever is in front of them."""
     pixels, depth = project_points(points, camera)

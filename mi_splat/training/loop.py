@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError, message
@@ -19,8 +20,8 @@ from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import score
-from mi_splat.training.losses import photometric_loss
-from mi_splat.training.state import Progress, TrainingError, TrainState
+from mi_splat.training.losses import masked, over_background, photometric_loss
+from mi_splat.training.state import Progress, TrainingError, TrainState, check_start
 from mi_splat.training.strategies import ScreenGradients, Step
 
 
@@ -51,6 +52,17 @@ class _KeepsScreenGradients(Protocol):
     """A renderer that may keep the statistics that some strategies need, as `mi_splat.rendering.Renderer` does."""
 
     screen_gradients: ScreenGradients | None
+
+
+@runtime_checkable
+class _HasMasks(Protocol):
+    """Views that may have alpha and masks, as `mi_splat.datasets.Dataset` has."""
+
+    def alpha(self, index: int) -> Tensor | None:
+        """(H, W) in [0, 1], over black."""
+
+    def loss_mask(self, index: int) -> Tensor | None:
+        """(H, W) in [0, 1], 1 where the picture counts."""
 
 
 def scene_extent(views: Sequence[View]) -> float:
@@ -84,15 +96,14 @@ def fit(
         on_step: Called after every step.
 
     Raises:
-        InvalidValueError: There are no views or no Gaussians, or the strategy needs screen gradients and the renderer
-            keeps none.
+        InvalidValueError: There are no views or no Gaussians, or more of these than the strategy allows; the strategy
+            needs screen gradients, or a random background alpha, and the renderer gives none.
         TrainingError: A value is not finite, or every Gaussian was pruned.
     """
     config = config or FitConfig()
-    if not len(views) or not len(start):
-        raise InvalidValueError(
-            message("views and start", "at least one of each", (len(views), len(start)), "capture views first")
-        )
+    if not len(views):
+        raise InvalidValueError(message("views", "at least one", "none", "capture views first"))
+    check_start(start, config)
     state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
     return advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
 
@@ -127,7 +138,7 @@ def advance(
         expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
         raise InvalidValueError(message("render", expected, type(render).__name__, do))
     while state.iteration < config.iterations:
-        loss = _step(state, views[state.next_view(len(views))], render)
+        loss = _step(state, views, state.next_view(len(views)), render)
         if state.iteration < config.iterations:  # what is changed last is trained no more
             _densify(state, screen_gradients)
         scored = None
@@ -142,11 +153,19 @@ def advance(
     return Fit(scene=state.result(), history=tuple(state.history), config=config, seed=state.seed)
 
 
-def _step(state: TrainState, view: View, render: RenderFn) -> float:
+def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn) -> float:
     """One picture, its loss, its gradient, and a step of Adam."""
     scene = state.scene()
-    image = render(scene, view.camera)
-    loss = photometric_loss(image, view.image, lambda_dssim=state.config.lambda_dssim)
+    view = views[index]
+    image, target = render(scene, view.camera), view.image
+    if state.config.random_background:
+        colour = torch.rand(3, generator=state.generator)
+        image = over_background(image, colour)
+        alpha = views.alpha(index) if isinstance(views, _HasMasks) else None
+        target = target if alpha is None else target + (1 - alpha[..., None]) * colour
+    if state.config.masks and isinstance(views, _HasMasks):
+        image = masked(image, target, views.loss_mask(index))
+    loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
     loss = state.strategy.before_backward(loss, scene)
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]

@@ -96,3 +96,33 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
     return (
         absolute if lambda_dssim == 0 else (1 - lambda_dssim) * absolute + lambda_dssim * (1 - ssim(image, reference))
     )
+
+
+def over_background(image: Tensor, colour: Tensor) -> Tensor:
+    """A picture with alpha, over black, put over another colour.
+
+    Args:
+        image: (H, W, 4) sRGB over black, and alpha.
+        colour: (3,) sRGB.
+
+    Returns:
+        (H, W, 3).
+
+    Raises:
+        InvalidValueError: The picture has no alpha.
+    """
+    if image.shape[-1] != 4:
+        do = "use Renderer(RenderSettings(alpha=True))"
+        raise InvalidValueError(message("picture", "four channels, the last one alpha", image.shape[-1], do))
+    return image[..., :3] + (1 - image[..., 3:]) * colour
+
+
+def masked(image: Tensor, reference: Tensor, mask: Tensor | None) -> Tensor:
+    """The picture with the reference where a mask is 0, so that no error is left there.
+
+    Args:
+        image: (H, W, 3) sRGB, differentiable.
+        reference: (H, W, 3) sRGB.
+        mask: (H, W) in [0, 1]; None keeps the picture.
+    """
+    return image if mask is None else reference + mask[..., None] * (image - reference)

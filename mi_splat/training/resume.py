@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -18,11 +19,13 @@ from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.datasets import Dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
+from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state, save_state, to_json
 from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress, TrainState, advance, scene_extent
+from mi_splat.training.state import check_start
 
 CHECKPOINT, SPLAT, METRICS, CONFIG = "checkpoint.safetensors", "splat.ply", "metrics.json", "config.json"
 
@@ -38,9 +41,14 @@ def train(
     held_out: Sequence[View] = (),
     every: int = 1000,
     lpips: Perceptual | None = None,
+    settings: Mapping[str, object] | None = None,
+    on_resume: Callable[[TrainState], None] | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
     """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
+
+    A run also goes on to more iterations than it began with. It then differs from one that had so many from the start,
+    since learning rates and densification follow the share of the iterations that is done.
 
     Writes config.json, checkpoint.safetensors every so many steps and when interrupted, and at the end splat.ply and
     metrics.json.
@@ -55,6 +63,9 @@ def train(
         held_out: Views to score on.
         every: Steps between two checkpoints.
         lpips: A further score, see `mi_splat.metrics.load_lpips`.
+        settings: What else the pictures depend on, the near plane for instance; plain values, the same when a run goes
+            on.
+        on_resume: Called with the run when one goes on, before its first step.
         on_step: Called after every step.
 
     Warns:
@@ -67,19 +78,27 @@ def train(
     """
     if every < 1:
         raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
+    check_start(start, config)
     folder.mkdir(parents=True, exist_ok=True)
+    sweep_temporary(folder)
     path, data = folder / CHECKPOINT, _digest(views, start)
     if path.is_file():
         state, threads = load_state(path)
         _check_same(state, config, seed, data, folder)
+        _check_settings(state, settings or {}, folder)
+        if state.config != config:  # more iterations
+            state.config = config
+            save_json(_described(config, seed, views), folder / CONFIG)
+        if on_resume is not None:
+            on_resume(state)
         if threads != torch.get_num_threads():
             now = torch.get_num_threads()
             text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
             warnings.warn(text, stacklevel=2)
     else:
         state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
-        state.data_digest = data
-        save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+        state.data_digest, state.settings = data, dict(settings or {})
+        save_json(_described(config, seed, views), folder / CONFIG)
 
     with _deferred_interrupt() as interrupted:
 
@@ -95,6 +114,11 @@ def train(
     save_splat(found.scene, folder / SPLAT)
     save_json(_figures(found, len(held_out)), folder / METRICS)
     return found
+
+
+def _described(config: FitConfig, seed: int, views: Sequence[View]) -> dict[str, object]:
+    """What config.json says of a run."""
+    return {"config": to_json(config), "seed": seed, "views": len(views)}
 
 
 def _digest(views: Sequence[View], start: GaussianScene) -> str:
@@ -115,12 +139,23 @@ def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, fold
     if state.data_digest != data:
         do = "pass those that it began with, or train in another folder"
         raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
-    if state.config != config or state.seed != seed:
+    extended = dataclasses.replace(state.config, iterations=max(config.iterations, state.config.iterations))
+    if config not in (state.config, extended) or state.seed != seed:
         old, new = to_json(state.config) | {"seed": state.seed}, to_json(config) | {"seed": seed}
-        differs = ", ".join(f"{key} {old[key]}" for key in old if old[key] != new[key])
+        differs = ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key])
         raise CheckpointError(
-            message(str(folder), "a run with the same settings", differs, "use those, or train in another folder")
+            message(str(folder), f"a run with {differs}", "another", "use those, or train in another folder")
         )
+
+
+def _check_settings(state: TrainState, settings: Mapping[str, object], folder: Path) -> None:
+    """Raise if the pictures would no longer be made as before; older checkpoints do not know how they were made."""
+    differs = [
+        f"{key} {old} and not {settings.get(key)}" for key, old in state.settings.items() if settings.get(key) != old
+    ]
+    if differs:
+        do = "use those, or train in another folder"
+        raise CheckpointError(message(str(folder), f"a run with {', '.join(differs)}", "another", do))
 
 
 def _figures(found: Fit, held_out: int) -> dict[str, object]:

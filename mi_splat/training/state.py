@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor
 
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
@@ -22,6 +22,20 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 class TrainingError(MiSplatError):
     """Training that cannot go on: values that are not finite, or nothing left to train."""
+
+
+def check_start(start: GaussianScene, config: FitConfig) -> None:
+    """Raise unless a training may begin with these Gaussians.
+
+    Raises:
+        InvalidValueError: There are none, or more than the strategy allows.
+    """
+    if not len(start):
+        raise InvalidValueError(message("start", "at least one Gaussian", "none", "capture views first"))
+    most = config.strategy.max_gaussians
+    if config.strategy.adds_gaussians and most is not None and len(start) > most:
+        do = "raise max_gaussians, or begin with fewer"
+        raise InvalidValueError(message("start", f"at most max_gaussians = {most:,} Gaussians", f"{len(start):,}", do))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,12 +70,14 @@ class TrainState:
         iteration: Steps done.
         generator: Source of everything random.
         view_queue: Numbers of the views still to come in this pass.
+        settings: What else the pictures depend on, the near plane for instance; kept in the checkpoint.
         data_digest: Stands for what it is trained on, so that a run does not go on with something else.
         history: Every evaluation so far, and the last step.
     """
 
     def __init__(self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int) -> None:
         self.config, self.scene_extent, self.seed, self.data_digest = config, scene_extent, seed, ""
+        self.settings = dict[str, object]()
         values = {k: v.detach().clone() for k, v in to_raw_parameters(start.with_degree(config.sh_degree)).items()}
         sh = values.pop("sh")
         values |= {"sh0": sh[:, :1].contiguous(), "shN": sh[:, 1:].contiguous()}

@@ -101,8 +101,6 @@ def test_render_puts_a_background_behind(folder: Path) -> None:
     [
         (["scene.xml", "--camera", "back"], "front, side"),
         (["cloud.ply", "--camera", "back"], "no cameras"),
-        (["cloud.ply", "--fov", "180"], "fov"),
-        (["cloud.ply", "--size", "0", "10"], "size"),
         (["notes.txt"], ".xml or .ply"),
         (["missing.xml"], "missing.xml"),
         (["cloud.ply", "--out", "cloud.ply/picture.png"], "cloud.ply"),

@@ -86,10 +86,11 @@ assert picture.std() > 0.05
 
 @pytest.mark.parametrize("words", commands("mi-splat"), ids=" ".join)
 def test_every_command_is_understood(words: list[str]) -> None:
-    from attacks.cli import COMMANDS, _parse
+    from attacks.cli import COMMANDS
+    from attacks.cli.parsing import parse
 
     assert words[0] in COMMANDS
-    _parse(words[0], words[1:])
+    parse(words[0], COMMANDS[words[0]], words[1:])
 
 
 @pytest.mark.parametrize("words", commands("make"), ids=" ".join)

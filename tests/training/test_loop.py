@@ -86,8 +86,10 @@ def test_a_plain_renderer_cannot_densify() -> None:
     _, views, start = scene_and_views()
     with pytest.raises(InvalidValueError, match="a renderer that keeps screen gradients"):
         fit(views, start, render=lambda scene, camera: Renderer()(scene, camera), config=SHORT)
-    with pytest.raises(InvalidValueError, match="at least one of each"):
+    with pytest.raises(InvalidValueError, match="views: expected at least one"):
         fit([], start, render=watching(), config=SHORT)
+    with pytest.raises(InvalidValueError, match="start: expected at least one Gaussian"):
+        fit(views, start.select(slice(0, 0)), render=watching(), config=SHORT)
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.7])

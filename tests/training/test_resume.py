@@ -88,8 +88,10 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     short = dataclasses.replace(CONFIG, iterations=3)
     train(views, start, tmp_path, render=watching(), config=short)
     before = (tmp_path / "splat.ply").read_bytes()
-    with pytest.raises(CheckpointError, match="iterations 3"):
-        train(views, start, tmp_path, render=watching(), config=CONFIG)
+    with pytest.raises(CheckpointError, match="a run with iterations 3 and not 2"):
+        train(views, start, tmp_path, render=watching(), config=dataclasses.replace(CONFIG, iterations=2))
+    with pytest.raises(CheckpointError, match=r"a run with lambda_dssim 0\.2 and not 0\.5"):
+        train(views, start, tmp_path, render=watching(), config=dataclasses.replace(short, lambda_dssim=0.5))
     others = views_of(4)[1]
     darker = [View(view.camera, 0.5 * view.image) for view in views]
     moved = from_points(truth.means + 0.1, torch.full((50, 3), 0.5))

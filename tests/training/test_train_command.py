@@ -12,6 +12,7 @@ import pytest
 from plyfile import PlyData
 
 from attacks import cli
+from attacks.cli.parsing import parse
 from mi_splat.cli.options import TrainOptions
 from mi_splat.datasets import has_tests, load_dataset
 from mi_splat.errors import InvalidValueError
@@ -66,8 +67,8 @@ def test_a_set_on_the_disk_is_known_by_its_files(dataset: Path) -> None:
     ("words", "says"),
     [
         (["--start", "none.ply"], "none.ply"),
-        (["--random", "0"], "count"),
-        (["--outliers", "-1"], "count, views and points"),
+        (["--random", "60", "--max-gaussians", "50"], "start: expected at most max_gaussians = 50 Gaussians, got 60"),
+        (["--random-background", "--background", "1", "1", "1"], "--background: expected black"),
         (["--outliers", "5", "--random", "9"], "--outliers: expected a start on the points of the set"),
     ],
 )
@@ -110,11 +111,11 @@ def test_flags_are_the_fields_of_the_configs(capsys: pytest.CaptureFixture[str])
 
 
 def test_flags_become_the_configs() -> None:
-    plain = cli._parse("train", ["set", "--out", "out"])
+    plain = parse("train", cli.COMMANDS["train"], ["set", "--out", "out"])
     assert isinstance(plain, TrainOptions)
     assert plain.fit == FitConfig()
     words = ["--strategy", "mcmc", "--noise-lr", "3", "--max-gaussians", "7", "--lr-sh", "0.1", "--iterations", "9"]
-    given = cli._parse("train", ["set", "--out", "out", *words])
+    given = parse("train", cli.COMMANDS["train"], ["set", "--out", "out", *words])
     assert isinstance(given, TrainOptions)
     assert given.fit == FitConfig(strategy=MCMCConfig(noise_lr=3.0, max_gaussians=7), lr_sh=0.1, iterations=9)
     with pytest.raises(InvalidValueError, match="expected classic, as in fit, got mcmc"):

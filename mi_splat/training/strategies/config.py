@@ -23,6 +23,8 @@ class StrategyConfig:
     """Whether the renderer has to keep `ScreenGradients`."""
     needs_trainable: ClassVar[tuple[Attribute, ...]] = ATTRIBUTES
     """The attributes that have to be trained."""
+    adds_gaussians: ClassVar[bool] = True
+    """Whether Gaussians are added, so that `max_gaussians` matters."""
 
     max_gaussians: int | None = 100_000
 
@@ -86,3 +88,4 @@ class FixedConfig(StrategyConfig):
     """The number of Gaussians stays as it is, whatever its limit."""
 
     needs_trainable: ClassVar[tuple[Attribute, ...]] = ()
+    adds_gaussians: ClassVar[bool] = False

@@ -1,0 +1,213 @@
+"""`mi-splat train` on other people's sets: small scenes, masks, transparent pictures, too many points, longer runs."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from attacks.cli.parsing import parse
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import Camera, View
+from mi_splat.cli import console
+from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat
+from mi_splat.io.points import PointCloud
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.training.checkpoints import CheckpointError, load_state
+from mi_splat.training.config import FitConfig
+from mi_splat.training.loop import fit
+from mi_splat.training.losses import masked, over_background
+from mi_splat.training.strategies import FixedConfig
+from tests import oracle
+from tests.training.sets import views_of, watching, write_set
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    return write_set(tmp_path / "set")
+
+
+def figures(out: Path) -> Any:
+    return json.loads((out / "metrics.json").read_text())
+
+
+def small_set(folder: Path, factor: float) -> Path:
+    """The set of `write_set`, so many times its size."""
+    truth = oracle.random_scene(50, degree=1, seed=9)
+    large = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=36.0, size=(32, 32))
+    with torch.no_grad():
+        pictures = [Renderer()(truth, camera).clamp(0, 1) for camera in large]
+    cameras = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0 * factor, focal=36.0, size=(32, 32))
+    views = [View(camera, picture) for camera, picture in zip(cameras, pictures, strict=True)]
+    cloud = PointCloud(factor * truth.means, torch.full((50, 3), 0.5))
+    write_transforms(folder, views, test=views[:1], points=cloud)
+    return folder
+
+
+def test_a_small_scene_is_trained_like_a_large_one(tmp_path: Path) -> None:
+    scores = []
+    for name, factor in (("large", 1.0), ("small", 0.02)):
+        folder, out = small_set(tmp_path / name, factor), tmp_path / f"{name}-out"
+        assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "60"]) == 0
+        scores.append(figures(out)["psnr"])
+    assert scores[1] == pytest.approx(scores[0], abs=0.5)
+    assert scores[0] > 12
+
+
+def test_near_is_an_option_and_what_it_culls_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = small_set(tmp_path / "small", 0.02), tmp_path / "out"
+    assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "3", "--near", "0.2"]) == 0
+    said = capsys.readouterr().err
+    assert "in 6 of 6 pictures, up to 50 of 50 Gaussians are nearer than near = 0.2" in said
+    assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "3"]) == 1  # with another near plane
+    assert "a run with near 0.2 and not 0.0" in capsys.readouterr().err
+
+
+def test_a_run_that_goes_on_says_so(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--sh-degree", "1"]
+    assert cli.main([*words, "--iterations", "5"]) == 0
+    assert capsys.readouterr().err == ""
+    assert cli.main([*words, "--iterations", "5"]) == 0
+    assert "the run has all its 5 steps" in capsys.readouterr().err
+    assert cli.main([*words, "--iterations", "8"]) == 0
+    assert "going on from step 5 of 8" in capsys.readouterr().err
+    assert [line["iteration"] for line in figures(tmp_path / "out")["history"]] == [5, 8]
+    assert json.loads((tmp_path / "out" / "config.json").read_text())["config"]["iterations"] == 8
+    assert cli.main([*words, "--iterations", "8"]) == 0
+    assert cli.main([*words, "--iterations", "7"]) == 1
+    assert "a run with iterations 8 and not 7" in capsys.readouterr().err
+
+
+def test_too_many_points_are_thinned_and_it_is_said(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["train", str(dataset), "--out", str(out), "--iterations", "2", "--max-gaussians", "20"]) == 0
+    assert "starting on 20 of 50 points" in capsys.readouterr().err
+    assert len(load_splat(out / "splat.ply")) == 20
+
+
+def test_the_fixed_strategy_adds_none_and_so_has_no_limit(dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["--iterations", "2", "--strategy", "fixed", "--max-gaussians", "20"]
+    assert cli.main(["train", str(dataset), "--out", str(out), *words]) == 0
+    assert len(load_splat(out / "splat.ply")) == 50
+
+
+def test_progress_without_a_terminal_is_plain_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(console, "LINE_SECONDS", 10.0)
+    monkeypatch.setattr("mi_splat.cli.console.time.monotonic", lambda: now[0])
+    with console.progress("training", total=100) as advance:
+        for step in range(100):
+            now[0] += 0.5
+            advance(f"loss {step}")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"mi-splat: {done} of 100: loss {done - 1}" for done in (20, 40, 60, 80, 100)]
+
+
+def test_options_have_their_names_of_3dgs_too() -> None:
+    words = ["--position_lr_init", "0.1", "--opacity-lr", "0.2", "--densification_interval=7", "--iterations", "9"]
+    options: Any = parse("train", cli.COMMANDS["train"], ["set", "--out", "out", *words])
+    assert (options.fit.lr_means, options.fit.lr_opacities, options.fit.strategy.densify_interval) == (0.1, 0.2, 7)
+
+
+def test_masked_pixels_do_not_count(dataset: Path) -> None:
+    """Half of every picture is painted red, and masked; without masks the splat becomes red there."""
+    (dataset / "masks").mkdir()
+    listing = json.loads((dataset / "transforms_train.json").read_text())
+    for frame, path in zip(listing["frames"], load_dataset(dataset).paths, strict=True):
+        pixels = np.asarray(Image.open(path)).copy()
+        pixels[:, :16] = (255, 0, 0)
+        Image.fromarray(pixels).save(path)
+        mask = np.full(pixels.shape[:2], 255, np.uint8)
+        mask[:, :16] = 0
+        Image.fromarray(mask).save(dataset / "masks" / path.name)
+        frame["mask_path"] = f"masks/{path.name}"
+    (dataset / "transforms_train.json").write_text(json.dumps(listing))
+    truth, views = views_of()
+    start = truth.replace(sh=torch.zeros_like(truth.sh))
+    found = {}
+    for masks in (False, True):
+        config = FitConfig(iterations=60, masks=masks, sh_degree=1, lr_sh=0.05, strategy=FixedConfig())
+        trained = fit(load_dataset(dataset), start, render=watching(), config=config).scene
+        red = Renderer()(trained, views[0].camera)[:, :16] - views[0].image[:, :16]
+        found[masks] = float(red[..., 0].mean())
+    assert found[False] > 0.03
+    assert abs(found[True]) < 0.01
+
+
+def test_a_mask_keeps_the_reference_where_it_is_black() -> None:
+    image, reference = torch.rand(4, 5, 3), torch.rand(4, 5, 3)
+    mask = torch.zeros(4, 5)
+    mask[0] = 1
+    found = masked(image, reference, mask)
+    assert torch.allclose(found[0], image[0])
+    assert torch.equal(found[1:], reference[1:])
+    assert masked(image, reference, None) is image
+
+
+def test_a_random_background_empties_what_is_transparent(tmp_path: Path) -> None:
+    """Black over a black background, a dark Gaussian costs nothing; over any colour it does."""
+    camera = Camera(to_world=torch.eye(4, dtype=torch.float64), focal=30.0, width=16, height=16)
+    start = oracle.random_scene(30, degree=0, seed=1)
+    start = start.replace(means=0.3 * start.means + torch.tensor([0.0, 0.0, 2.0]), sh=torch.full((30, 1, 3), -3.0))
+    (tmp_path / "images").mkdir()
+    Image.fromarray(np.zeros((16, 16, 4), np.uint8)).save(tmp_path / "images" / "00000.png")
+    pose = camera.to_world @ torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+    frame = {"file_path": "images/00000.png", "transform_matrix": pose.tolist()}
+    document = {"w": 16, "h": 16, "fl_x": 30.0, "fl_y": 30.0, "frames": [frame]}
+    (tmp_path / "transforms_train.json").write_text(json.dumps(document))
+    views = load_dataset(tmp_path)
+
+    def opacity(scene: GaussianScene) -> float:
+        return float(Renderer(RenderSettings(alpha=True))(scene, camera)[..., 3].mean())
+
+    left = {}
+    for random in (False, True):
+        config = FitConfig(iterations=60, random_background=random, sh_degree=0, strategy=FixedConfig())
+        render = Renderer(RenderSettings(alpha=random))
+        trained = fit(views, start, render=render, config=config).scene
+        left[random] = opacity(trained)
+    assert left[False] == pytest.approx(opacity(start), rel=0.05)
+    assert left[True] < 0.25 * left[False]
+
+
+def test_over_a_background() -> None:
+    picture = torch.tensor([[[0.2, 0.0, 0.0, 0.25]]])
+    assert over_background(picture, torch.tensor([1.0, 0.5, 0.0]))[0, 0].tolist() == pytest.approx([0.95, 0.375, 0.0])
+    with pytest.raises(InvalidValueError, match="four channels"):
+        over_background(picture[..., :3], torch.zeros(3))
+
+
+def test_the_command_trains_before_random_backgrounds(dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["--iterations", "4", "--random-background", "--masks"]
+    assert cli.main(["train", str(dataset), "--out", str(out), *words]) == 0
+    assert math.isfinite(figures(out)["psnr"])
+
+
+def test_a_checkpoint_with_settings_unknown_here_says_who_wrote_it(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mi_splat.training import checkpoints
+
+    out = tmp_path / "out"
+    known = checkpoints.to_json
+    monkeypatch.setattr(checkpoints, "to_json", lambda config: {**known(config), "lr_dreams": 0.1})
+    monkeypatch.setattr("mi_splat.provenance.versions", lambda: {"mi-splat": "9.1.0"})
+    assert cli.main(["train", str(dataset), "--out", str(out), "--iterations", "2"]) == 0
+    with pytest.raises(CheckpointError, match=r"written by mi-splat 9\.1\.0: settings: .* got lr_dreams; end the run"):
+        load_state(out / "checkpoint.safetensors")
