@@ -57,7 +57,7 @@ class DetectOptions:
     Writes a picture with boxes for each picture and detector, and detections.json, into --out.
     """
 
-    inputs: Positional[tuple[Path, ...]]
+    inputs: Positional[tuple[Path, ...]] = ()
     """Pictures, splat files and scene XMLs."""
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
