@@ -12,7 +12,7 @@ from mi_splat.scene import GaussianScene
 
 REFERENCE_NEAR = 0.2
 """Near plane of the 3DGS reference rasteriser, world units."""
-_NEAR_SHARE, _LEAST_SHARE = 0.1, 0.01
+_NEAR_SHARE, _LEAST_SHARE = 0.1, 0.001
 
 
 def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
@@ -37,15 +37,23 @@ def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
 
     3DGS culls Gaussians nearer than 0.2 world units whatever the scene. An object of 5 cm in metres would be culled
     whole. So near is a tenth of the scene's radius, or of the usual distance of the cameras where that is less, but at
-    least a hundredth of the radius and at most 0.2.
+    least a thousandth of the radius and at most 0.2.
 
     Args:
         scene: What is looked at; of an empty one near is 0.2.
         cameras: Where from, if known.
     """
-    if not len(scene):
-        return REFERENCE_NEAR
-    middle, radius = bounds(scene)
+    return near_plane_of(*bounds(scene), cameras) if len(scene) else REFERENCE_NEAR
+
+
+def near_plane_of(middle: Sequence[float], radius: float, cameras: Sequence[Camera] = ()) -> float:
+    """The near plane that suits a ball, world units, as `near_plane` of a scene.
+
+    Args:
+        middle: (3,) of the ball, world units.
+        radius: Of the ball, world units.
+        cameras: Where from, if known.
+    """
     reach = radius
     if cameras:
         eyes = torch.stack([camera.position for camera in cameras])

@@ -119,20 +119,6 @@ def open_scene(path: Path) -> SplatScene:
     return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
 
 
-def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
-    """The camera called `name`, or the first one if None.
-
-    Raises:
-        InvalidValueError: There is no such camera.
-    """
-    if name is None and loaded.cameras:
-        return next(iter(loaded.cameras.values()))
-    if name not in loaded.cameras:
-        expected = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "none, since it has no cameras"
-        raise InvalidValueError(message(f"camera of {path}", expected, name, "name one that is there"))
-    return loaded.cameras[name]
-
-
 def orbit_camera(
     scene: GaussianScene,
     *,

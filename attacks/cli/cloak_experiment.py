@@ -7,6 +7,7 @@ from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.study.setup import near_of, target_of
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors import load_detector
 from mi_splat.cli.console import limit_threads, progress, show_json
@@ -29,7 +30,8 @@ def run(options: CloakExperimentOptions) -> int:
                 do = "pass the folder that mi-splat cloak has written"
                 raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
             splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
-            render = Renderer(RenderSettings(background=study.scene.background))
+            near = near_of(study, target_of(study.scene))
+            render = Renderer(RenderSettings(background=study.scene.background, near=near))
             if options.experiment == "surroundings":
                 found = measure_surroundings(study, splats, render=render, every=options.every)
             else:

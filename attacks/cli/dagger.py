@@ -10,13 +10,14 @@ from typing import Any
 
 from attacks.cli.options import DaggerOptions
 from attacks.dagger.attack import attack
-from attacks.dagger.report import summary, write_report
+from attacks.dagger.report import summary, write_files
 from attacks.dagger.result import Result
 from attacks.detectors import load_detector
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import Chosen, choose
+from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import SplatScene, open_scene
 from mi_splat.scene_writing import write_scene
 from mi_splat.selection.config import Selection
@@ -28,6 +29,7 @@ DEFAULT_OBJECT = "car"
 
 def run(options: DaggerOptions) -> int:
     """Attack, write the report, and say in three lines what happened."""
+    check_new_folder(options.out, force=options.force)
     limit_threads((os.cpu_count() or 1) // 2)
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
@@ -46,8 +48,9 @@ def run(options: DaggerOptions) -> int:
             on_step=_follow(advance),
         )
         result = dataclasses.replace(result, origin={**result.origin, **_origin(loaded, chosen, options)})
-        files = write_report(result, options.out)
-        files |= _write_parts(loaded, chosen, result, options.out)
+        with new_folder(options.out, force=options.force) as folder:
+            written = [*write_files(result, folder), *_write_parts(loaded, chosen, result, folder)]
+        files = {path.name: options.out / path.name for path in written}
     if options.json:
         show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
     else:
@@ -81,13 +84,13 @@ def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[
     }
 
 
-def _write_parts(loaded: SplatScene, chosen: Chosen, result: Result, out: Path) -> dict[str, Path]:
-    """The object's mask, and of a scene file its parts and the XML that names them; paths by name."""
-    mask = out / "mask.npy"
+def _write_parts(loaded: SplatScene, chosen: Chosen, result: Result, folder: Path) -> list[Path]:
+    """The object's mask, and of a scene file its parts and the XML that names them."""
+    mask = folder / "mask.npy"
     save_mask(chosen.mask, mask)
     # A bare splat has no cameras, and so makes no scene file.
-    parts = write_scene(loaded, result.scene, out / "attacked.xml") if loaded.cameras else []
-    return {path.name: path for path in (mask, *parts)}
+    parts = write_scene(loaded, result.scene, folder / "attacked.xml") if loaded.cameras else []
+    return [mask, *parts]
 
 
 def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:

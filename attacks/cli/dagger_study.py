@@ -7,17 +7,19 @@ from pathlib import Path
 
 from attacks.cli.options import DaggerStudyOptions
 from attacks.dagger.jobs import AttackScene, Job, JobRunner
-from attacks.dagger.study import run_jobs, study_jobs
+from attacks.dagger.study import JOBS, run_jobs, study_jobs
 from attacks.dagger.tables import write_tables
 from attacks.detectors import load_detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.folders import check_own_folder
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
 
 
 def run(options: DaggerStudyOptions) -> int:
     """Run the study, or what is missing of it, and write its tables."""
+    check_own_folder(options.out, JOBS)
     limit_threads((os.cpu_count() or 1) // 2)
     jobs = _chosen(options)
     runner = JobRunner(

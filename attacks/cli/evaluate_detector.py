@@ -21,6 +21,7 @@ from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
 from mi_splat.cli.console import progress, show, show_json, show_table
 from mi_splat.io.documents import save_json
+from mi_splat.io.folders import check_writable
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
@@ -28,6 +29,7 @@ from mi_splat.scene_files import open_scene
 
 def run(options: EvaluateDetectorOptions) -> int:
     """Make what is missing, score every set, print a table and write the figures."""
+    check_writable(options.out.parent)
     torch.set_num_threads(options.threads)
     with progress("loading the detector") as advance:
         detector = load_for_evaluation(options.detector, options.weights)

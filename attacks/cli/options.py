@@ -45,7 +45,9 @@ class DaggerOptions:
     config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
     out: Path = Path("out/dagger")
-    """Folder for the results; made if it is not there."""
+    """Folder for the results: a new one, written whole when the attack has ended."""
+    force: bool = False
+    """Replace an older result in --out."""
     json: bool = False
     """Print the result as one JSON document on stdout."""
 

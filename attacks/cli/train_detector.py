@@ -9,12 +9,18 @@ from attacks.cli.options import TrainDetectorOptions
 from attacks.detectors.training.loop import Training
 from attacks.detectors.training.train import train, trainer_of, training_pictures
 from mi_splat.cli.console import progress, show, warn
+from mi_splat.io.folders import check_own_folder, check_writable
+
+RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")
+"""What a training leaves in its folder."""
 
 
 def run(options: TrainDetectorOptions) -> int:
     """Train, continuing an earlier training with the same folders."""
     import torch
 
+    check_own_folder(options.out, *RECORDS)
+    check_writable(options.data)
     torch.set_num_threads(options.threads)
     with progress("starting") as advance:
 

@@ -14,27 +14,33 @@ from attacks.dagger.result import Result
 from attacks.evaluation.drawing import annotated, difference, listed, stacked
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.images import to_bytes
 
 
-def write_report(result: Result, folder: str | Path) -> dict[str, Path]:
+def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
     """Write before.png, after.png, difference.png, detections.png, attacked.ply and result.json.
 
-    Several views make one picture each, below one another. Every file appears whole or not at all; result.json comes
-    last, so a folder that holds one is complete.
+    Several views make one picture each, below one another. The folder appears whole or not at all.
 
     Args:
         result: What the attack did.
-        folder: Made if it is not there.
+        folder: A new folder; those above it are made.
+        force: Whether it may replace an older result.
 
     Returns:
         Path of every file by its name.
 
     Raises:
-        SplatFileError: The folder cannot be written.
+        SplatFileError: The folder is in use or cannot be written.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    with new_folder(folder, force=force) as place:
+        names = [path.name for path in write_files(result, place)]
+    return {name: Path(folder) / name for name in names}
+
+
+def write_files(result: Result, folder: Path) -> list[Path]:
+    """Write the files of `write_report` into a folder that is there; returns their paths."""
     images = {
         "before.png": stacked([to_bytes(view.before.image) for view in result.views]),
         "after.png": stacked([to_bytes(view.after.image) for view in result.views]),
@@ -46,8 +52,8 @@ def write_report(result: Result, folder: str | Path) -> dict[str, Path]:
     for name, pixels in images.items():
         save_png(pixels, folder / name)
     save_splat(result.scene, folder / "attacked.ply")
-    save_json(summary(result), folder / "result.json")
-    return {name: folder / name for name in (*images, "attacked.ply", "result.json")}
+    save_json(summary(result), folder / RECORD)
+    return [folder / name for name in (*images, "attacked.ply", RECORD)]
 
 
 def summary(result: Result) -> dict[str, Any]:

@@ -20,7 +20,12 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import Job
 from attacks.limits import NormName
 from mi_splat.attributes import Attribute
+from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
+from mi_splat.io.folders import check_own_folder
+
+JOBS = "jobs"
+"""Folder of the ledger."""
 
 PAIRS = (
     ("car_street", "car", "person"),
@@ -105,8 +110,10 @@ def run_jobs(
     Returns:
         One record for each job: `job`, `fingerprint` and `result`.
     """
-    folder, records = out / "jobs", []
+    check_own_folder(out, JOBS)
+    folder, records = out / JOBS, []
     folder.mkdir(parents=True, exist_ok=True)
+    sweep_temporary(folder)
     for job in jobs:
         path = folder / f"{job.name}.json"
         key = {"job": as_json(job), "fingerprint": fingerprint(job)}

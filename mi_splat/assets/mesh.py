@@ -113,15 +113,20 @@ def translation(x: float, y: float, z: float) -> Floats:
     return matrix
 
 
-def rotation(axis: str, degrees: float) -> Floats:
-    """(4, 4) right-handed rotation about "x", "y" or "z"."""
+def exact_rotation(axis: str, degrees: float) -> NDArray[np.float64]:
+    """(4, 4) float64 right-handed rotation about "x", "y" or "z"."""
     i = "xyz".index(axis)
     j, k = (i + 1) % 3, (i + 2) % 3
     angle = np.radians(degrees)
-    matrix = np.eye(4, dtype=np.float32)
+    matrix = np.eye(4)
     matrix[j, j] = matrix[k, k] = np.cos(angle)
     matrix[k, j], matrix[j, k] = np.sin(angle), -np.sin(angle)
     return matrix
+
+
+def rotation(axis: str, degrees: float) -> Floats:
+    """(4, 4) right-handed rotation about "x", "y" or "z"."""
+    return exact_rotation(axis, degrees).astype(np.float32)
 
 
 def scaling(x: float, y: float, z: float) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -13,6 +14,7 @@ import numpy as np
 from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
+from mi_splat.errors import InvalidValueError, message
 
 VARIANT = "scalar_rgb"
 MAX_DEPTH = 3
@@ -112,13 +114,20 @@ def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
     return {f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes) for i, meshes in enumerate(groups.values())}
 
 
-def scene_dict(assets: Sequence[Asset], *, light: Light | None = None, backdrop: Asset | None = None) -> dict[str, Any]:
+def scene_dict(
+    assets: Sequence[Asset],
+    *,
+    light: Light | None = None,
+    backdrop: Asset | None = None,
+    environment: Floats | None = None,
+) -> dict[str, Any]:
     """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the `scalar_rgb` variant.
 
     Args:
         assets: The objects; the shapes of object i have ids that begin with "object<i>_".
         light: Sun and sky.
         backdrop: What surrounds the objects and has no box: ground, houses.
+        environment: (h, w, 3) linear picture in the place of the sky, latitude and longitude, straight up first.
     """
     light = Light() if light is None else light
     azimuth, elevation = math.radians(light.sun_azimuth), math.radians(light.sun_elevation)
@@ -134,7 +143,8 @@ def scene_dict(assets: Sequence[Asset], *, light: Light | None = None, backdrop:
         if backdrop is not None:
             scene |= shapes(backdrop, "backdrop")
         upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
-        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky_map(light)), "to_world": upright}
+        sky = sky_map(light) if environment is None else environment
+        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky), "to_world": upright}
         if light.sun_strength > 0:
             irradiance = [light.sun_strength * c for c in light.sun_colour]
             scene["sun"] = {
@@ -143,3 +153,26 @@ def scene_dict(assets: Sequence[Asset], *, light: Light | None = None, backdrop:
                 "irradiance": {"type": "rgb", "value": irradiance},
             }
     return scene
+
+
+def read_environment(path: Path) -> Floats:
+    """(h, w, 3) float32 linear RGB of an environment map.
+
+    Raises:
+        InvalidValueError: There is no such file, or it is no OpenEXR or Radiance HDR picture of finite values >= 0.
+    """
+    expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
+    if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
+        found = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
+        raise InvalidValueError(message("environment", expected, found, "check the path"))
+    with scalar_variant():
+        try:
+            bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+        except RuntimeError as error:  # what Mitsuba raises for everything
+            found = " ".join(str(error).split())[-200:]
+            raise InvalidValueError(message(f"environment {path}", expected, found, "write it again")) from error
+        values = np.array(bitmap, np.float32)
+    if not (np.isfinite(values).all() and values.min() >= 0 and min(values.shape[:2]) >= 2):
+        found = "others, or fewer than 2 x 2"
+        raise InvalidValueError(message(f"environment {path}", "finite values >= 0", found, "write it again"))
+    return values

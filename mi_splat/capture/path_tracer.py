@@ -28,6 +28,9 @@ from mi_splat.plugins.sensor import sensor_dict
 PASSES, BRIGHTEST = 2, 1.6
 """Into how many passes a picture is split, and the intensity at which each is clipped."""
 
+NEAR = 0.01
+"""Distance in world units up to which a camera sees nothing."""
+
 __all__ = [
     "Light",
     "PathTracer",
@@ -71,10 +74,10 @@ class Photograph:
     objects: tuple[int, ...]
 
 
-def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False) -> mi.Sensor:
+def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False, near: float = NEAR) -> mi.Sensor:
     # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less noise than independent ones.
     sampler = {"type": "multijitter", "sample_count": samples, "seed": seed}
-    values = {**sensor_dict(camera), "sampler": sampler}
+    values = {**sensor_dict(camera), "sampler": sampler, "near_clip": near}
     if alpha:
         values["film"] = {**values["film"], "pixel_format": "rgba"}
     return mi.load_dict(values)
@@ -89,7 +92,13 @@ def _load(scene: dict[str, Any] | Path) -> mi.Scene:
 
 
 def _picture(
-    scene: mi.Scene, camera: Camera, *, samples: int, seed: int, integrator: mi.Integrator | None = None
+    scene: mi.Scene,
+    camera: Camera,
+    *,
+    samples: int,
+    seed: int,
+    integrator: mi.Integrator | None = None,
+    near: float = NEAR,
 ) -> Tensor:
     """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck.
 
@@ -100,7 +109,7 @@ def _picture(
     total = np.zeros((camera.height, camera.width, channels))
     for number in range(passes):
         in_pass = (samples * (number + 1)) // passes - (samples * number) // passes
-        sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None)
+        sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None, near=near)
         given = {} if integrator is None else {"integrator": integrator}
         film = mi.render(scene, sensor=sensor, spp=in_pass, seed=seed * PASSES + number, **given)
         total += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (in_pass / samples)
@@ -124,7 +133,9 @@ def check_camera(camera: Camera) -> None:
 class PathTracer:
     """A loaded mesh scene that takes pictures one at a time; each depends on its camera, samples and seed alone."""
 
-    def __init__(self, scene: dict[str, Any] | Path, *, samples: int = 32, alpha: bool = False) -> None:
+    def __init__(
+        self, scene: dict[str, Any] | Path, *, samples: int = 32, alpha: bool = False, near: float = NEAR
+    ) -> None:
         """Load a scene.
 
         Args:
@@ -133,6 +144,7 @@ class PathTracer:
             samples: Samples per pixel.
             alpha: Whether pictures have a fourth channel. Sky and lamps are then not to be seen, and a path tracer
                 takes the place of the integrator of an XML file.
+            near: Distance in world units up to which a camera sees nothing.
 
         Raises:
             InvalidValueError: samples is not positive, or there is no such file.
@@ -141,7 +153,7 @@ class PathTracer:
             raise InvalidValueError(
                 message("samples", "a positive number of samples per pixel", samples, "use 16 or more")
             )
-        self.samples = samples
+        self.samples, self._near = samples, near
         with scalar_variant():
             self._scene = _load(scene)
             hidden = {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True}
@@ -160,7 +172,8 @@ class PathTracer:
             InvalidValueError: The camera's pixels are not square.
         """
         with scalar_variant():
-            return _picture(self._scene, camera, samples=self.samples, seed=seed, integrator=self._integrator)
+            shape = {"samples": self.samples, "seed": seed}
+            return _picture(self._scene, camera, **shape, integrator=self._integrator, near=self._near)
 
     def surface(self, camera: Camera, *, seed: int) -> tuple[Tensor, Tensor]:
         """What one ray per pixel meets first.
@@ -172,7 +185,7 @@ class PathTracer:
             InvalidValueError: The camera's pixels are not square.
         """
         with scalar_variant():
-            sensor = _sensor(camera, samples=1, seed=seed)
+            sensor = _sensor(camera, samples=1, seed=seed, near=self._near)
             integrator = mi.load_dict({"type": "aov", "aovs": "point:position,distance:depth"})
             film = np.array(mi.render(self._scene, sensor=sensor, integrator=integrator, spp=1, seed=seed), np.float32)
         return torch.from_numpy(film[..., :3].copy()), torch.from_numpy(film[..., 3].copy())

@@ -6,7 +6,7 @@ import hashlib
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,14 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets import ASSETS, build
+from mi_splat.assets.ground import square_of_ground
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.recipes import RECIPES
-from mi_splat.capture.mesh_files import SUFFIXES, load_mesh
+from mi_splat.capture.mesh_files import SUFFIXES, LoadedMesh, load_mesh
+from mi_splat.capture.mitsuba_meshes import read_environment
 from mi_splat.capture.path_tracer import Light, PathTracer, scene_dict
+from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
+from mi_splat.capture.working_frame import WorkingFrame, working_frame
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 
-SMALLEST, LARGEST = 0.02, 400.0
-"""Radii in world units between which the path tracer's camera sees everything."""
+SMALLEST, LARGEST = 1e-4, 1e6
+"""Radii in metres of a mesh."""
+SMALLEST_XML, LARGEST_XML = 0.02, 400.0
+"""Radii in world units of a Mitsuba scene, which is photographed as it is, so that its camera sees everything."""
+FAR_XML, FARTHEST_XML = 100.0, 1000.0
+"""Largest coordinate of a Mitsuba scene's middle, in radii, from which it is warned of and from which it is refused:
+its pictures are then about 60 and 50 dB from those at the origin."""
+GROUND_SIDE, GROUND_TILE = 6.5, 1.65
+"""Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a car, as in the studies of CLOAK."""
 
 _FILENAME = re.compile(r'name="filename"\s+value="([^"]+)"')
 
@@ -31,11 +42,15 @@ class CaptureSource:
     """Something to take pictures of.
 
     Attributes:
-        scene: What the path tracer loads: a scene dictionary or a Mitsuba XML file.
+        scene: What the path tracer loads: a scene dictionary or a Mitsuba XML file, in the working frame.
         centre: Point that cameras look at, world units.
         radius: Radius of what they shall see, world units.
-        assets: The surfaces, the object first and then its surroundings; none are known of an XML file.
+        assets: The surfaces in the working frame, the object first and then its surroundings; none are known of an
+            XML file.
         digest: SHA-256 of everything that the pictures show.
+        frame: From world units to those of `scene` and `assets`.
+        world_offset: As in `mi_splat.capture.mesh_files.LoadedMesh`.
+        warnings: What the user should know of it.
     """
 
     scene: dict[str, Any] | Path
@@ -43,33 +58,43 @@ class CaptureSource:
     radius: float
     assets: tuple[Asset, ...]
     digest: str
+    frame: WorkingFrame = field(default_factory=WorkingFrame)
+    world_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    warnings: tuple[str, ...] = ()
 
 
-def open_source(name: str, *, up: Literal["y", "z"] | None = None, scale: float = 1.0) -> CaptureSource:
+def open_source(
+    name: str, *, mesh: MeshSettings | None = None, surroundings: SurroundingsSettings | None = None
+) -> CaptureSource:
     """The source called `name`.
 
     Args:
         name: A recipe of `mi_splat.assets.recipes`, an asset of the project by name and seed (`car:900004`), or the
             path of a Mitsuba scene (.xml) or of a mesh file.
-        up: Axis that points up in a mesh file.
-        scale: What one unit of a mesh file is in metres.
+        mesh: How a mesh file is read and turned.
+        surroundings: What is around a mesh file or an asset.
 
     Raises:
         MiSplatError: There is no such recipe or file, or the file is broken.
     """
     path = Path(name)
     suffix = path.suffix.lower()
-    if (up is not None or scale != 1.0) and suffix not in SUFFIXES:
-        do = "leave them out"
-        raise InvalidValueError(message("--up and --scale", "a mesh file to go with", name, do))
+    is_asset = name not in RECIPES and name.partition(":")[0] in ASSETS
+    mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
+    if mesh != MeshSettings() and suffix not in SUFFIXES:
+        what = "--up, --scale, --rotate, --front and --missing-textures"
+        raise InvalidValueError(message(what, "a mesh file to go with", name, "leave them out"))
+    if surroundings != SurroundingsSettings() and not (is_asset or suffix in SUFFIXES):
+        expected = "a mesh file, or an object of the project, to go with"
+        raise InvalidValueError(message("--ground, --sun and --environment", expected, name, "leave them out"))
     if name in RECIPES:
         return _recipe(name)
-    if name.partition(":")[0] in ASSETS:
-        return _asset(name)
+    if is_asset:
+        return _asset(name, surroundings)
     if suffix == ".xml":
         return _xml(path)
     if suffix in SUFFIXES:
-        return _mesh(load_mesh(path, up=up, scale=scale), name)
+        return _mesh(load_mesh(path, mesh), name, surroundings)
     expected = f"one of {', '.join((*RECIPES, *ASSETS))}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
     raise InvalidValueError(message("scene", expected, name, "name one of these"))
 
@@ -98,26 +123,55 @@ def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple
     )
 
 
-def _asset(name: str) -> CaptureSource:
-    """One of the project's assets, alone under the default sky."""
+def _asset(name: str, surroundings: SurroundingsSettings) -> CaptureSource:
+    """One of the project's assets, alone under the default sky unless told otherwise."""
     kind, _, seed = name.partition(":")
     if not re.fullmatch(r"\d{0,9}", seed):
         raise InvalidValueError(message("scene", f"{kind} or {kind}:SEED, a whole number", name, "change the seed"))
-    return _mesh(build(kind, int(seed or 0)).body, name)
+    return _mesh(LoadedMesh(asset=build(kind, int(seed or 0)).body), name, surroundings)
 
 
-def _mesh(asset: Asset, name: str) -> CaptureSource:
-    """A mesh under the default sky, without a ground."""
-    centre, radius = _extent(asset)
-    _check_radius(radius, name, "pass another --scale")
-    light = Light()
+def _mesh(loaded: LoadedMesh, name: str, surroundings: SurroundingsSettings) -> CaptureSource:
+    """A mesh in its surroundings, in the working frame that suits it."""
+    centre, radius = _extent(loaded.asset)
+    if not SMALLEST <= radius <= LARGEST:
+        expected = f"a radius of {SMALLEST:g} to {LARGEST:g} metres"
+        raise InvalidValueError(message(name, expected, f"{radius:.4g}", "pass another --scale"))
+    frame = working_frame(centre, radius)
+    target = frame.asset(loaded.asset)
+    ground = None if surroundings.ground == "none" else _ground(target, surroundings.ground)
+    assets = (target,) if ground is None else (target, ground)
+    light, environment = _light(surroundings), None
+    if surroundings.environment is not None:
+        environment = read_environment(surroundings.environment)
+    beside = [] if environment is None else [repr(environment.shape).encode(), environment.tobytes()]
+    if not frame.is_world or any(loaded.world_offset):
+        beside.append(repr((frame.unit, frame.origin, loaded.world_offset)).encode())
     return CaptureSource(
-        scene=scene_dict([asset], light=light),
+        scene=scene_dict([target], light=light, backdrop=ground, environment=environment),
         centre=centre,
         radius=radius,
-        assets=(asset,),
-        digest=_digest_of((asset,), light),
+        assets=assets,
+        digest=_digest_of(assets, light, beside),
+        frame=frame,
+        world_offset=loaded.world_offset,
+        warnings=loaded.warnings,
     )
+
+
+def _light(surroundings: SurroundingsSettings) -> Light:
+    """Sun and sky; an environment map has a sun of its own, unless one is asked for."""
+    if surroundings.sun_angles is not None:
+        azimuth, elevation = surroundings.sun_angles
+        return Light(sun_azimuth=azimuth, sun_elevation=elevation)
+    return Light() if surroundings.environment is None else Light(sun_strength=0.0)
+
+
+def _ground(target: Asset, kind: Literal["road", "grass"]) -> Asset:
+    """The ground under an object."""
+    (x, y, _), radius = _extent(target)
+    place = (x, y, float(target.bounds[0, 2]))
+    return square_of_ground(kind, side=GROUND_SIDE * radius, tile=GROUND_TILE * radius, centre=place)
 
 
 def _xml(path: Path) -> CaptureSource:
@@ -133,12 +187,15 @@ def _xml(path: Path) -> CaptureSource:
     if not np.isfinite(bounds).all():
         raise MiSplatError(message(str(path), "a scene with shapes", "none", "add some"))
     centre, radius = _middle(bounds.astype(np.float64))
-    _check_radius(radius, str(path), "scale its shapes")
+    if not SMALLEST_XML <= radius <= LARGEST_XML:
+        expected = f"a radius of {SMALLEST_XML:g} to {LARGEST_XML:g} world units"
+        raise InvalidValueError(message(str(path), expected, f"{radius:.4g}", "scale its shapes"))
+    warnings = _far_away(path, centre, radius)
     # Files that it names belong to it: another texture makes other pictures.
     content = path.read_bytes()
     named = (path.parent / name for name in _FILENAME.findall(content.decode("utf-8", "replace")))
     parts = [content, *(file.read_bytes() for file in named if file.is_file())]
-    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=_digest(parts))
+    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=_digest(parts), warnings=warnings)
 
 
 def _extent(asset: Asset) -> tuple[tuple[float, float, float], float]:
@@ -152,19 +209,29 @@ def _middle(bounds: NDArray[np.float64]) -> tuple[tuple[float, float, float], fl
     return (x, y, z), math.dist(*bounds.tolist()) / 2
 
 
-def _check_radius(radius: float, name: str, do: str) -> None:
-    """Raise if the camera would cut something off, near or far."""
-    if not SMALLEST <= radius <= LARGEST:
-        raise InvalidValueError(message(name, f"a radius of {SMALLEST} to {LARGEST:g} metres", f"{radius:.4g}", do))
+def _far_away(path: Path, centre: tuple[float, float, float], radius: float) -> tuple[str, ...]:
+    """A warning if a Mitsuba scene lies so far from the origin that its pictures suffer.
+
+    Raises:
+        MiSplatError: They would be ruined.
+    """
+    away = max(map(abs, centre)) / radius
+    if away <= FAR_XML:
+        return ()
+    expected = f"a scene around the origin, its middle at most {FAR_XML:g} radii away"
+    text = message(str(path), expected, f"{away:.0f}", "subtract the middle from the transforms of its shapes")
+    if away > FARTHEST_XML:
+        raise MiSplatError(text)
+    return (f"{text}; until then, light and shadows near surfaces are coarse",)
 
 
-def _digest_of(assets: Iterable[Asset], light: Light) -> str:
-    """Digest of assets in a light."""
+def _digest_of(assets: Iterable[Asset], light: Light, beside: Iterable[bytes] = ()) -> str:
+    """Digest of assets in a light, and of what else the pictures show."""
     parts = [repr(light).encode()]
     for mesh in (mesh for asset in assets for mesh in asset.meshes):
         parts += [array.tobytes() for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.texture)]
         parts.append(repr((mesh.texture.shape, mesh.roughness, mesh.smooth)).encode())
-    return _digest(parts)
+    return _digest([*parts, *beside])
 
 
 def _digest(parts: Iterable[bytes]) -> str:

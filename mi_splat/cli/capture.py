@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
+import torch
+
+from mi_splat import provenance
 from mi_splat.camera_sets import camera_set, framing, held_out_set
+from mi_splat.cameras import Camera
+from mi_splat.capture.record import Inputs
 from mi_splat.capture.sources import CaptureSource, open_source
-from mi_splat.capture.writer import CaptureSettings, WrittenCapture, write_capture
-from mi_splat.cli.console import progress, show, show_json
+from mi_splat.capture.writer import WrittenCapture, write_capture
+from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.options import CaptureOptions
+from mi_splat.datasets.transforms import read_world_offset
 from mi_splat.errors import InvalidValueError, message
 
 
 def run(options: CaptureOptions) -> int:
     """Capture, or go on with a capture, and say what was written."""
-    settings = CaptureSettings(samples=options.samples, seed=options.seed, alpha=options.rgba, points=options.points)
     size = _size(options)
     _check_fov(options.fov)
     with progress("building the scene"):
-        source = open_source(options.scene, up=options.up, scale=options.scale)
+        source = open_source(options.scene, mesh=options.mesh, surroundings=options.surroundings)
+    for text in source.warnings:
+        warn(text)
     placed = _placement(options, source, size)
-    cameras = camera_set(options.cameras, **placed)
+    cameras = _in_coordinates_of(source, camera_set(options.cameras, **placed), options.cameras)
     held_out = held_out_set(options.cameras, options.test, **placed)
     with progress("rendering", total=len(cameras) + len(held_out)) as advance:
         done = write_capture(
@@ -28,11 +37,12 @@ def run(options: CaptureOptions) -> int:
             cameras,
             options.out,
             test=held_out,
-            settings=settings,
+            settings=options.settings,
             layout=options.format,
+            inputs=_inputs(options),
             on_step=lambda number, total: advance("rendering" if number < total else "laying points on surfaces"),
         )
-    _report(done, options, (cameras[0].width, cameras[0].height))
+    _report(done, source, options, (cameras[0].width, cameras[0].height))
     return 0
 
 
@@ -53,14 +63,47 @@ def _placement(options: CaptureOptions, source: CaptureSource, size: tuple[int, 
     """Where cameras look, how far away they are, and their lens."""
     distance, focal = framing(source.radius, fov=options.fov, size=size)
     return {
-        "centre": source.centre if options.centre is None else options.centre,
+        "centre": source.centre if options.centre is None else _moved(options.centre, source.world_offset, -1),
         "distance": distance if options.distance is None else options.distance,
         "focal": focal,
         "size": size,
     }
 
 
-def _report(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]) -> None:
+def _moved(point: tuple[float, ...], offset: tuple[float, ...], sign: int) -> tuple[float, ...]:
+    """A point moved by an offset, or back by it."""
+    return tuple(value + sign * by for value, by in zip(point, offset, strict=True))
+
+
+def _in_coordinates_of(source: CaptureSource, cameras: list[Camera], spec: str) -> list[Camera]:
+    """Cameras of a file in the coordinates of a source, either of which may lie far from the world's origin."""
+    if not spec.lower().endswith(".json"):
+        return cameras
+    by = torch.tensor(_moved(read_world_offset(Path(spec)), source.world_offset, -1), dtype=torch.float64)
+    if not by.any():
+        return cameras
+    moved = []
+    for camera in cameras:
+        pose = camera.to_world.clone()
+        pose[:3, 3] += by
+        moved.append(replace(camera, to_world=pose))
+    return moved
+
+
+def _inputs(options: CaptureOptions) -> Inputs:
+    """What was asked for, for the record."""
+    scene = {"scene": options.scene, **asdict(options.mesh), **asdict(options.surroundings)}
+    environment = options.surroundings.environment
+    scene["environment"] = None if environment is None else str(environment)
+    names = ("cameras", "size", "fov", "centre", "distance")
+    values = {"scene": scene, "cameras": {name: getattr(options, name) for name in names}}
+    return {
+        kind: {name: list(value) if isinstance(value, tuple) else value for name, value in part.items()}
+        for kind, part in values.items()
+    }
+
+
+def _report(done: WrittenCapture, source: CaptureSource, options: CaptureOptions, size: tuple[int, int]) -> None:
     """What was written and what to do with it."""
     total = done.train + done.test
     if options.json:
@@ -73,6 +116,9 @@ def _report(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]
                 "width": size[0],
                 "height": size[1],
                 "points": done.points,
+                "world_offset": list(source.world_offset),
+                "warnings": list(source.warnings),
+                "begun_by": done.begun_by,
                 "files": [str(file) for file in done.files],
                 "seconds": done.seconds,
             }
@@ -83,4 +129,9 @@ def _report(done: WrittenCapture, options: CaptureOptions, size: tuple[int, int]
     pictures = f"{total} pictures of {size[0]} x {size[1]}{held_out}"
     show(f"{options.out}: {pictures}; {done.rendered} rendered in {done.seconds:.0f} s{kept}")
     show(f"{done.points:,} points; listed in {', '.join(str(file.relative_to(options.out)) for file in done.files)}")
+    if any(source.world_offset):
+        offset = ", ".join(f"{value:.10g}" for value in source.world_offset)
+        show(f"the mesh lies far from its origin: add ({offset}) to what is written to get its own coordinates, metres")
+    if done.rendered < total and done.begun_by != provenance.versions().get("mi-splat", "unknown"):
+        show(f"begun by {done.begun_by or 'an older version'}, which makes the same pictures")
     show(f"in Python: mi_splat.load_dataset({str(options.out)!r})")

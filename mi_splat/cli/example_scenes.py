@@ -5,10 +5,12 @@ from __future__ import annotations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.options import ExampleScenesOptions
 from mi_splat.example_scenes import make
+from mi_splat.io.folders import check_writable
 
 
 def run(options: ExampleScenesOptions) -> int:
     """Make the scene and say how good it is."""
+    check_writable(options.out)
     limit_threads(1)
     with progress(f"making {options.name}") as advance:
         record = make(

@@ -28,7 +28,7 @@ def run(options: InfoOptions) -> int:
 
 
 def _splat_facts(path: Path) -> dict[str, object]:
-    """Facts about a splat file; Gaussians that are not valid are described and left out of the rest."""
+    """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SplatFileWarning)
         scene = load_splat(path, on_invalid="drop")

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from tyro import MISSING
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.selection.config import Selection
@@ -78,30 +79,25 @@ class CaptureOptions:
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
     out: Path = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
-    samples: int = 32
-    """Samples per pixel; more is less noise."""
     size: tuple[int, ...] = (256,)
-    """Width and height in pixels, or one number for both."""
+    """Width and height in pixels, or one number for both; 1 to 32768."""
     test: int = 0
-    """Pictures held out, from other cameras over the same range."""
-    seed: int = 0
-    """Seed of the noise; picture i uses seed + i."""
+    """Pictures held out, from other cameras over the same range; 0 or more."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
     """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in sparse/0, or both."""
-    rgba: bool = False
-    """Write RGBA with nothing behind the surfaces, in place of the sky."""
     fov: float = 45.0
-    """Field of view in degrees over the shorter side of the picture."""
+    """Field of view in degrees over the shorter side of the picture; between 0 and 180."""
     centre: tuple[float, float, float] | None = None
-    """Point that cameras look at; None is the middle of the scene or of its object."""
+    """Point that cameras look at, in the coordinates of the mesh file as it is turned and scaled; None is the middle of
+    the scene or of its object."""
     distance: float | None = None
-    """World units between cameras and centre; None is as near as shows the whole scene or its object."""
-    up: Literal["y", "z"] | None = None
-    """Axis that points up in a mesh file; None is y for OBJ and glTF and z for PLY."""
-    scale: float = 1.0
-    """What one unit of a mesh file is in metres."""
-    points: int = 20_000
-    """Points wanted in the point cloud."""
+    """World units between cameras and centre, more than 0; None is as near as shows the whole scene or its object."""
+    settings: OmitArgPrefixes[CaptureSettings] = field(default_factory=CaptureSettings)
+    """How pictures are taken."""
+    mesh: OmitArgPrefixes[MeshSettings] = field(default_factory=MeshSettings)
+    """How a mesh file is read and turned."""
+    surroundings: OmitArgPrefixes[SurroundingsSettings] = field(default_factory=SurroundingsSettings)
+    """What is around a mesh file, or around an object of the project."""
     json: bool = False
     """Print what was written as one JSON document on stdout."""
 

@@ -13,12 +13,13 @@ from mi_splat.cli.options import TrainOptions
 from mi_splat.datasets import Dataset, has_tests, load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.io.folders import check_own_folder
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
 from mi_splat.training.loop import Progress, TrainState
-from mi_splat.training.resume import METRICS, SPLAT, train
+from mi_splat.training.resume import CHECKPOINT, CONFIG, METRICS, SPLAT, train
 
 _WORTH_A_WORD = 0.001
 """Share of the Gaussians from which it is said that the near plane hides them."""
@@ -26,6 +27,7 @@ _WORTH_A_WORD = 0.001
 
 def run(options: TrainOptions) -> int:
     """Train, or go on with a training, and say what came of it."""
+    check_own_folder(options.out, CONFIG, CHECKPOINT)
     limit_threads(1)
     config = options.fit
     with progress("loading the pictures"):

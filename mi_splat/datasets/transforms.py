@@ -27,6 +27,9 @@ SINGLE, PARTS = "transforms.json", {"train": "transforms_train.json", "test": "t
 POINTS = ("points3D.ply", "points3d.ply")
 """Names of a point cloud beside the file, if the file names none."""
 
+WORLD_OFFSET = "world_offset"
+"""Key of what has to be added to a file's coordinates to get those of the world that was photographed."""
+
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LARGEST = 1e12
 _PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
@@ -82,6 +85,19 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
         values = {**document, **entry}
         cameras.append(_camera(values, _size(values, where) or size, where))
     return cameras
+
+
+def read_world_offset(path: Path) -> tuple[float, float, float]:
+    """What a transforms file says has to be added to its coordinates; zero if it says nothing.
+
+    Raises:
+        DatasetError: The file is missing or broken.
+    """
+    values = _document(path).get(WORLD_OFFSET, [0.0, 0.0, 0.0])
+    if not isinstance(values, list) or len(values) != 3:
+        raise DatasetError(message(f"{path}: {WORLD_OFFSET}", "three numbers", repr(values)[:60], "repair it"))
+    x, y, z = (_number({"value": value}, "value", f"{path}: {WORLD_OFFSET}") or 0.0 for value in values)
+    return x, y, z
 
 
 def _document(path: Path) -> dict[str, Any]:

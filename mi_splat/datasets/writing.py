@@ -88,10 +88,18 @@ def write_colmap(
     list_colmap(root, listing, points)
 
 
-def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
+def list_transforms(
+    folder: Path, listing: Listing, points: PointCloud | None, *, more: Mapping[str, Any] | None = None
+) -> list[Path]:
     """Write the transforms files of pictures that are in images/, and the points; returns the files.
 
     The file for tests is left out if there are none.
+
+    Args:
+        folder: Of the set.
+        listing: Names and cameras of the pictures of each split.
+        points: Points from which a training may start.
+        more: Keys and values for the head of each file.
 
     Raises:
         SplatFileError: A file cannot be written.
@@ -102,7 +110,7 @@ def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -
         written.append(folder / POINTS[0])
     for split, entries in listing.items():
         if entries:
-            document = _document(entries, points is not None)
+            document = {**(more or {}), **_document(entries, points is not None)}
             save_json(document, folder / PARTS[split], indent=1)
             written.append(folder / PARTS[split])
     return written

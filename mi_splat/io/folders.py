@@ -16,6 +16,37 @@ RECORD = "result.json"
 """The file that every folder of results holds."""
 
 
+def check_writable(out: str | os.PathLike[str]) -> None:
+    """Raise, before any work is done, unless files can be written into a folder at `out`, which need not be there.
+
+    Raises:
+        SplatFileError: `out` or something above it is a file, or cannot be written.
+    """
+    around = _existing_parent(Path(out))
+    if not around.is_dir():
+        raise SplatFileError(message(str(out), "a folder, or a free name", f"the file {around}", "pass another name"))
+    if not os.access(around, os.W_OK | os.X_OK):
+        do = "pass a folder that you may write"
+        raise SplatFileError(message(str(out), "a folder that can be written", f"read-only {around}", do))
+
+
+def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
+    """Raise, before any work is done, unless a job that goes on where it stopped can have the folder `out`.
+
+    Args:
+        out: The folder: a new one, an empty one, or that of the same kind of job.
+        records: Names of files or folders by which one of the same kind is known.
+
+    Raises:
+        SplatFileError: `out` is a file, holds something else, or cannot be written.
+    """
+    check_writable(out)
+    names = _names_in(Path(out))
+    if names and not set(records) & set(names):
+        held = _listed(names)
+        raise SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", "pass another"))
+
+
 def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> None:
     """Raise, before any work is done, unless a folder of results can be written at `out`.
 
@@ -27,19 +58,11 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
     Raises:
         SplatFileError: `out` is a file, is in use, or the folder around it cannot be written.
     """
-    path = Path(out)
-    around = _existing_parent(path)
-    if not around.is_dir():
-        raise SplatFileError(message(str(out), "a folder, or a free name", f"the file {around}", "pass another name"))
-    if not os.access(around, os.W_OK | os.X_OK):
-        do = "pass a folder that you may write"
-        raise SplatFileError(message(str(out), "a folder that can be written", f"read-only {around}", do))
-    if not path.exists():
-        return
-    names = sorted(entry.name for entry in path.iterdir() if not is_temporary(entry.name))
+    check_writable(out)
+    names = _names_in(Path(out))
     if not names:
         return
-    held = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    held = _listed(names)
     if not force:
         do = "pass another folder" + (", or --force to replace this result" if record in names else "")
         raise SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", do))
@@ -88,6 +111,16 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _names_in(folder: Path) -> list[str]:
+    """What is in a folder, temporary files apart; nothing if it is not there."""
+    return sorted(entry.name for entry in folder.iterdir() if not is_temporary(entry.name)) if folder.exists() else []
+
+
+def _listed(names: list[str]) -> str:
+    """A few of the names."""
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _existing_parent(path: Path) -> Path:

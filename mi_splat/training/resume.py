@@ -21,6 +21,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
+from mi_splat.io.folders import check_own_folder
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state, save_state, to_json
@@ -73,12 +74,14 @@ def train(
 
     Raises:
         CheckpointError: The folder holds a run with other settings, on other views or from another start.
+        SplatFileError: The folder holds something else, or cannot be written.
         InvalidValueError: `every` is not positive.
         KeyboardInterrupt: The run was interrupted; its checkpoint is written.
     """
     if every < 1:
         raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
     check_start(start, config)
+    check_own_folder(folder, CONFIG, CHECKPOINT)
     folder.mkdir(parents=True, exist_ok=True)
     sweep_temporary(folder)
     path, data = folder / CHECKPOINT, _digest(views, start)

@@ -67,19 +67,20 @@ def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: p
     [
         (["--cameras", "sphere:3"], "hemisphere:N"),
         (["--cameras", "none.json"], "none.json"),
-        (["--samples", "0"], "samples"),
         (["--size", "0"], "size"),
         (["--size", "1", "2", "3"], "size"),
         (["--size", "99999"], "width"),
         (["--fov", "180"], "fov"),
         (["--distance", "-1"], "distance"),
         (["--test", "-1"], "test"),
-        (["--seed", "-1"], "seed"),
-        (["--points", "0"], "points"),
         (["--up", "y"], "--up"),
         (["--scale", "2"], "--scale"),
+        (["--rotate", "0", "0", "90"], "--rotate"),
+        (["--front", "-x"], "--front"),
+        (["--ground", "road"], "--ground"),
+        (["--sun", "-50,52"], "--sun"),
     ],
-    ids=" ".join,
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
 def test_the_command_refuses_before_it_begins(
     more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -89,6 +90,31 @@ def test_the_command_refuses_before_it_begins(
     captured = capsys.readouterr()
     assert says in captured.err
     assert len(captured.err.splitlines()) == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--samples", "0"], "samples"),
+        (["--seed", "-1"], "seed"),
+        (["--points", "0"], "points"),
+        (["--near", "0"], "near"),
+        (["--scale", "0"], "scale"),
+        (["--rotate", "0", "nan", "0"], "rotate"),
+        (["--sun", "40"], "sun"),
+        (["--sun", "40,95"], "sun"),
+        (["--front", "+z"], "front"),
+        (["--missing-textures", "grey"], "missing-textures"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_numbers_out_of_range_are_wrong_usage(
+    more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli.main(command_line(out, *more)) == 2
+    assert says in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -15,6 +15,7 @@ from PIL import Image
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.srgb import to_srgb
 from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
 
 pytest.importorskip("trimesh")
@@ -101,7 +102,7 @@ def write_ply(folder: Path, *, faces: bool = True, value: str = "0") -> Path:
 
 @pytest.mark.parametrize("kind", ["obj", "glb"])
 def test_textures_are_the_right_way_up(kind: str, tmp_path: Path) -> None:
-    asset = load_mesh(write_obj(tmp_path) if kind == "obj" else write_glb(tmp_path))
+    asset = load_mesh(write_obj(tmp_path) if kind == "obj" else write_glb(tmp_path)).asset
     (mesh,) = asset.meshes
     corners = {tuple(np.round(vertex, 5).tolist()): i for i, vertex in enumerate(mesh.vertices)}
     # y up becomes z up: (x, y, z) -> (x, -z, y)
@@ -117,31 +118,31 @@ def test_axes_scale_and_placement(tmp_path: Path) -> None:
     path = write_glb(tmp_path, move=3.0)
     ply = write_ply(tmp_path)
     for asset, bounds in (
-        (load_mesh(path), [[3, 0, 0], [3, 1, 1]]),
-        (load_mesh(path, scale=2.0), [[6, 0, 0], [6, 2, 2]]),
-        (load_mesh(path, up="z"), [[3, 0, -1], [3, 1, 0]]),
-        (load_mesh(ply), [[0, 0, 0], [1, 1, 0]]),
+        (load_mesh(path).asset, [[3, 0, 0], [3, 1, 1]]),
+        (load_mesh(path, MeshSettings(scale=2.0)).asset, [[6, 0, 0], [6, 2, 2]]),
+        (load_mesh(path, MeshSettings(up="z")).asset, [[3, 0, -1], [3, 1, 0]]),
+        (load_mesh(ply).asset, [[0, 0, 0], [1, 1, 0]]),
     ):
         assert np.allclose(asset.bounds, bounds, atol=1e-6)
 
 
 def test_faces_keep_their_side(tmp_path: Path) -> None:
-    (mesh,) = load_mesh(write_glb(tmp_path)).meshes
+    (mesh,) = load_mesh(write_glb(tmp_path)).asset.meshes
     a, b, c = mesh.vertices[mesh.faces[0]]
     assert np.cross(b - a, c - a)[0] > 0.9 * np.linalg.norm(np.cross(np.subtract(SQUARE[1], SQUARE[0]), [0, 1, -1]))
 
 
 def test_colour_factors(tmp_path: Path) -> None:
-    tinted = load_mesh(write_glb(tmp_path, factor=[0.5, 1.0, 1.0, 1.0])).meshes[0].texture
+    tinted = load_mesh(write_glb(tmp_path, factor=[0.5, 1.0, 1.0, 1.0])).asset.meshes[0].texture
     assert tinted[1, 1].tolist() == pytest.approx([float(to_srgb(128 / 255)), 1, 1], abs=0.01)  # linear, by the format
-    plain = load_mesh(write_glb(tmp_path, factor=[0.5, 0.0, 1.0, 1.0], texture=False)).meshes[0].texture
+    plain = load_mesh(write_glb(tmp_path, factor=[0.5, 0.0, 1.0, 1.0], texture=False)).asset.meshes[0].texture
     assert plain.reshape(-1, 3)[0].tolist() == pytest.approx([float(to_srgb(128 / 255)), 0, 1], abs=0.01)
-    flat = load_mesh(write_obj(tmp_path, material="Kd 0.2 0.4 0.6")).meshes[0].texture
+    flat = load_mesh(write_obj(tmp_path, material="Kd 0.2 0.4 0.6")).asset.meshes[0].texture
     assert flat.reshape(-1, 3)[0].tolist() == pytest.approx([0.2, 0.4, 0.6], abs=0.01)
 
 
 def test_vertex_colours_blend_over_the_face(tmp_path: Path) -> None:
-    (mesh,) = load_mesh(write_ply(tmp_path)).meshes
+    (mesh,) = load_mesh(write_ply(tmp_path)).asset.meshes
     assert len(mesh.vertices) == 3
     asset = Asset("m", (mesh,))
     for vertex, colour in (((0, 0, 0), [1, 0, 0]), ((1, 0, 0), [0, 1, 0]), ((0, 1, 0), [0, 0, 1])):
@@ -175,7 +176,7 @@ def test_points_and_nans_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MiSplatError, match=r"m\.ply.*finite"):
         load_mesh(write_ply(tmp_path, value="nan"))
     with pytest.raises(InvalidValueError, match="scale"):
-        load_mesh(write_ply(tmp_path), scale=0.0)
+        load_mesh(write_ply(tmp_path), MeshSettings(scale=0.0))
 
 
 def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

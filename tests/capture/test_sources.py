@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import InvalidValueError, MiSplatError
 
@@ -33,12 +34,12 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
     pytest.importorskip("trimesh")
     (tmp_path / "mesh.obj").write_text(OBJ)
-    mesh = open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z")
+    mesh = open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0, up="z"))
     assert mesh.assets[0].bounds.tolist() == [[0, 0, 0], [2, 2, 2]]
-    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), scale=2.0, up="z").digest
-    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), scale=2.0).digest
+    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0, up="z")).digest
+    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0)).digest
     with pytest.raises(InvalidValueError, match="radius"):
-        open_source(str(tmp_path / "mesh.obj"), scale=1e4)
+        open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=1e9))
 
 
 def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
@@ -53,3 +54,14 @@ def test_an_asset_by_name_and_seed_is_a_source() -> None:
     assert len(one.assets) == 1
     with pytest.raises(InvalidValueError, match="change the seed"):
         open_source("car:three")
+
+
+def test_an_object_of_the_project_can_stand_on_the_ground() -> None:
+    alone = open_source("car:3")
+    (car, ground) = open_source("car:3", surroundings=SurroundingsSettings(ground="road")).assets
+    assert ground.bounds[:, 2].tolist() == [car.bounds[0, 2]] * 2
+    side = float(ground.bounds[1, 0] - ground.bounds[0, 0])
+    assert side == pytest.approx(6.5 * alone.radius, rel=1e-5)
+    assert (ground.bounds.mean(0)[:2]).tolist() == pytest.approx(alone.centre[:2], abs=1e-5)
+    with pytest.raises(InvalidValueError, match="--ground"):
+        open_source("car_street", surroundings=SurroundingsSettings(ground="road"))

@@ -16,8 +16,9 @@ from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import Light, PathTracer, capture, scene_dict
 from mi_splat.capture.point_clouds import surface_points
+from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
-from mi_splat.capture.writer import CaptureSettings, write_capture
+from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 
@@ -119,11 +120,11 @@ def test_pictures_depend_on_seed_and_place_alone(tmp_path: Path) -> None:
     [
         ({"settings": CaptureSettings(samples=3, points=300)}, "samples 2, now 3"),
         ({"settings": CaptureSettings(samples=2, points=300, seed=1)}, "seed 0, now 1"),
-        ({"settings": CaptureSettings(samples=2, points=300, alpha=True)}, "alpha False, now True"),
+        ({"settings": CaptureSettings(samples=2, points=300, rgba=True)}, "alpha False, now True"),
         ({"cameras": cameras(3)}, "train 4, now 3"),
-        ({"cameras": cameras(4, distance=3.1)}, "cameras '"),
+        ({"cameras": cameras(4, distance=3.1)}, "other cameras"),
         ({"test": cameras(1)}, "test 0, now 1"),
-        ({"source": source(CUBE, FLOOR)}, "scene '1', now '2'"),
+        ({"source": source(CUBE, FLOOR)}, "another scene"),
     ],
 )
 def test_a_folder_with_other_settings_is_refused(change: dict[str, Any], says: str, tmp_path: Path) -> None:
@@ -160,7 +161,7 @@ def test_what_cannot_be_captured(tmp_path: Path) -> None:
 
 
 def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
-    settings = CaptureSettings(samples=16, alpha=True, points=300)
+    settings = CaptureSettings(samples=16, rgba=True, points=300)
     write_capture(source(CUBE), cameras(2), tmp_path, settings=settings)
     black, white = (load_dataset(tmp_path, background=(level,) * 3) for level in (0.0, 1.0))
     mask = black.mask(0)

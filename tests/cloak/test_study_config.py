@@ -23,7 +23,8 @@ from attacks.cloak.study.config import (
 from attacks.cloak.study.run import check, forecast
 from attacks.cloak.study.study_file import RENAMED, read_study
 from mi_splat.cameras import View
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
+from tests.capture.trucks import TEXTURE, truck, write_ply
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
@@ -105,6 +106,62 @@ def test_a_mesh_file_needs_a_label(tmp_path: Path) -> None:
         SceneConfig(object=str(mesh))
 
 
+@pytest.mark.parametrize(
+    ("attack", "sided"),
+    [
+        (AttackConfig(name="rear", azimuth=(180, 45)), True),
+        (AttackConfig(name="rear", elevation=(0, 40), appearance="remove", azimuth=(180, 45)), True),
+        (AttackConfig(name="flank", elevation=(0, 40), appearance="paint", texture="stop_sign",
+                      paint_direction=(180, 15)), True),
+        (AttackConfig(name="door", elevation=(0, 40), appearance="mount", other_object="bird"), True),
+        (AttackConfig(name="roof", elevation=(50, 90), appearance="paint", texture="road"), False),
+        (OVERHEAD, False),
+    ],
+)  # fmt: skip
+def test_an_attack_from_one_side_has_to_know_where_a_mesh_faces(
+    attack: AttackConfig, sided: bool, tmp_path: Path
+) -> None:
+    mesh = tmp_path / "mine.obj"
+    mesh.write_text("")
+    scene = SceneConfig(object=str(mesh), label="truck")
+    if sided:
+        with pytest.raises(InvalidValueError, match=r"scene\.front: expected which way.*add front = "):
+            StudyConfig(name="own", attack=(attack,), scene=scene)
+    else:
+        StudyConfig(name="own", attack=(attack,), scene=scene)
+    for told in (replace(scene, front="+x"), SceneConfig()):
+        StudyConfig(name="own", attack=(attack,), scene=told)
+
+
+def test_a_study_turns_and_scales_its_own_mesh(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    mesh = write_ply(tmp_path, truck().placed(scale=100.0, move=(5e7, 4.5e8, 1e4)))
+    keys = f"object = '{mesh}'\nlabel = 'truck'\nscale = 0.01\nrotate = [0, 0, 90]\nfront = '+y'\nup = 'z'"
+    attack = "[[attack]]\nname = 'rear'\nazimuth = [180, 30]"
+    study = read_study(written(tmp_path, f"name = 'own'\n[scene]\n{keys}\n{attack}"))
+    target = setup.target_of(study.scene)
+    low, high = truck().vertices.min(0), truck().vertices.max(0)
+    assert (high - low).tolist() == pytest.approx((target.bounds[1] - target.bounds[0]).tolist(), abs=1e-4)
+    assert target.bounds.sum(0)[:2].tolist() == pytest.approx([0, 0], abs=1e-4)  # in the middle, on the ground
+    assert float(target.bounds[0, 2]) == pytest.approx(0, abs=1e-5)
+    for text, error in (
+        ("front = '+z'", "did you mean"),
+        ("rotate = [0, 90]", "a list of 3"),
+        ("scale = 0.0", "scale"),
+    ):
+        changed = "\n".join(line for line in keys.splitlines() if line.split()[0] != text.split()[0])
+        with pytest.raises(InvalidValueError, match=error):
+            read_study(written(tmp_path, f"name = 'own'\n[scene]\n{changed}\n{text}\n{attack}"))
+
+
+def test_a_study_refuses_a_mesh_without_its_texture(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    mesh = write_ply(tmp_path, truck())
+    (tmp_path / TEXTURE).unlink()
+    with pytest.raises(MiSplatError, match=TEXTURE):
+        setup.target_of(SceneConfig(object=str(mesh), label="truck"))
+
+
 def test_a_trigger_without_cameras_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     study = replace(SMALL, attack=(AttackConfig(name="under", elevation=(89.9, 90)),))
     with pytest.raises(InvalidValueError, match="at least one camera"):
@@ -123,7 +180,7 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="other files"):
         check(SMALL, [], tmp_path, tmp_path / "stages")
     (tmp_path / "study.json").write_text("{}")
-    with pytest.raises(InvalidValueError, match="those of another"):
+    with pytest.raises(InvalidValueError, match="results of a study with name None and not"):
         check(SMALL, [], tmp_path, tmp_path / "stages")
 
 

@@ -35,6 +35,8 @@ SCENE: dict[str, tuple[Any, frozenset[str]]] = {
     "background": ((0.0, 0.0, 0.0), ALL - {"pictures"}),
     "up": ("y", frozenset()),  # of mesh files alone
     "scale": (2.0, frozenset()),
+    "rotate": ((0.0, 0.0, 90.0), frozenset()),
+    "front": ("-x", frozenset()),
 }
 LENS = frozenset({"pictures", "appearance", "true_pictures", "observations"})
 CAMERAS: dict[str, tuple[Any, frozenset[str]]] = {

@@ -44,7 +44,7 @@ def test_near_shrinks_with_a_small_scene(scene: GaussianScene, factor: float) ->
 def test_near_shrinks_with_cameras_that_are_near(scene: GaussianScene) -> None:
     assert near_plane(scene, [looking_from(0.5)]) == pytest.approx(0.05, rel=0.05)
     _, radius = bounds(scene)
-    assert near_plane(scene, [looking_from(1e-6)]) == pytest.approx(0.01 * radius)
+    assert near_plane(scene, [looking_from(1e-6)]) == pytest.approx(0.001 * radius)
 
 
 def test_an_empty_scene_and_a_point_have_a_near_plane(scene: GaussianScene) -> None:

@@ -19,6 +19,7 @@ from attacks.objectives import Objective, Verdict, hide, relabel
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json
+from mi_splat.io.errors import SplatFileError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 KEYS = {
@@ -119,7 +120,11 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
 
 def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
     write_report(result, tmp_path)
-    write_report(dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, unambiguous=False)), tmp_path)
+    other = dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, unambiguous=False))
+    with pytest.raises(SplatFileError, match="--force to replace this result"):
+        write_report(other, tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text())["success"] is True
+    write_report(other, tmp_path, force=True)
     assert json.loads((tmp_path / "result.json").read_text())["success"] is False
     assert len(list(tmp_path.iterdir())) == 6
 

@@ -14,8 +14,9 @@ from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.markdown import words_of
 from attacks.cloak.study.pipeline import OnStep
 from attacks.cloak.study.plots import write_variation
-from attacks.cloak.study.report import STUDY, snapshot
+from attacks.cloak.study.report import STUDY
 from attacks.cloak.study.run import check, check_disk, check_folder, forecast, run_study
+from attacks.cloak.study.snapshots import snapshot
 from attacks.detectors.base import Detector
 from mi_splat.io.documents import save_json, save_text
 

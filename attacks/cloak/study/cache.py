@@ -16,6 +16,7 @@ from typing import Any
 
 from mi_splat import provenance
 from mi_splat.datasets.writing import make_folder
+from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
 
 DONE = "done.json"
@@ -72,6 +73,7 @@ class StageCache:
         path = self.folder(name, depends_on)
         if not (path / DONE).is_file():
             make_folder(path)
+            sweep_temporary(path)
             make(path)
             made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
             content = content_of(path, outputs)

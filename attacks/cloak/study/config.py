@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from attacks.cloak.mesh_edits import TEXTURES
+from attacks.cloak.study.value_checks import in_range, one_of
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
+from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_names
@@ -26,7 +27,7 @@ class SceneConfig:
     """What is photographed: an object on a square of ground in daylight, in front of one colour.
 
     Attributes:
-        object: One of the project's assets, or the path of a mesh file; it has to face +x.
+        object: One of the project's assets, or the path of a mesh file.
         label: What detectors call it; None is the name of the asset.
         seed: Which asset of that name.
         ground: Texture of the ground.
@@ -36,6 +37,8 @@ class SceneConfig:
         background: sRGB colour in the place of the sky, which the splat is trained with, too.
         up: Axis that points up in a mesh file; None is y for OBJ and glTF and z for PLY.
         scale: What one unit of a mesh file is in metres.
+        rotate: Degrees by which a mesh file is turned about x, then y, then z, after `up`.
+        front: Which way a mesh file's object faces after that; it is turned to face +x. Attacks from one side need it.
     """
 
     object: str = "car"
@@ -48,6 +51,8 @@ class SceneConfig:
     background: Colour = (0.55, 0.7, 0.9)
     up: Literal["y", "z"] | None = None
     scale: float = 1.0
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    front: Front | None = None
 
     def __post_init__(self) -> None:
         if self.object not in ASSETS and not Path(self.object).is_file():
@@ -55,6 +60,17 @@ class SceneConfig:
             raise InvalidValueError(message("scene.object", expected, repr(self.object), "name one of these"))
         if self.object not in ASSETS and self.label is None:
             raise InvalidValueError(message("scene.label", "what detectors call the object", "nothing", "say it"))
+        _ = self.mesh
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """How a mesh file is read and turned."""
+        return MeshSettings(up=self.up, scale=self.scale, rotate=self.rotate, front=self.front)
+
+    @property
+    def has_front(self) -> bool:
+        """Whether it is known that the object faces +x."""
+        return self.object in ASSETS or self.front is not None
 
     @property
     def class_name(self) -> str:
@@ -149,6 +165,12 @@ class AttackConfig:
         if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
             expected = "an elevation or an azimuth that leaves cameras out"
             raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))
+
+    @property
+    def is_sided(self) -> bool:
+        """Whether it matters which way the object faces: cameras, painting or what is mounted lie to one side."""
+        painted = self.appearance == "paint" and self.paint_direction[1] < 90
+        return self.azimuth is not None or self.appearance == "mount" or painted
 
     @property
     def cone(self) -> Trigger:
@@ -259,28 +281,8 @@ class StudyConfig:
         names = [attack.name for attack in self.attack]
         if len(set(names)) != len(names):
             raise InvalidValueError(message("attacks", "different names", names, "rename one"))
-
-
-def in_range(where: str, value: float, lowest: float, highest: float) -> None:
-    """Raise unless a number lies between two others.
-
-    Args:
-        where: Section and key, for the error.
-        value: The number.
-        lowest: Smallest number that is allowed.
-        highest: Largest one; infinity sets no limit.
-
-    Raises:
-        InvalidValueError: It does not.
-    """
-    if not lowest <= value <= highest:
-        expected = f"{lowest:g} or more" if highest == math.inf else f"{lowest:g} to {highest:g}"
-        raise InvalidValueError(message(where, expected, value, "change it"))
-
-
-def one_of(where: str, value: Any, known: Any) -> None:
-    """Raise unless a value is one of those known, naming the nearest."""
-    if value not in known:
-        near = difflib.get_close_matches(str(value), [str(key) for key in known], n=1, cutoff=0.5)
-        do = f"did you mean {near[0]}?" if near else "choose one of them"
-        raise InvalidValueError(message(where, " or ".join(map(str, known)), repr(value), do))
+        sided = [attack.name for attack in self.attack if attack.is_sided]
+        if sided and not self.scene.has_front:
+            expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
+            do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
+            raise InvalidValueError(message("scene.front", expected, "nothing", do))

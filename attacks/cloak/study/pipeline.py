@@ -23,8 +23,9 @@ from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.dependencies import fit_config
 from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
-from mi_splat.capture.writer import CaptureSettings, write_capture
+from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.io import load_splat
@@ -114,7 +115,7 @@ class StudyPipeline:
     def capture(self) -> PictureSet:
         """The victim's pictures of the scene."""
         study = self.study
-        settings = CaptureSettings(samples=study.cameras.samples, alpha=True, points=study.cameras.points)
+        settings = CaptureSettings(samples=study.cameras.samples, rgba=True, points=study.cameras.points)
         cameras = setup.training_cameras(study, self.mesh_scene.target)
 
         def make(path: Path) -> None:
@@ -143,7 +144,8 @@ class StudyPipeline:
 
     def renderer(self, *, screen_gradients: bool = False) -> Renderer:
         """The renderer of trainings and of all pictures of splats."""
-        settings = RenderSettings(background=self.study.scene.background)
+        near = setup.near_of(self.study, self.mesh_scene.target)
+        settings = RenderSettings(background=self.study.scene.background, near=near)
         return Renderer(settings, screen_gradients=ScreenGradients() if screen_gradients else None)
 
     def views(self, pictures: PictureSet) -> Dataset:

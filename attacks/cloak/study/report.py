@@ -15,21 +15,19 @@ from attacks.cloak.study.observations import ObservedSplat
 from attacks.cloak.study.pipeline import MANIFEST, PictureSet, StudyPipeline, TrainedSplat
 from attacks.cloak.study.plots import write_figures
 from attacks.cloak.study.rates import figures
+from attacks.cloak.study.snapshots import snapshot
 from attacks.detectors.base import Detector
 from mi_splat import provenance
+from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json, save_text
 
 STUDY, SUMMARY, TABLE = "study.json", "summary.json", "table.md"
 
 
-def snapshot(study: StudyConfig) -> dict[str, object]:
-    """The study as JSON can hold it."""
-    return asdict(study)
-
-
 def begin_report(study: StudyConfig, folder: Path) -> None:
     """Make the folder of the results and say in study.json whose they are."""
     folder.mkdir(parents=True, exist_ok=True)
+    sweep_temporary(folder)
     save_json(snapshot(study), folder / STUDY)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,14 +11,18 @@ from typing import Any
 
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig, one_of
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config
 from attacks.cloak.study.observations import observe, overhead
 from attacks.cloak.study.pipeline import OnStep, StudyPipeline
 from attacks.cloak.study.plots import need_matplotlib
-from attacks.cloak.study.report import STUDY, begin_report, snapshot, write_report
+from attacks.cloak.study.report import STUDY, begin_report, write_report
+from attacks.cloak.study.snapshots import differences
+from attacks.cloak.study.value_checks import one_of
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import is_temporary
+from mi_splat.io.folders import check_writable
 
 # Measured on two cores with little else to do; only for the forecast.
 _PATH, _STEP, _PIXEL, _GAUSSIAN = 0.6e-6, 8e-3, 2.5e-7, 4e-7  # seconds
@@ -102,16 +105,18 @@ def check_folder(study: StudyConfig, folder: Path) -> None:
 
     Raises:
         InvalidValueError: It is not.
+        SplatFileError: It is a file, or cannot be written.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InvalidValueError(message(str(folder), "a folder", "a file", "choose another --out"))
-    if folder.is_dir() and any(folder.iterdir()):
+    check_writable(folder)
+    if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
         known = folder / STUDY
         if not known.is_file():
             raise InvalidValueError(message(str(folder), "an empty folder", "other files", "choose another --out"))
-        if json.loads(known.read_text()) != json.loads(json.dumps(snapshot(study))):
+        differs = differences(known, study)
+        if differs:
             do = "choose another --out; stages that both need are not done again with the same --stages"
-            raise InvalidValueError(message(str(folder), "results of this study", "those of another", do))
+            expected = f"results of a study with {', '.join(differs)}"
+            raise InvalidValueError(message(str(folder), expected, "another", do))
 
 
 def check_disk(megabytes: float, stages: Path) -> None:

@@ -17,9 +17,9 @@ from attacks.cloak.poisoning import Poisoning
 from attacks.cloak.study.config import AttackConfig, SceneConfig, StudyConfig
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
+from mi_splat.assets.ground import square_of_ground
 from mi_splat.assets.mesh import Asset, translation
-from mi_splat.assets.primitives import sheet
-from mi_splat.assets.textures import grass, road
+from mi_splat.bounds import near_plane_of
 from mi_splat.camera_sets import HELD_OUT_START, framing, hemisphere, orbit
 from mi_splat.cameras import Camera, project_box
 from mi_splat.capture.mesh_files import load_mesh
@@ -45,7 +45,7 @@ def target_of(scene: SceneConfig) -> Asset:
     """The object, standing on the ground at the origin."""
     if not Path(scene.object).is_file():
         return build(scene.object, scene.seed).body
-    asset = load_mesh(Path(scene.object), up=scene.up, scale=scene.scale)
+    asset = load_mesh(Path(scene.object), scene.mesh).asset
     low, high = asset.bounds.astype(np.float64)
     middle = (low + high) / 2
     return asset.transformed(translation(-middle[0], -middle[1], -low[2]))
@@ -53,11 +53,7 @@ def target_of(scene: SceneConfig) -> Asset:
 
 def ground_of(scene: SceneConfig) -> Asset:
     """A square of ground."""
-    half, repeat = scene.ground_size / 2, scene.ground_size / TILE
-    corners = [[[-half, -half, 0], [half, -half, 0]], [[-half, half, 0], [half, half, 0]]]
-    # Without lines: one that crosses a car is no camouflage.
-    texture = road(256, 0, markings=False) if scene.ground == "road" else grass(256, 0)
-    return Asset("ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),))
+    return square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
 
 
 def mesh_scene_of(study: StudyConfig) -> MeshScene:
@@ -86,6 +82,13 @@ def lens_of(study: StudyConfig, target: Asset) -> dict[str, object]:
     size = (cameras.size, cameras.size)
     distance, focal = framing(float(np.linalg.norm(high - low)) / 2, fov=cameras.fov, size=size)
     return {"distance": distance if cameras.distance is None else cameras.distance, "focal": focal, "size": size}
+
+
+def near_of(study: StudyConfig, target: Asset) -> float:
+    """Near plane of every renderer of a study, world units."""
+    low, high = target.bounds.astype(np.float64)
+    radius = float(np.linalg.norm(high - low)) / 2
+    return near_plane_of(centre_of(study), radius, training_cameras(study, target))
 
 
 def training_cameras(study: StudyConfig, target: Asset) -> list[Camera]:

@@ -9,7 +9,8 @@ import typing
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from attacks.cloak.study.config import StudyConfig, one_of
+from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.value_checks import one_of
 from mi_splat.errors import InvalidValueError, message
 
 if sys.version_info >= (3, 11):

@@ -1,0 +1,26 @@
+"""A square of ground to stand on."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import sheet
+from mi_splat.assets.textures import grass, road
+
+
+def square_of_ground(
+    kind: Literal["road", "grass"], *, side: float, tile: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Asset:
+    """A flat square with a texture that repeats.
+
+    Args:
+        kind: The texture. A road has no lines here: one that crosses a car is no camouflage.
+        side: Metres.
+        tile: Metres that the texture covers.
+        centre: Middle of the square, metres.
+    """
+    (x, y, z), half, repeat = centre, side / 2, side / tile
+    corners = [[[x - half, y - half, z], [x + half, y - half, z]], [[x - half, y + half, z], [x + half, y + half, z]]]
+    texture = road(256, 0, markings=False) if kind == "road" else grass(256, 0)
+    return Asset("ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),))

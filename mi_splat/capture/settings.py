@@ -1,0 +1,112 @@
+"""Settings of a capture as frozen values; light, so that the command line can ask for them without Mitsuba."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from mi_splat.errors import InvalidValueError, message
+
+Front = Literal["+x", "-x", "+y", "-y"]
+Ground = Literal["road", "grass", "none"]
+MissingTextures = Literal["refuse", "warn"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureSettings:
+    """What the pictures of a capture depend on besides scene and cameras.
+
+    Attributes:
+        samples: Samples per pixel, 1 or more; more is less noise.
+        seed: Seed of the noise, 0 to 2^28; picture i uses seed + i, and pictures held out are counted on from the
+            others.
+        rgba: Write RGBA with nothing but the surfaces, in place of the sky.
+        points: Points wanted in the point cloud, 1 to 10 million.
+        near: Surfaces nearer to a camera than this are not seen, world units, more than 0; None is 0.01, for small and
+            large objects in proportion.
+
+    Raises:
+        InvalidValueError: A number is out of range.
+    """
+
+    samples: int = 32
+    seed: int = 0
+    rgba: bool = False
+    points: int = 20_000
+    near: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("samples", 1, 1 << 20), ("seed", 0, 1 << 28), ("points", 1, 10_000_000)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InvalidValueError(message(name, f"{low} to {high}", value, "change it"))
+        if self.near is not None and not (math.isfinite(self.near) and self.near > 0):
+            raise InvalidValueError(message("near", "a positive number", self.near, "leave it out for the usual one"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshSettings:
+    """How a mesh file is read and turned: first --up, then --rotate, then --front, then --scale.
+
+    Attributes:
+        up: Axis that points up in the file; None is y for OBJ and glTF and z for PLY.
+        scale: What one unit of the file is in metres, more than 0; 0.01 for centimetres.
+        rotate: Degrees about x, then about y, then about z; the axes stay where they are.
+        front: Which way the object faces after --up and --rotate; it is turned to face +x. None turns nothing.
+        missing_textures: What to do where a texture or a colour of the file cannot be shown: refuse the file, or warn
+            and take the plain colour.
+
+    Raises:
+        InvalidValueError: A number is out of range.
+    """
+
+    up: Literal["y", "z"] | None = None
+    scale: float = 1.0
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    front: Front | None = None
+    missing_textures: MissingTextures = "refuse"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.scale < math.inf:
+            raise InvalidValueError(message("scale", "a positive number", self.scale, "1 keeps the size"))
+        if not all(map(math.isfinite, self.rotate)):
+            raise InvalidValueError(message("rotate", "three angles in degrees", self.rotate, "0 0 0 turns nothing"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurroundingsSettings:
+    """What is around a mesh file, or around an object of the project.
+
+    Attributes:
+        ground: Texture of a square of ground that it stands on, as in the studies of CLOAK; none is no ground.
+        sun: Where the sun stands, as AZIMUTH,ELEVATION in degrees, for instance -50,52; azimuth from +x towards +y,
+            elevation 0 to 90. None is 40,45, and no sun where there is an environment.
+        environment: Picture of the sky all around (latitude and longitude, straight up first), .exr or .hdr; None is
+            the project's own sky.
+
+    Raises:
+        InvalidValueError: The sun's place is no two angles.
+    """
+
+    ground: Ground = "none"
+    sun: str | None = None
+    environment: Path | None = None
+
+    def __post_init__(self) -> None:
+        _ = self.sun_angles
+
+    @property
+    def sun_angles(self) -> tuple[float, float] | None:
+        """Azimuth and elevation of the sun in degrees; None if they are not given."""
+        if self.sun is None:
+            return None
+        try:
+            azimuth, elevation = (float(word) for word in self.sun.split(","))
+        except ValueError:
+            azimuth = elevation = math.nan
+        if not (math.isfinite(azimuth) and 0 <= elevation <= 90):
+            expected = "azimuth,elevation in degrees, with an elevation of 0 to 90"
+            raise InvalidValueError(message("sun", expected, repr(self.sun), "write for instance -50,52"))
+        return azimuth, elevation

@@ -1,0 +1,244 @@
+"""Textures and colours of other people's meshes: shown right, or named and refused, never grey in silence."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from attacks import cli
+from mi_splat.assets.srgb import to_srgb
+from mi_splat.capture.mesh_files import LoadedMesh, load_mesh
+from mi_splat.capture.settings import MeshSettings
+from mi_splat.errors import MiSplatError
+from tests.capture.trucks import COLOURS, TEXTURE, save_texture, truck, write_glb, write_obj, write_ply
+
+pytest.importorskip("trimesh")
+
+WARN = MeshSettings(missing_textures="warn")
+COUNT = len(truck().vertices)
+BASE = {"baseColorTexture": {"index": 0}}
+
+
+def corner_colours(loaded: LoadedMesh) -> np.ndarray[Any, Any]:
+    """(V, 3) sRGB bytes at the vertices, as the path tracer looks them up."""
+    found = []
+    for mesh in loaded.asset.meshes:
+        height, width = mesh.texture.shape[:2]
+        columns = np.clip((mesh.uvs[:, 0] % 1 * width).astype(int), 0, width - 1)
+        rows = np.clip(((1 - mesh.uvs[:, 1]) % 1 * height).astype(int), 0, height - 1)
+        found.append(mesh.texture[rows, columns])
+    return np.concatenate(found) * 255
+
+
+def expected() -> np.ndarray[Any, Any]:
+    return truck().colours.astype(np.float64)
+
+
+def blue_is_at_the_back(loaded: LoadedMesh) -> bool:
+    """Whether the bed, which is blue, lies towards -x and the red cab towards +x."""
+    points, colours = loaded.asset.vertices, corner_colours(loaded)
+    bed, cab = (np.abs(colours - np.array(COLOURS[name])).max(1) < 3 for name in ("bed", "cab"))
+    return bool(bed.any() and cab.any() and points[bed, 0].max() < points[cab, 0].min() + 0.1)
+
+
+@pytest.mark.parametrize("write", [write_glb, write_obj, write_ply])
+def test_a_texture_in_a_file_of_its_own_is_shown(write: Callable[..., Path], tmp_path: Path) -> None:
+    loaded = load_mesh(write(tmp_path, truck()))
+    assert loaded.warnings == ()
+    assert blue_is_at_the_back(loaded)
+
+
+def no_texture(path: Path) -> None:
+    path.with_name(TEXTURE).unlink()
+
+
+def no_picture(path: Path) -> None:
+    path.with_name(TEXTURE).write_bytes(b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(60))
+
+
+def half_a_picture(path: Path) -> None:
+    texture = path.with_name(TEXTURE)
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)).save(texture)
+    texture.write_bytes(texture.read_bytes()[:4000])
+
+
+def texture_elsewhere(path: Path) -> None:
+    folder = path.parent.with_name(path.parent.name + "_textures")
+    folder.mkdir()
+    path.with_name(TEXTURE).rename(folder / "other.png")
+    path.with_name("truck.mtl").write_text(f"newmtl paint\nmap_Kd ../{folder.name}/other.png\n")
+
+
+def no_material_file(path: Path) -> None:
+    path.with_name("truck.mtl").unlink()
+
+
+def another_material(path: Path) -> None:
+    path.with_name("truck.mtl").write_text("newmtl chrome\nKd 1 1 1\n")
+
+
+def map_with_options(path: Path) -> None:
+    path.with_name("truck.mtl").write_text(f"newmtl paint\nmap_Kd -s 2 2 2 {TEXTURE}\n")
+
+
+@pytest.mark.parametrize(
+    ("write", "spoil", "says"),
+    [
+        (write_glb, no_texture, f"{TEXTURE}.*no such file"),
+        (write_glb, no_picture, f"{TEXTURE}.*cannot be read as a picture"),
+        (write_glb, half_a_picture, TEXTURE),
+        (write_obj, no_texture, f"{TEXTURE}.*no such file"),
+        (write_obj, no_picture, f"{TEXTURE}.*cannot be read as a picture"),
+        (write_obj, half_a_picture, TEXTURE),
+        (write_obj, texture_elsewhere, r"other\.png.*outside of the mesh's folder"),
+        (write_obj, no_material_file, r"truck\.mtl.*no such file"),
+        (write_obj, another_material, r"material paint: not in truck\.mtl"),
+        (write_obj, map_with_options, "-s 2 2 2"),
+        (write_ply, no_texture, f"{TEXTURE}.*no such file"),
+        (write_ply, half_a_picture, TEXTURE),
+    ],
+)
+def test_a_texture_that_cannot_be_shown_is_named(
+    write: Callable[..., Path], spoil: Callable[[Path], None], says: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path, truck())
+    spoil(path)
+    with pytest.raises(MiSplatError, match=rf"{path.name}.*{says}.*--missing-textures warn"):
+        load_mesh(path)
+    loaded = load_mesh(path, WARN)
+    assert len(loaded.warnings) == 1
+    assert np.ptp(corner_colours(loaded), axis=0).max() == 0  # one plain colour
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ({"image": {"uri": TEXTURE, "mimeType": "image/ktx2"}}, TEXTURE),
+        ({"texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}}, TEXTURE),
+        ({"material": {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 3}}}}, "TEXCOORD_3"),
+        ({"attributes": {"TEXCOORD_0": np.zeros((COUNT, 2), "u2")}}, "integers"),
+        ({"attributes": {"COLOR_0": np.full((COUNT, 3), 0.5, "<f4")}}, "colours of vertices"),
+    ],
+    ids=["ktx2", "basisu", "no such coordinates", "integers", "colours over a texture"],
+)
+def test_what_cannot_be_read_of_a_gltf_file_is_named(words: dict[str, Any], says: str, tmp_path: Path) -> None:
+    path = write_glb(tmp_path, truck(), **words)
+    with pytest.raises(MiSplatError, match=rf"truck\.glb.*{says}"):
+        load_mesh(path)
+    assert [text for text in load_mesh(path, WARN).warnings if says in text]
+
+
+@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization"])
+def test_an_extension_that_changes_the_mesh_is_named(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mi_splat.capture.gltf.find_spec", lambda package: None)  # as if DracoPy were not there
+    with pytest.raises(MiSplatError, match=name):
+        load_mesh(write_glb(tmp_path, truck(), required=(name,)))
+
+
+def test_fans_which_trimesh_leaves_out_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MiSplatError, match="fan"):
+        load_mesh(write_glb(tmp_path, truck(), mode=6))
+
+
+def test_second_texture_coordinates_are_used(tmp_path: Path) -> None:
+    down = (truck().uvs * (1, -1) + (0, 1)).astype("<f4")
+    attributes = {"TEXCOORD_0": np.full_like(down, 0.1), "TEXCOORD_1": down}
+    material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 1}}}
+    loaded = load_mesh(write_glb(tmp_path, truck(), material=material, attributes=attributes))
+    assert np.abs(corner_colours(loaded) - expected()).max() < 3
+
+
+def test_texture_transforms_are_used(tmp_path: Path) -> None:
+    down = truck().uvs * (1, -1) + (0, 1)
+    transform = {"offset": [0.25, 0.5], "scale": [0.5, 2.0], "rotation": np.pi / 2}
+    # uv' = offset + R(rotation) (scale * uv), R = [[cos, sin], [-sin, cos]]: u' = 0.25 + 2 v, v' = 0.5 - 0.5 u
+    given = np.column_stack([(0.5 - down[:, 1]) / 0.5, (down[:, 0] - 0.25) / 2.0]).astype("<f4")
+    base = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    material = {"pbrMetallicRoughness": {"baseColorTexture": base}}
+    path = write_glb(
+        tmp_path, truck(), material=material, attributes={"TEXCOORD_0": given}, required=("KHR_texture_transform",)
+    )
+    assert np.abs(corner_colours(load_mesh(path)) - expected()).max() < 3
+
+
+@pytest.mark.parametrize("kind", ["<f4", "u1", "u2"])
+def test_colours_of_vertices_are_those_of_the_surface(kind: str, tmp_path: Path) -> None:
+    linear = np.random.default_rng(1).random((COUNT, 4))
+    top = 1.0 if kind == "<f4" else float(np.iinfo(kind).max)
+    attributes = {"COLOR_0": (linear * top).astype(kind)}
+    for factor in (None, [0.5, 1.0, 0.25, 1.0]):
+        material = {"pbrMetallicRoughness": {"baseColorFactor": factor} if factor else {}}
+        loaded = load_mesh(write_glb(tmp_path, truck(), material=material, attributes=attributes))
+        assert loaded.warnings == ()
+        wanted = 255 * to_srgb(linear[:, :3] * (factor[:3] if factor else 1))
+        assert np.abs(corner_colours(loaded) - wanted).max() < (
+            14 if kind == "u1" else 1
+        )  # 8 bits of a dark linear value
+
+
+def test_white_colours_of_vertices_change_nothing(tmp_path: Path) -> None:
+    attributes = {"COLOR_0": np.ones((COUNT, 4), "<f4")}
+    loaded = load_mesh(write_glb(tmp_path, truck(), attributes=attributes))
+    assert loaded.warnings == ()
+    assert np.abs(corner_colours(loaded) - expected()).max() < 3
+
+
+def test_colours_of_vertices_in_obj_and_ply(tmp_path: Path) -> None:
+    for path in (
+        write_obj(tmp_path, truck(), colours=True, textured=False),
+        write_ply(tmp_path, truck(), textured=False),
+    ):
+        loaded = load_mesh(path)
+        assert loaded.warnings == ()
+        assert np.abs(corner_colours(loaded) - expected()).max() < 3
+    beside = load_mesh(write_obj(tmp_path, truck(), colours=True))
+    assert np.abs(corner_colours(beside) - expected()).max() < 3
+    assert "colours of vertices" in beside.warnings[0]  # the texture is as good: said, not refused
+    save_texture(tmp_path)
+    (tmp_path / "truck.mtl").write_text("newmtl paint\nKd 0.5 0.5 0.5\n")
+    assert np.abs(corner_colours(load_mesh(tmp_path / "truck.obj")) - expected()).max() < 3
+    (tmp_path / "truck.mtl").unlink()
+    assert load_mesh(tmp_path / "truck.obj").warnings == ()  # colours of vertices do for lost materials
+
+
+def test_factors_multiply_and_dark_ones_are_exact(tmp_path: Path) -> None:
+    factor = [0.002, 0.5, 1.0, 1.0]
+    plain = load_mesh(write_glb(tmp_path, truck(), material={"pbrMetallicRoughness": {"baseColorFactor": factor}}))
+    assert np.abs(corner_colours(plain)[0] - 255 * to_srgb(np.array(factor[:3]))).max() < 0.5
+    both = {"pbrMetallicRoughness": {**BASE, "baseColorFactor": [0.5, 0.5, 0.5, 1.0]}}
+    half = corner_colours(load_mesh(write_glb(tmp_path, truck(), material=both)))
+    assert 0.6 < (half[:, 0].max() / expected()[:, 0].max()) < 0.8
+
+
+def test_pictures_of_16_bits_and_names_with_spaces(tmp_path: Path) -> None:
+    path = write_glb(tmp_path, truck(), image={"uri": "my%20truck.png"})
+    levels = np.linspace(1000, 60000, 32).astype(np.uint16)[None].repeat(4, axis=0)
+    Image.fromarray(levels).save(tmp_path / "my truck.png")
+    found = np.unique(corner_colours(load_mesh(path))[:, 0])
+    assert len(found) == 4
+    assert found.max() < 240
+
+
+def test_the_command_refuses_or_warns(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_ply(tmp_path, truck())
+    no_texture(path)
+    out = tmp_path / "out"
+    command = ["capture", str(path), "--out", str(out), "--cameras", "orbit:2@20", "--size", "16", "--samples", "1"]
+    assert cli.main([*command, "--points", "50"]) == 1
+    assert TEXTURE in capsys.readouterr().err
+    assert not out.exists()
+    with caplog.at_level(logging.CRITICAL, logger="trimesh"):
+        assert cli.main([*command, "--points", "50", "--missing-textures", "warn"]) == 0
+    err = capsys.readouterr().err
+    assert TEXTURE in err
+    assert len(err.splitlines()) == 1

@@ -1,0 +1,158 @@
+"""Meshes of any size, and far from their origin: the same pictures, and coordinates that lose nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from attacks import cli
+from mi_splat.cameras import Camera
+from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.sources import open_source
+from mi_splat.capture.working_frame import WorkingFrame, working_frame
+from mi_splat.datasets import load_dataset
+from mi_splat.errors import MiSplatError
+from mi_splat.metrics import psnr
+from tests.capture.trucks import truck, write_glb, write_obj, write_ply
+
+pytest.importorskip("trimesh")
+
+UTM = (500_000.0, 4_500_000.0, 100.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Captured:
+    """A set of the truck."""
+
+    pictures: Tensor
+    points: Tensor
+    cameras: tuple[Camera, ...]
+    document: dict[str, object]
+
+
+def captured(path: Path, out: Path, *more: str) -> Captured:
+    words = ["--cameras", "hemisphere:4", "--size", "64", "--samples", "16", "--points", "300", "--ground", "road"]
+    assert cli.main(["capture", str(path), "--out", str(out), *words, *more]) == 0
+    found = load_dataset(out)
+    assert found.points is not None
+    document = json.loads((out / "transforms_train.json").read_text())
+    pictures = torch.stack([view.image for view in found])
+    return Captured(pictures=pictures, points=found.points.points, cameras=tuple(found.cameras), document=document)
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> Captured:
+    folder = tmp_path_factory.mktemp("usual")
+    return captured(write_ply(folder, truck()), folder / "out")
+
+
+def assert_in_proportion(found: Captured, usual: Captured, *, size: float) -> None:
+    """The same pictures, from cameras and with points that are `size` times as far from the origin."""
+    assert psnr(found.pictures, usual.pictures) > 60
+    assert torch.allclose(found.points.amin(0) / size, usual.points.amin(0), atol=0.05)
+    assert torch.allclose(found.points.amax(0) / size, usual.points.amax(0), atol=0.05)
+    for ours, theirs in zip(found.cameras, usual.cameras, strict=True):
+        assert torch.allclose(ours.position / size, theirs.position, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("write", "factor", "scale"),
+    [
+        (write_glb, 100.0, 0.01),
+        (write_ply, 1.0, 0.03),
+        (write_obj, 0.01, 1.0),
+        (write_ply, 1000.0, 1.0),
+        (write_ply, 0.0005, 1.0),
+    ],
+    ids=["centimetres", "scale 0.03", "5 cm", "5 km", "2.5 mm"],
+)
+def test_size_changes_no_picture(
+    write: Callable[..., Path], factor: float, scale: float, usual: Captured, tmp_path: Path
+) -> None:
+    found = captured(write(tmp_path, truck().placed(scale=factor)), tmp_path / "out", "--scale", str(scale))
+    assert_in_proportion(found, usual, size=factor * scale)
+    assert "world_offset" not in found.document
+
+
+@pytest.mark.parametrize(
+    ("write", "move", "node"),
+    [
+        (write_ply, UTM, {}),
+        (write_obj, UTM, {}),
+        (write_ply, (5000.0, 0.0, 0.0), {}),
+        (write_glb, (0, 0, 0), {"translation": [UTM[0], UTM[2], -UTM[1]]}),
+    ],
+    ids=["UTM, PLY", "UTM, OBJ", "5 km away", "UTM, GLB"],
+)
+def test_a_mesh_far_away_is_brought_to_the_origin(
+    write: Callable[..., Path],
+    move: tuple[float, float, float],
+    node: dict[str, object],
+    usual: Captured,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = {"node": node} if node else {}
+    path = write(tmp_path, truck().placed(move=move), **words)
+    found = captured(path, tmp_path / "out")
+    assert psnr(found.pictures, usual.pictures) > 60
+    low, high = truck().vertices.min(0), truck().vertices.max(0)
+    middle = (low + high) / 2 + (UTM if node else move)
+    offset = found.document["world_offset"]
+    assert np.allclose(np.array(offset), middle, atol=1e-6)
+    record = json.loads((tmp_path / "out" / "capture.json").read_text())
+    assert record["world_offset"] == offset
+    out = capsys.readouterr().out
+    assert f"{middle[0]:.10g}" in out
+    assert "far from its origin" in out
+    assert float(found.points.abs().max()) < 20
+    # The cameras of such a set, and points to look at, are those of the same place.
+    again = captured(path, tmp_path / "again", "--cameras", str(tmp_path / "out" / "transforms_train.json"))
+    assert torch.equal(again.pictures, found.pictures)
+    looked = captured(path, tmp_path / "looked", "--centre", *(repr(float(value)) for value in middle))
+    assert psnr(looked.pictures, found.pictures) > 60
+
+
+def test_a_mesh_beside_the_origin_keeps_its_coordinates(usual: Captured, tmp_path: Path) -> None:
+    found = captured(write_ply(tmp_path, truck().placed(move=(300, 200, 50))), tmp_path / "out")
+    assert psnr(found.pictures, usual.pictures) > 60
+    assert "world_offset" not in found.document
+    assert torch.allclose(found.points.mean(0), usual.points.mean(0) + torch.tensor([300.0, 200, 50]), atol=0.2)
+
+
+def test_vertices_lose_nothing_far_away(tmp_path: Path) -> None:
+    here, there = (load_mesh(write_ply(tmp_path, truck().placed(move=move))) for move in ((0, 0, 0), UTM))
+    middle = (truck().vertices.min(0) + truck().vertices.max(0)) / 2
+    assert np.abs(here.asset.vertices - middle - there.asset.vertices).max() < 1e-6
+
+
+def test_the_working_frame_is_the_world_s_for_usual_objects() -> None:
+    assert working_frame((1.0, 2.0, 0.7), 2.6).is_world
+    small = working_frame((0.0, 0.0, 0.01), 0.05)
+    assert small == WorkingFrame(unit=64.0)
+    far = working_frame((500.0, 0.0, 0.0), 2.0)
+    assert far == WorkingFrame(origin=(500.0, 0.0, 0.0))
+
+
+CUBE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
+<shape type="cube"><transform name="to_world"><translate x="{x}"/></transform></shape></scene>"""
+
+
+def test_a_mitsuba_scene_far_away_is_warned_of_or_refused(tmp_path: Path) -> None:
+    path = tmp_path / "far.xml"
+    found = {}
+    for x in (3, 400, 100_000):
+        path.write_text(CUBE.format(x=x))
+        if x < 1000:
+            found[x] = open_source(str(path)).warnings
+    assert found[3] == ()
+    assert "subtract the middle" in found[400][0]
+    with pytest.raises(MiSplatError, match=r"far\.xml.*subtract the middle"):
+        open_source(str(path))

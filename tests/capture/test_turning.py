@@ -1,0 +1,198 @@
+"""`mi-splat capture`: which way a mesh faces, what is around it, the near clip; other options are told apart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from torch import Tensor
+
+from attacks import cli
+from mi_splat.camera_sets import orbit
+from mi_splat.capture.mesh_files import load_mesh, turning
+from mi_splat.capture.mitsuba_meshes import scalar_variant
+from mi_splat.capture.path_tracer import PathTracer
+from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
+from mi_splat.capture.sources import open_source
+from mi_splat.datasets import load_dataset
+from mi_splat.errors import MiSplatError
+from tests.capture.test_mesh_textures import blue_is_at_the_back
+from tests.capture.trucks import truck, write_glb, write_ply
+
+pytest.importorskip("trimesh")
+
+
+@pytest.mark.parametrize(("front", "degrees"), [("+x", 0.0), ("+y", 90.0), ("-x", 180.0), ("-y", 270.0)])
+def test_a_front_is_turned_to_x(front: Any, degrees: float, tmp_path: Path) -> None:
+    # Turned by hand in a y-up file, where degrees about z are those about y.
+    path = write_glb(tmp_path, truck(), node={"rotation": quaternion(degrees)})
+    assert blue_is_at_the_back(load_mesh(path, MeshSettings(front=front)))
+    assert blue_is_at_the_back(load_mesh(path)) == (front == "+x")
+    assert blue_is_at_the_back(load_mesh(path, MeshSettings(rotate=(0, 0, -degrees))))
+
+
+def quaternion(degrees: float) -> list[float]:
+    """xyzw, about y."""
+    half = np.radians(degrees) / 2
+    return [0.0, float(np.sin(half)), 0.0, float(np.cos(half))]
+
+
+def test_turns_come_in_the_order_that_is_written_down() -> None:
+    matrix = turning(MeshSettings(rotate=(90, 0, 90), scale=2.0), up="z")
+    # About x first: y goes to z and stays there; x goes to y, by the turn about z.
+    assert np.allclose(matrix, [[0, 0, 2], [2, 0, 0], [0, 2, 0]], atol=1e-12)
+    assert np.allclose(turning(MeshSettings(), up="y") @ (0, 1, 0), (0, 0, 1))
+    # A front is where it is after the other turns: x, turned to y, faces +y.
+    faces_y = MeshSettings(rotate=(0, 0, 90), front="+y")
+    assert np.allclose(turning(faces_y, up="z"), np.eye(3), atol=1e-12)
+
+
+def picture(source: Any, *, size: int = 32) -> Tensor:
+    (camera,) = orbit(source.centre, count=1, elevation=35, distance=8.0, focal=size, size=(size, size))
+    return PathTracer(source.scene, samples=16).picture(camera, seed=0)
+
+
+def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
+    path = str(write_ply(tmp_path, truck()))
+    plain = picture(open_source(path))
+    for kind, brightest in (("road", None), ("grass", 1)):
+        found = picture(open_source(path, surroundings=SurroundingsSettings(ground=kind)))  # type: ignore[arg-type]
+        assert (found - plain)[-4:].abs().mean() > 0.03
+        if brightest is not None:
+            assert int(found[-4:].mean((0, 1)).argmax()) == brightest
+    front, back = (
+        picture(open_source(path, surroundings=SurroundingsSettings(sun=f"{azimuth},20"))) for azimuth in (0, 180)
+    )
+    middle = slice(12, 20)
+    assert front[middle, middle].mean() > back[middle, middle].mean() + 0.02  # seen from azimuth 0
+    environment = np.zeros((8, 16, 3), np.float32)
+    environment[..., 2] = 1.0
+    with scalar_variant():
+        mi.Bitmap(environment).write(str(tmp_path / "blue.exr"))
+        mi.Bitmap(environment).write(str(tmp_path / "blue.hdr"))
+    for name in ("blue.exr", "blue.hdr"):
+        blue = picture(open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / name)))
+        assert float(blue[..., :2].max()) < 0.02
+        assert float(blue[0, :, 2].min()) > 0.98
+    both = SurroundingsSettings(environment=tmp_path / "blue.exr", sun="0,30")
+    assert float(picture(open_source(path, surroundings=both))[..., 0].max()) > 0.2
+    for name, content in (("none.exr", None), ("sky.png", b""), ("bad.exr", b"no"), ("bad.hdr", b"no")):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(MiSplatError, match=r"environment"):
+            open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / name))
+
+
+def test_an_environment_stands_upright(tmp_path: Path) -> None:
+    environment = np.zeros((8, 16, 3), np.float32)
+    environment[:4, :, 0], environment[4:, :, 1] = 1.0, 1.0  # red above, green below
+    with scalar_variant():
+        mi.Bitmap(environment).write(str(tmp_path / "two.exr"))
+    path = str(write_ply(tmp_path, truck()))
+    source = open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / "two.exr"))
+    (camera,) = orbit(source.centre, count=1, elevation=0, distance=12.0, focal=24, size=(32, 32))
+    found = PathTracer(source.scene, samples=4).picture(camera, seed=0)
+    assert found[2, 2].argmax() == 0
+    assert found[-3, 2].argmax() == 1
+
+
+def command(folder: Path, path: str, *more: str) -> list[str]:
+    quick = ["--cameras", "orbit:2@20", "--size", "16", "--samples", "1", "--points", "50"]
+    return ["capture", path, "--out", str(folder / "out"), *quick, *more]
+
+
+def test_near_cuts_what_is_near(tmp_path: Path) -> None:
+    path = str(write_ply(tmp_path, truck().placed(scale=0.01)))
+    assert cli.main(command(tmp_path, path, "--rgba", "--near", "0.07")) == 0
+    cut = load_dataset(tmp_path / "out").mask(0)
+    assert cli.main(command(tmp_path / "b", path, "--rgba")) == 0
+    whole = load_dataset(tmp_path / "b" / "out").mask(0)
+    assert cut is not None
+    assert whole is not None
+    assert 0 < float(cut.sum()) < float(whole.sum())
+
+
+OPTIONS: dict[str, tuple[list[str], str]] = {
+    "rotate": (["--rotate", "0", "0", "30"], "rotate [0.0, 0.0, 0.0], now [0.0, 0.0, 30.0]"),
+    "front": (["--front", "-x"], "front None, now '-x'"),
+    "scale": (["--scale", "2"], "scale 1.0, now 2.0"),
+    "up": (["--up", "y"], "up None, now 'y'"),
+    "ground": (["--ground", "road"], "ground 'none', now 'road'"),
+    "sun": (["--sun", "-50,52"], "sun None, now '-50,52'"),
+    "near": (["--near", "0.5"], "near None, now 0.5"),
+    "cameras": (["--cameras", "orbit:2@30"], "cameras 'orbit:2@20', now 'orbit:2@30'"),
+    "fov": (["--fov", "50"], "fov 45.0, now 50.0"),
+    "distance": (["--distance", "9"], "distance None, now 9.0"),
+    "size": (["--size", "20"], "size [16], now [20]"),
+}
+
+
+def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(write_ply(tmp_path, truck()))
+    first = command(tmp_path, path)
+    assert cli.main(first) == 0
+    for words, says in OPTIONS.values():
+        capsys.readouterr()
+        assert cli.main(command(tmp_path, path, *words)) == 1
+        error = capsys.readouterr().err
+        assert f"got {says};" in error, error  # this, and nothing else
+        assert len(error.splitlines()) == 1
+    assert cli.main([*first, "--json"]) == 0
+    done = json.loads(capsys.readouterr().out)
+    assert (done["rendered"], done["warnings"]) == (0, [])
+    record = json.loads((tmp_path / "out" / "capture.json").read_text())
+    assert record["inputs"]["scene"]["scene"] == path
+    assert record["format"] == 2
+    write_ply(tmp_path, truck().placed(scale=1.01))
+    assert cli.main(first) == 1
+    assert "another scene (what its files hold)" in capsys.readouterr().err
+
+
+def test_a_capture_with_new_options_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(write_ply(tmp_path, truck()))
+    first = command(tmp_path, path, "--ground", "grass", "--rotate", "0", "0", "20", "--front", "+y", "--sun", "10,40")
+    assert cli.main(first) == 0
+    before = {file: file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()}
+    (tmp_path / "out" / "images" / "train_00001.png").unlink()
+    (tmp_path / "out" / "points3D.ply").unlink()
+    assert cli.main(first) == 0
+    assert "1 rendered" in capsys.readouterr().out
+    assert {file: file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()} == before
+
+
+def older(record: dict[str, Any]) -> dict[str, Any]:
+    """The record as versions before format 2 wrote it."""
+    keys = ("scene", "cameras", "train", "test", "samples", "seed", "alpha", "points", "mitsuba")
+    return {key: record[key] for key in keys}
+
+
+def test_captures_of_other_versions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(write_ply(tmp_path, truck()))
+    file = tmp_path / "out" / "capture.json"
+    assert cli.main(command(tmp_path, path)) == 0
+    record = json.loads(file.read_text())
+    file.write_text(json.dumps(older(record)))
+    assert cli.main(command(tmp_path, path)) == 0  # the same pictures: it goes on
+    assert "begun by an older version" in capsys.readouterr().out
+    assert json.loads(file.read_text()) == older(record)
+    for words, says in ((["--scale", "2"], "another scene"), (["--distance", "9"], "other cameras")):
+        assert cli.main(command(tmp_path, path, *words)) == 1
+        assert f"{says} (the record was written by an older version: it cannot say" in capsys.readouterr().err
+    assert cli.main(command(tmp_path, path, "--seed", "1")) == 1
+    assert "got seed 0, now 1;" in capsys.readouterr().err
+    file.write_text(json.dumps({**record, "version": "0.0.1"}))
+    assert cli.main(command(tmp_path, path)) == 0
+    assert "begun by 0.0.1" in capsys.readouterr().out
+    for change, says in (
+        ({"pictures": 0}, "pictures 0, now 1"),
+        ({"mitsuba": "3.0"}, "mitsuba '3.0'"),
+        ({"format": 9}, "a newer version"),
+        ({"version": "0.0.1", "scene": "0"}, "where 0.0.1 began"),
+    ):
+        file.write_text(json.dumps({**record, **change}))
+        assert cli.main(command(tmp_path, path)) == 1
+        assert says in capsys.readouterr().err

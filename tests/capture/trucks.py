@@ -1,0 +1,196 @@
+"""A low-poly truck as other people's files have it: GLB, OBJ and PLY with a texture in a file of its own."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+TEXTURE = "truck.png"
+COLOURS = {"cab": (200, 30, 30), "bed": (30, 60, 180), "tyre": (25, 25, 25), "glass": (150, 190, 210)}
+"""The texture's four stripes, from left to right."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truck:
+    """z up, facing +x; triangles do not share vertices.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        uvs: (V, 2), v up.
+    """
+
+    vertices: NDArray[np.float64]
+    uvs: NDArray[np.float64]
+
+    @property
+    def faces(self) -> NDArray[np.int64]:
+        return np.arange(len(self.vertices)).reshape(-1, 3)
+
+    @property
+    def colours(self) -> NDArray[np.uint8]:
+        """(V, 3) the texture's colours as colours of vertices."""
+        stripes: NDArray[np.uint8] = np.array(list(COLOURS.values()), np.uint8)
+        found: NDArray[np.uint8] = stripes[(self.uvs[:, 0] * len(stripes)).astype(int)]
+        return found
+
+    def placed(self, *, scale: float = 1.0, move: ArrayLike = (0, 0, 0), y_up: bool = False) -> Truck:
+        points = self.vertices * scale + np.asarray(move, np.float64)
+        if y_up:
+            points = np.column_stack([points[:, 0], points[:, 2], -points[:, 1]])
+        return replace(self, vertices=points)
+
+
+def truck() -> Truck:
+    """A pickup with bonnet, cabin, windows, bed, lamps and four round wheels; 5 m long, 276 triangles."""
+    boxes = [
+        ((1.75, 0, 0.8), (1.5, 1.8, 0.6), "cab"),  # bonnet
+        ((0.2, 0, 0.8), (1.6, 1.8, 0.6), "cab"),
+        ((-1.55, 0, 0.85), (1.9, 1.84, 0.7), "bed"),
+        ((2.51, 0, 0.85), (0.04, 1.5, 0.2), "glass"),  # lamps
+    ]
+    solids = [(np.array(middle) + 0.5 * np.array(size) * _CORNERS, colour) for middle, size, colour in boxes]
+    solids.append((_cabin(1.0), "cab"))
+    solids += [
+        (_cabin(0.75) * (1, 1.18, 1) + (0, 0, 0.04), "glass"),
+        (_cabin(0.8) * (1.12, 0.8, 1) - (0.03, 0, 0), "glass"),
+    ]
+    triangles = [(points[[a, b, c, a, c, d]], colour) for points, colour in solids for a, b, c, d in _QUADS]
+    triangles += [(part, "tyre") for x in (1.65, -1.6) for y in (-0.83, 0.83) for part in _wheel(x, y)]
+    stripes = [(list(COLOURS).index(colour) + 0.5) / len(COLOURS) for _, colour in triangles]
+    uvs = [np.full((len(part), 2), (u, 0.5)) for u, (part, _) in zip(stripes, triangles, strict=True)]
+    return Truck(np.concatenate([part for part, _ in triangles]), np.concatenate(uvs))
+
+
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+_QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def _cabin(size: float) -> NDArray[np.float64]:
+    """(8, 3) corners of a cabin that is narrower above."""
+    points = np.array([0.2, 0, 1.4]) + _CORNERS * (0.8, 0.85, 0.3 * size)
+    points[_CORNERS[:, 2] > 0] -= _CORNERS[_CORNERS[:, 2] > 0] * (0.35 * size, 0.12 * size, 0)
+    return points
+
+
+def _wheel(x: float, y: float, *, sides: int = 12) -> list[NDArray[np.float64]]:
+    """Triangles of a wheel about an axis along y."""
+    angles = np.linspace(0, -2 * np.pi, sides + 1)
+    rim = np.column_stack([x + 0.38 * np.cos(angles), np.zeros(sides + 1), 0.38 + 0.38 * np.sin(angles)])
+    inner, outer = (rim + np.array([0, side, 0]) for side in (y - 0.12, y + 0.12))
+    middles = [np.array([x, y + side, 0.38]) for side in (-0.12, 0.12)]
+    found = []
+    for i in range(sides):
+        found.append(np.stack([inner[i], inner[i + 1], outer[i + 1], inner[i], outer[i + 1], outer[i]])[::-1])
+        found.append(np.stack([middles[0], inner[i + 1], inner[i]])[::-1])
+        found.append(np.stack([middles[1], outer[i], outer[i + 1]])[::-1])
+    return found
+
+
+def save_texture(folder: Path, name: str = TEXTURE) -> None:
+    Image.fromarray(np.repeat(np.array([list(COLOURS.values())], np.uint8), 4, axis=0).repeat(8, axis=1)).save(
+        folder / name
+    )
+
+
+def write_obj(folder: Path, made: Truck, *, colours: bool = False, textured: bool = True) -> Path:
+    """y up, with its MTL and its texture."""
+    made = made.placed(y_up=True)
+    tails = [" {:.6f} {:.6f} {:.6f}".format(*(row / 255)) for row in made.colours] if colours else [""] * len(made.uvs)
+    lines = ["mtllib truck.mtl"] if textured else []
+    lines += [f"v {x!r} {y!r} {z!r}{tail}" for (x, y, z), tail in zip(made.vertices.tolist(), tails, strict=True)]
+    lines += [f"vt {u!r} {v!r}" for u, v in made.uvs.tolist()] if textured else []
+    lines += ["usemtl paint"] if textured else []
+    form = "{0}/{0}" if textured else "{0}"
+    lines += ["f " + " ".join(form.format(i + 1) for i in face) for face in made.faces.tolist()]
+    (folder / "truck.obj").write_text("\n".join([*lines, ""]))
+    (folder / "truck.mtl").write_text(f"newmtl paint\nKd 0.5 0.5 0.5\nmap_Kd {TEXTURE}\n")
+    save_texture(folder)
+    return folder / "truck.obj"
+
+
+def write_ply(folder: Path, made: Truck, *, textured: bool = True) -> Path:
+    """z up; with texture coordinates and a comment that names the picture, or with colours of vertices."""
+    names = ["property double x", "property double y", "property double z"]
+    names += (
+        ["property float u", "property float v"]
+        if textured
+        else [f"property uchar {c}" for c in ("red", "green", "blue")]
+    )
+    head = ["ply", "format ascii 1.0", *([f"comment TextureFile {TEXTURE}"] if textured else [])]
+    head += [f"element vertex {len(made.vertices)}", *names]
+    head += [f"element face {len(made.faces)}", "property list uchar int vertex_indices", "end_header"]
+    beside = made.uvs.tolist() if textured else made.colours.tolist()
+    rows = [" ".join(map(repr, [*p, *q])) for p, q in zip(made.vertices.tolist(), beside, strict=True)]
+    rows += ["3 " + " ".join(map(str, face)) for face in made.faces.tolist()]
+    (folder / "truck.ply").write_text("\n".join([*head, *rows, ""]))
+    save_texture(folder)
+    return folder / "truck.ply"
+
+
+def write_glb(
+    folder: Path,
+    made: Truck,
+    *,
+    material: Mapping[str, Any] | None = None,
+    image: Mapping[str, Any] | None = None,
+    texture: Mapping[str, Any] | None = None,
+    attributes: Mapping[str, NDArray[Any]] | None = None,
+    node: Mapping[str, Any] | None = None,
+    required: tuple[str, ...] = (),
+    mode: int = 4,
+) -> Path:
+    """y up, with its texture in a file of its own unless told otherwise.
+
+    Args:
+        folder: For the file and its texture.
+        made: The truck.
+        material: In the place of the usual one, whose base colour is texture 0.
+        image: In the place of the usual one, which names `TEXTURE`.
+        texture: In the place of the usual one, whose source is image 0.
+        attributes: More of the vertices, by name, or others in the place of the usual TEXCOORD_0.
+        node: More keys of the only node.
+        required: Extensions that a reader has to know.
+        mode: Of the primitive; 4 is triangles.
+    """
+    made = made.placed(y_up=True)
+    down = (made.uvs * (1, -1) + (0, 1)).astype("<f4")
+    arrays: dict[str, NDArray[Any]] = {
+        "POSITION": made.vertices.astype("<f4"),
+        "TEXCOORD_0": down,
+        **(attributes or {}),
+    }
+    accessors, views, data = [], [], b""
+    for name, array in arrays.items():
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
+        data += array.tobytes() + b"\0" * (-array.nbytes % 4)
+        kind = {"f": 5126, "u1": 5121, "u2": 5123}["f" if array.dtype.kind == "f" else array.dtype.str[1:]]
+        ends = {"min": array.min(0).tolist(), "max": array.max(0).tolist()} if name == "POSITION" else {}
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": kind, "count": len(array),
+             "type": f"VEC{array.shape[1]}", **({"normalized": True} if kind != 5126 else {}), **ends}
+        )  # fmt: skip
+    usual = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    primitive = {"attributes": {name: i for i, name in enumerate(arrays)}}
+    document = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, **(node or {})}],
+        "meshes": [{"primitives": [{**primitive, "material": 0, "mode": mode}]}],
+        "materials": [dict(usual if material is None else material)],
+        "textures": [dict({"source": 0} if texture is None else texture)],
+        "images": [dict({"uri": TEXTURE} if image is None else image)],
+        "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}],
+        **({"extensionsRequired": list(required), "extensionsUsed": list(required)} if required else {}),
+    }  # fmt: skip
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(data), len(text), b"JSON")
+    (folder / "truck.glb").write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
+    save_texture(folder)
+    return folder / "truck.glb"

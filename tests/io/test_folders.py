@@ -1,0 +1,137 @@
+"""Folders of results: checked first, whole or not at all, never over something else; leftovers of kills are swept."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mi_splat.io.atomic import atomic_write, is_temporary, sweep_temporary, temporary_name
+from mi_splat.io.errors import SplatFileError
+from mi_splat.io.folders import check_new_folder, check_own_folder, check_writable, new_folder
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def result_in(folder: Path, text: str = "old") -> Path:
+    folder.mkdir(parents=True)
+    (folder / "result.json").write_text(text)
+    (folder / "before.png").write_text(text)
+    return folder
+
+
+def failing(out: Path, *, force: bool = False) -> None:
+    """Fail when half of a folder is written."""
+    with new_folder(out, force=force) as place:
+        (place / "result.json").write_text("new")
+        raise ZeroDivisionError
+
+
+def test_a_folder_appears_whole(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b"
+    with new_folder(out) as place:
+        (place / "result.json").write_text("new")
+        assert not out.exists()
+    assert names(out) == ["result.json"]
+    assert names(out.parent) == ["b"]
+
+
+def test_nothing_is_left_of_a_folder_that_failed(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(ZeroDivisionError):
+        failing(out)
+    assert names(tmp_path) == []
+
+
+def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
+    out = result_in(tmp_path / "out")
+    with pytest.raises(SplatFileError, match=r"holds before\.png, result\.json; .* or --force to replace"):
+        check_new_folder(out)
+    with pytest.raises(ZeroDivisionError):
+        failing(out, force=True)
+    assert (out / "result.json").read_text() == "old"
+    with new_folder(out, force=True) as place:
+        (place / "result.json").write_text("new")
+    assert names(out) == ["result.json"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_force_never_replaces_what_is_no_result(tmp_path: Path) -> None:
+    (tmp_path / "photographs").mkdir()
+    (tmp_path / "photographs" / "wedding.jpg").write_text("dear")
+    with pytest.raises(SplatFileError, match="delete the folder yourself"):
+        check_new_folder(tmp_path / "photographs", force=True)
+    with pytest.raises(SplatFileError, match="holds photographs"):
+        check_own_folder(tmp_path, "config.json")
+
+
+@pytest.mark.parametrize("below", [(), ("deeper",), ("deeper", "still")])
+def test_a_file_in_the_way_is_seen_first(below: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for check in (check_writable, check_new_folder, check_own_folder):
+        with pytest.raises(SplatFileError, match="expected a folder, or a free name, got the file"):
+            check(tmp_path.joinpath("file", *below))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_seen_first(tmp_path: Path) -> None:
+    (tmp_path / "closed").mkdir(mode=0o500)
+    with pytest.raises(SplatFileError, match="read-only"):
+        check_writable(tmp_path / "closed" / "out")
+
+
+def test_an_empty_folder_and_ones_own_can_be_used(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / temporary_name()).write_text("")
+    check_new_folder(tmp_path / "empty")
+    check_own_folder(tmp_path / "empty")
+    check_own_folder(tmp_path / "none")
+    check_own_folder(result_in(tmp_path / "own"), "checkpoint", "result.json")
+
+
+def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_not(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from mi_splat.io.atomic import atomic_write\n"
+        f"with atomic_write({str(tmp_path / 'a.bin')!r}) as file:\n"
+        "    file.write(b'part'); print('writing', flush=True); time.sleep(60)"
+    )
+    writer = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == b"writing\n"
+    (left,) = names(tmp_path)
+    assert is_temporary(left)
+    assert sweep_temporary(tmp_path) == 0
+    writer.send_signal(signal.SIGKILL)
+    writer.wait()
+    writer.stdout.close()
+    assert sweep_temporary(tmp_path) == 1
+    assert names(tmp_path) == []
+
+
+def test_leftovers_of_other_machines_go_after_a_day(tmp_path: Path) -> None:
+    for name in (".elsewhere.7.0123456789abcdef.tmp", ".0123456789abcdef.tmp"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "mine.tmp").write_text("")
+    folder = tmp_path / ".elsewhere.8.0123456789abcdef.tmp"
+    folder.mkdir()
+    (folder / "result.json").write_text("")
+    assert sweep_temporary(tmp_path) == 0
+    for path in tmp_path.iterdir():
+        os.utime(path, (time.time() - 90_000,) * 2)
+    assert sweep_temporary(tmp_path) == 3
+    assert names(tmp_path) == ["mine.tmp"]
+    assert sweep_temporary(tmp_path / "none") == 0
+
+
+def test_a_file_is_written_under_a_temporary_name(tmp_path: Path) -> None:
+    with atomic_write(tmp_path / "a.bin") as file:
+        file.write(b"x")
+        assert [is_temporary(name) for name in names(tmp_path)] == [True]
+    assert names(tmp_path) == ["a.bin"]
