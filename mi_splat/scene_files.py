@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,8 +128,9 @@ def orbit_camera(
     distance: float | None,
     fov: float,
     size: tuple[int, int],
+    centre: Sequence[float] | None = None,
 ) -> Camera:
-    """A camera that looks at the middle of a scene.
+    """A camera that looks at the middle of a scene, or at another point.
 
     Args:
         scene: What to look at.
@@ -137,6 +139,7 @@ def orbit_camera(
         distance: World units; None is as near as shows all of `bounds`.
         fov: Degrees over the shorter side of the picture.
         size: Width and height in pixels.
+        centre: (3,) point to look at, world units; None is the middle of `bounds`.
 
     Raises:
         InvalidValueError: The scene is empty, or a number is out of range.
@@ -149,7 +152,8 @@ def orbit_camera(
     half = math.radians(fov) / 2
     if distance is None:
         distance = radius / math.sin(half)
-    pose = orbit_pose(middle, azimuth=azimuth, elevation=elevation, distance=distance)
+    target = middle if centre is None else centre
+    pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
     return Camera(to_world=pose, focal=min(size) / 2 / math.tan(half), width=size[0], height=size[1])
 
 
