@@ -17,6 +17,7 @@ from attacks.dagger.config import DaggerConfig
 from mi_splat import scene_files
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cli import selecting
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import RenderSettings
@@ -165,7 +166,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
-    monkeypatch.setattr(dagger, "Renderer", lambda settings: blobs)
+    monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
     monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
     return loaded
 
@@ -178,11 +179,13 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
     assert lines[0].startswith("SUCCESS")
     assert "person" in lines[1]
     assert str(out / "detections.png") in lines[-2]
-    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
+    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json", "mask.npy"}
+    names |= {"attacked.xml", "attacked_rest.ply", "attacked_thing.ply"}
     assert {path.name for path in out.iterdir()} == names
     result = json.loads((out / "result.json").read_text())
     assert set(result) >= KEYS
     assert (result["target"], result["eps"], result["seed"]) == ("person", 20.0, 3)
+    assert (result["selection"], result["cameras"]) == ({"object": "thing"}, ["front"])
     attacked = load_splat(out / "attacked.ply")
     lower, higher = attacked.sh[:, :4], attacked.sh[:, 4:]  # the scene has degree 1, the attack makes it 3
     assert torch.equal(lower[:10], toy.scene.sh[:10])
