@@ -163,8 +163,9 @@ def orbit_camera(
     distance: float | None,
     fov: float,
     size: tuple[int, int],
+    target: Sequence[float] | None = None,
 ) -> Camera:
-    """A camera that looks at the middle of a scene.
+    """A camera that looks at the middle of a scene, or at another point.
 
     Args:
         scene: What to look at.
@@ -173,6 +174,7 @@ def orbit_camera(
         distance: World units; None is as near as shows all of `bounds`.
         fov: Degrees over the shorter side of the picture.
         size: Width and height in pixels.
+        target: (3,) point looked at, world units; None is the middle of `bounds`.
 
     Raises:
         InvalidValueError: The scene is empty, or a number is out of range.
@@ -185,7 +187,7 @@ def orbit_camera(
     half = math.radians(fov) / 2
     if distance is None:
         distance = radius / math.sin(half)
-    pose = orbit_pose(middle, azimuth=azimuth, elevation=elevation, distance=distance)
+    pose = orbit_pose(target or middle, azimuth=azimuth, elevation=elevation, distance=distance)
     return Camera(to_world=pose, focal=min(size) / 2 / math.tan(half), width=size[0], height=size[1])
 
 

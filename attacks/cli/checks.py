@@ -253,7 +253,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
         ),
     ),
 }
-EXTRAS = {"figures": "matplotlib", "meshes": "trimesh", "yolo": "ultralytics"}
+EXTRAS = {"figures": "matplotlib", "meshes": "trimesh", "view": "viser", "yolo": "ultralytics"}
 
 
 def report_group(group: str) -> None:

@@ -20,9 +20,9 @@ from mi_splat.training.strategies import strategy_config, strategy_name, strateg
 class RenderOptions:
     """Render a scene XML or a splat file to a PNG.
 
-    A scene XML is seen from one of its cameras. A bare splat file, or a scene with any of --azimuth, --elevation and
-    --distance given, is seen from an orbit around the middle of its Gaussians (z is up), by default at a distance that
-    shows all of them.
+    A scene XML is seen from one of its cameras. A bare splat file, or a scene with any of --azimuth, --elevation,
+    --distance and --target given, is seen from an orbit around the middle of its Gaussians (z is up), by default at a
+    distance that shows all of them.
     """
 
     scene: Positional[Path]
@@ -37,8 +37,12 @@ class RenderOptions:
     """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
     distance: float | None = None
     """World units from the middle of the Gaussians."""
+    target: tuple[float, float, float] | None = None
+    """Point that an orbit camera looks at, world units; None is the middle of the Gaussians."""
     fov: float = 45.0
     """Field of view of an orbit camera in degrees, over the shorter side of the picture."""
+    near: float | None = None
+    """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
     size: tuple[int, int] | None = None
     """Width and height in pixels; None is the camera's own, 640 x 480 for an orbit."""
     method: Literal["tile"] = "tile"

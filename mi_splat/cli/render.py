@@ -24,6 +24,8 @@ def run(options: RenderOptions) -> int:
         settings = loaded.settings
         if options.background is not None:
             settings = dataclasses.replace(settings, background=options.background)
+        if options.near is not None:
+            settings = dataclasses.replace(settings, near=options.near)
         begun = time.perf_counter()
         with torch.no_grad():
             picture = Renderer(settings)(loaded.scene, camera)
@@ -52,7 +54,7 @@ def run(options: RenderOptions) -> int:
 
 def _camera(loaded: SplatScene, options: RenderOptions) -> Camera:
     """The camera that the options describe."""
-    orbit = any(value is not None for value in (options.azimuth, options.elevation, options.distance))
+    orbit = any(value is not None for value in (options.azimuth, options.elevation, options.distance, options.target))
     if options.camera is not None or (loaded.cameras and not orbit):
         camera = choose_camera(loaded, options.camera, options.scene)
         return camera if options.size is None else resized(camera, options.size)
@@ -63,4 +65,5 @@ def _camera(loaded: SplatScene, options: RenderOptions) -> Camera:
         distance=options.distance,
         fov=options.fov,
         size=options.size or (640, 480),
+        target=options.target,
     )
