@@ -13,9 +13,10 @@ import torch
 from attacks.cloak.study.report import SUMMARY
 from attacks.viewing.studies import exhibit_of_study
 from mi_splat.cameras import Camera
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.rendering import RenderSettings
-from mi_splat.scene import scene_hash
+from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import bounds, open_scene
 from mi_splat.viewer.exhibit import Exhibit, ShownSplat, exhibit_of_file
 from mi_splat.viewer.lines import Lines, frustums
@@ -73,7 +74,7 @@ def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
         raise InvalidValueError(message(str(folder / RESULT), "a result of DAGGER", repr(error), do)) from error
     path, settings, splat = _clean_scene(folder, expected, clean)
     attacked = open_scene(folder / ATTACKED).scene
-    middle, radius = bounds(splat.scene)
+    radius, middle = bounds(splat.scene)[1], middle_of_change(splat.scene, attacked)
     found = {f"attacked view {i}": orbit_of(camera, middle) for i, camera in enumerate(views)}
     cameras = {name: orbit for name, orbit in found.items() if orbit is not None}
     others = exhibit_of_file(path)
@@ -90,6 +91,23 @@ def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
     )
     cone = Lines(segments=frustums(views, 0.1 * radius), colour="#ffa500")
     return replace(exhibit, lines={"Attacked cameras": cone})
+
+
+def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
+    """(3,) mean of the Gaussians that an attack has changed, world units: the middle of the attacked object.
+
+    Raises:
+        InvalidValueError: The scenes have different numbers of Gaussians.
+    """
+    if len(clean) != len(attacked):
+        do = "pass the scene that was attacked"
+        raise InvalidValueError(message("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do))
+    rows = [(a - b).abs().reshape(len(a), -1).amax(1) for a, b in zip(clean.tensors(), attacked.tensors(), strict=True)]
+    changed = torch.stack(rows).amax(0) > 1e-4  # a file rounds
+    if not bool(changed.any()):
+        return bounds(clean)[0]
+    x, y, z = clean.means[changed].double().mean(0).tolist()
+    return x, y, z
 
 
 def _clean_scene(folder: Path, expected: str, clean: Path | None) -> tuple[Path, RenderSettings, ShownSplat]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,14 +49,14 @@ def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
     )
     centre, cameras = setup.centre_of(study), setup.training_cameras(study, setup.target_of(study.scene))
     distance = math.dist(cameras[0].position.tolist(), centre)
-    middles = {attack.name: _inside(attack, study, distance) for attack in study.attack}
+    start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
     return Exhibit(
         title=f"{study.name} ({folder})",
         splats=splats,
         settings=background,
-        start=Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov),
+        start=start,
         size=(study.cameras.size, study.cameras.size),
-        cameras={f"inside {name}": orbit for name, orbit in middles.items()},
+        cameras={"start": start, **{f"inside {attack.name}": _inside(attack, start) for attack in study.attack}},
         lines={
             **{
                 f"Trigger {attack.name}": Lines(
@@ -65,7 +66,6 @@ def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
             },
             **_cameras(study, cameras, 0.04 * distance),
         },
-        drawn=frozenset(),
         place=lambda camera: tuple(_said(attack, camera, centre) for attack in study.attack),
     )
 
@@ -91,12 +91,10 @@ def region(attack: AttackConfig, centre: Point, radius: float) -> torch.Tensor:
     return torch.cat(parts)
 
 
-def _inside(attack: AttackConfig, study: StudyConfig, distance: float) -> Orbit:
+def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
     """A camera well inside a trigger."""
-    low, high = attack.elevation
-    azimuth = 30.0 if attack.azimuth is None else attack.azimuth[0]
-    centre = setup.centre_of(study)
-    return Orbit(target=centre, azimuth=azimuth, elevation=(low + high) / 2, distance=distance, fov=study.cameras.fov)
+    azimuth = start.azimuth if attack.azimuth is None else attack.azimuth[0]
+    return replace(start, azimuth=azimuth, elevation=sum(attack.elevation) / 2)
 
 
 def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[str, Lines]:

@@ -18,6 +18,9 @@ MARGIN = (24, 24, 27)
 GAP = 4
 """Pixels between two pictures of a full page."""
 
+UPPER_PART = 0.4
+"""Part of a high page's height that its controls leave free."""
+
 _HEAT = ((0.0, (0, 0, 0)), (0.25, (88, 0, 110)), (0.5, (200, 40, 60)), (0.75, (250, 150, 20)), (1.0, (255, 255, 210)))
 
 
@@ -59,7 +62,8 @@ class Layout:
 def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = GAP) -> Layout:
     """Pictures of one shape as large as they can be, in a row or in a column.
 
-    In a place that is higher than wide they stand at its top, since a narrow page has its controls at the bottom.
+    In a place that is higher than wide they stand in its upper part, since a narrow page has its controls at the
+    bottom.
 
     Args:
         canvas: Width and height of the place, in pixels.
@@ -68,8 +72,9 @@ def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = GA
         gap: Pixels between two.
     """
     width, height = max(canvas[0], count), max(canvas[1], count)
-    row = _fit(max((width - gap * (count - 1)) // count, 1), height, aspect)
-    column = _fit(width, max((height - gap * (count - 1)) // count, 1), aspect)
+    free = height if height <= width else max(count, round(UPPER_PART * height))
+    row = _fit(max((width - gap * (count - 1)) // count, 1), free, aspect)
+    column = _fit(width, max((free - gap * (count - 1)) // count, 1), aspect)
     w, h = max(row, column)
     across, down = (count, 1) if (w, h) == row else (1, count)
     left = (width - across * w - gap * (across - 1)) // 2

@@ -17,7 +17,7 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import bounds, open_scene, orbit_camera
 from mi_splat.viewer.lines import Lines
-from mi_splat.viewer.orbit import Orbit, orbit_of
+from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 
 
 class Inspection(Protocol):
@@ -67,7 +67,6 @@ class Exhibit:
             the page shows has the same shape.
         cameras: Cameras to choose from, by name.
         lines: Lines to be drawn, by name.
-        drawn: Names of those that are drawn from the beginning.
         place: Says in words where a camera stands, one line a thing; empty where there is nothing to say.
 
     Raises:
@@ -81,7 +80,6 @@ class Exhibit:
     size: tuple[int, int]
     cameras: Mapping[str, Orbit] = field(default_factory=dict)
     lines: Mapping[str, Lines] = field(default_factory=dict)
-    drawn: frozenset[str] = frozenset()
     place: Callable[[Camera], tuple[str, ...]] = lambda camera: ()
 
     def __post_init__(self) -> None:
@@ -135,7 +133,7 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     """
     loaded = open_scene(path)
     first = loaded if clean is None else open_scene(clean)
-    middle, _ = bounds(first.scene)
+    middle = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
     splats = [ShownSplat(name=name or path.stem, scene=loaded.scene, path=path, own=loaded.settings)]
     if clean is not None:
         splats = [
@@ -145,13 +143,14 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     found = {key: orbit_of(camera, middle) for key, camera in first.cameras.items()}
     cameras = {key: orbit for key, orbit in found.items() if orbit is not None}
     seen = next((first.cameras[key] for key in cameras), None)
+    start = next(iter(cameras.values()), None) or whole(first.scene)
     return Exhibit(
         title=path.name,
         splats=tuple(splats),
         settings=first.settings,
-        start=next(iter(cameras.values()), None) or whole(first.scene),
+        start=start,
         size=(640, 480) if seen is None else (seen.width, seen.height),
-        cameras=cameras,
+        cameras=cameras or {"whole scene": start},
     )
 
 

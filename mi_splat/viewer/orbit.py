@@ -45,7 +45,7 @@ class Orbit:
         if not (len(self.target) == 3 and ranges and all(map(math.isfinite, numbers))):
             expected = "three coordinates, an elevation in [-90, 90], a distance > 0 and a fov in (0, 180)"
             raise InvalidValueError(message("orbit", expected, numbers, "change the number that is out of range"))
-        object.__setattr__(self, "target", tuple(map(float, self.target)))
+        object.__setattr__(self, "target", tuple(float(value) + 0.0 for value in self.target))  # -0.0 becomes 0.0
         object.__setattr__(self, "azimuth", self.azimuth % 360.0)
 
     @property
@@ -120,3 +120,23 @@ def orbit_of(camera: Camera, middle: Point) -> Orbit | None:
     same = (again.to_world - pose).abs().max() < 1e-5 * max(1.0, distance) and math.isclose(camera.fx, camera.fy)
     centred = math.isclose(camera.cx, camera.width / 2) and math.isclose(camera.cy, camera.height / 2)
     return orbit if bool(same) and centred else None
+
+
+def focus_of(cameras: Sequence[Camera], otherwise: Point) -> Point:
+    """(3,) the point nearest to the axes of all cameras, in the sense of least squares; world units.
+
+    Args:
+        cameras: Any number.
+        otherwise: What to take where the axes have no such point: of one camera, or of parallel ones.
+    """
+    if not cameras:
+        return otherwise
+    forward = torch.stack([camera.to_world[:3, 2] for camera in cameras])
+    # A point's distance to an axis is the length of what is left of it when its part along the axis is taken away.
+    across = torch.eye(3, dtype=torch.float64) - forward[:, :, None] * forward[:, None, :]
+    positions = torch.stack([camera.position for camera in cameras])
+    total = across.sum(0)
+    if float(torch.linalg.eigvalsh(total)[0]) < 1e-3:
+        return otherwise
+    x, y, z = torch.linalg.solve(total, (across @ positions[:, :, None]).sum(0))[:, 0].tolist()
+    return x, y, z

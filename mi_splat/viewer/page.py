@@ -8,6 +8,7 @@ import io
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.viewer.composition import ways_of_showing
 from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
+from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
 from mi_splat.viewer.panel import Panel
 from mi_splat.viewer.session import Session, Step, ViewState
@@ -22,6 +24,8 @@ from mi_splat.viewer.session import Session, Step, ViewState
 JPEG_QUALITY = {Step.COARSE: 75, Step.FULL: 92, Step.INSPECTED: 92}
 DEAF = 0.5
 """Seconds after a control was moved in which the browser's camera, which follows it late, is not listened to."""
+ECHOES = 32
+"""Poses that a browser was told and may report later, as if somebody had moved its camera there."""
 LONGEST_SIDE = 8192
 """Pixels of the largest window that is believed."""
 
@@ -65,17 +69,20 @@ class Visitor:
     def __init__(self, client: Any, painter: Painter, wake: Any) -> None:
         self.client, self._painter, self._wake = client, painter, wake
         self._lock, self._deaf_until = threading.Lock(), 0.0
+        self._sent: deque[Orbit] = deque(maxlen=ECHOES)  # the browser says late where it was told to be
         exhibit = painter.exhibit
         first = ViewState(
             orbit=exhibit.start,
             show=ways_of_showing(exhibit.names)[0],
-            lines=exhibit.drawn,
             canvas=_canvas(client.camera),
         )
         self._session = Session(state=first, changed=time.monotonic())
         self._panel = Panel(
             client.gui, exhibit, first, inspector=painter.inspector is not None, change=self._change_by_control
         )
+        # What it shows before it has read where to begin is nobody's wish.
+        self._sent.append(first.orbit.moved(client.camera.position, client.camera.look_at))
+        self._place_camera(first.orbit)
         client.camera.on_update(self._change_by_camera)
 
     def due(self) -> Step | None:
@@ -103,6 +110,8 @@ class Visitor:
         likeness = self._painter.likeness(state.orbit)
         if likeness is not None:
             lines.append(f"PSNR of {' and '.join(exhibit.names)}: {likeness:.1f} dB")
+        elif len(exhibit.splats) > 1:
+            lines.append("Both pictures are the same.")
         for name, found in painting.found.items():
             lines.append(f"**{name}**: {found.text}")
         return "\n\n".join(lines)
@@ -113,21 +122,27 @@ class Visitor:
             after = wished(before)
             self._session = self._session.change(after, time.monotonic())
             moved = after.orbit != before.orbit
-            if moved:
-                self._deaf_until = time.monotonic() + DEAF
         if moved:
-            with self.client.atomic():
-                self.client.camera.position = after.orbit.position
-                self.client.camera.look_at = after.orbit.target
+            self._place_camera(after.orbit)
         self._panel.follow(after)
         self._wake()
 
+    def _place_camera(self, orbit: Orbit) -> None:
+        """Tell the browser where its camera is."""
+        with self._lock:
+            self._deaf_until = time.monotonic() + DEAF
+            self._sent.append(orbit)
+        with self.client.atomic():
+            self.client.camera.position = orbit.position
+            self.client.camera.look_at = orbit.target
+
     def _change_by_camera(self, camera: Any) -> None:
         with self._lock:
-            now, state = time.monotonic(), self._session.state
+            now, state, pose = time.monotonic(), self._session.state, (camera.position, camera.look_at)
             after = replace(state, canvas=_canvas(camera))
-            if now >= self._deaf_until and not state.orbit.is_at(camera.position, camera.look_at):
-                after = replace(after, orbit=state.orbit.moved(camera.position, camera.look_at))
+            if now >= self._deaf_until and not any(orbit.is_at(*pose) for orbit in (state.orbit, *self._sent)):
+                after = replace(after, orbit=state.orbit.moved(*pose))
+                self._sent.clear()
             self._session = self._session.change(after, now)
         if after.orbit != state.orbit:
             self._panel.follow(after)

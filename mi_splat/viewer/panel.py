@@ -32,8 +32,7 @@ class Panel:
     """
 
     def __init__(self, gui: Any, exhibit: Exhibit, state: ViewState, *, inspector: bool, change: Change) -> None:
-        self._exhibit, self._change = exhibit, change
-        orbit, farthest = state.orbit, 4 * state.orbit.distance
+        self._exhibit, self._change, orbit = exhibit, change, state.orbit
         if len(exhibit.splats) > 1:
             self._show = gui.add_dropdown("Show", ways_of_showing(exhibit.names), initial_value=state.show)
             self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
@@ -45,11 +44,15 @@ class Panel:
                 self._camera = gui.add_dropdown("From", (FREE, *exhibit.cameras), initial_value=name)
                 self._wish(self._camera, lambda s, value: replace(s, orbit=exhibit.cameras.get(value, s.orbit)))
             step = 10 ** math.floor(math.log10(orbit.distance)) / 20
+            ranges = {
+                "elevation": ("Elevation", -90.0, 90.0, 1.0),
+                "azimuth": ("Azimuth", 0.0, 359.0, 1.0),
+                "distance": ("Distance", step, step * math.ceil(4 * orbit.distance / step), step),
+                "fov": ("Field of view", 5.0, 120.0, 1.0),
+            }
             self._sliders = {
-                "elevation": gui.add_slider("Elevation", -90.0, 90.0, 1.0, orbit.elevation),
-                "azimuth": gui.add_slider("Azimuth", 0.0, 359.0, 1.0, min(orbit.azimuth, 359.0)),
-                "distance": gui.add_slider("Distance", step, farthest, step, orbit.distance),
-                "fov": gui.add_slider("Field of view", 5.0, 120.0, 1.0, min(max(orbit.fov, 5.0), 120.0)),
+                name: gui.add_slider(label, low, high, by, _clipped(getattr(orbit, name), low, high))
+                for name, (label, low, high, by) in ranges.items()
             }
             for attribute, slider in self._sliders.items():
                 self._wish(slider, lambda s, value, name=attribute: replace(s, orbit=_turned(s.orbit, name, value)))
@@ -65,8 +68,7 @@ class Panel:
     def follow(self, state: ViewState) -> None:
         """Show the state in the controls."""
         for name, slider in self._sliders.items():
-            value = getattr(state.orbit, name)
-            slider.value = min(max(value, slider.min), slider.max)
+            slider.value = _clipped(getattr(state.orbit, name), slider.min, slider.max)
         if self._exhibit.cameras:
             self._camera.value = self._camera_name(state.orbit)
         if len(self._exhibit.splats) > 1:
@@ -115,3 +117,8 @@ def _turned(orbit: Orbit, attribute: str, value: Any) -> Orbit:
         return replace(orbit, **changes)
     except (InvalidValueError, TypeError, ValueError):
         return orbit
+
+
+def _clipped(value: float, low: float, high: float) -> float:
+    """A number as a slider can show it: in its range, with two decimals."""
+    return min(max(round(value, 2), low), high)

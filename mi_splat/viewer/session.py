@@ -55,9 +55,9 @@ class Pace:
         lowest: Smallest scale.
     """
 
-    seconds: float = 0.05
+    seconds: float = 0.07
     scale: float = 0.5
-    lowest: float = 0.125
+    lowest: float = 0.2
 
     def after(self, seconds: float) -> Pace:
         """The pace after a coarse picture that took so long.
