@@ -8,6 +8,7 @@ import io
 import socket
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
@@ -59,6 +60,8 @@ def check_port(host: str, port: int) -> None:
 
 class Visitor:
     """One browser window.
+
+    What the browser says is heard in the thread of the server, one thing after the other; pictures are made in another.
 
     Args:
         client: viser's handle of it.
@@ -136,7 +139,7 @@ class Visitor:
             self.client.camera.position = orbit.position
             self.client.camera.look_at = orbit.target
 
-    def _change_by_camera(self, camera: Any) -> None:
+    async def _change_by_camera(self, camera: Any) -> None:
         with self._lock:
             now, state, pose = time.monotonic(), self._session.state, (camera.position, camera.look_at)
             after = replace(state, canvas=_canvas(camera))
@@ -210,13 +213,13 @@ class Page:
     def __exit__(self, *failure: object) -> None:
         self.close()
 
-    def _enter(self, client: Any) -> None:
+    async def _enter(self, client: Any) -> None:
         visitor = Visitor(client, self._painter, self._wake)
         with self._news:
             self._visitors[client.client_id] = visitor
             self._news.notify()
 
-    def _leave(self, client: Any) -> None:
+    async def _leave(self, client: Any) -> None:
         with self._news:
             self._visitors.pop(client.client_id, None)
 
@@ -231,6 +234,8 @@ def _serve(guard: Guard, host: str, port: int) -> Any:
     from viser import _messages
     from viser.infra import _infra
 
+    # A window that is closed while its picture is made is no news.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     # On stdout viser says its address, without the token that is needed.
     with guarding(guard, _infra.websockets.asyncio.server), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="mi-splat view", verbose=False)

@@ -95,8 +95,9 @@ class Panel:
     def _wish(self, handle: Any, wished: Callable[..., ViewState]) -> None:
         """Let a control that the visitor moves change the state."""
 
+        # A coroutine, which viser runs before it hears anything else: in another thread, the value could be the next.
         @handle.on_update  # type: ignore[untyped-decorator]
-        def _(event: Any) -> None:
+        async def _(event: Any) -> None:
             if event.client is not None:  # else it was `follow`
                 value = event.target.value
                 self._change(lambda state: wished(state, value))
