@@ -102,7 +102,9 @@ def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
     if len(clean) != len(attacked):
         do = "pass the scene that was attacked"
         raise InvalidValueError(message("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do))
-    rows = [(a - b).abs().reshape(len(a), -1).amax(1) for a, b in zip(clean.tensors(), attacked.tensors(), strict=True)]
+    degree = max(clean.degree, attacked.degree)
+    pairs = zip(clean.with_degree(degree).tensors(), attacked.with_degree(degree).tensors(), strict=True)
+    rows = [(before - after).abs().reshape(len(before), -1).amax(1) for before, after in pairs]
     changed = torch.stack(rows).amax(0) > 1e-4  # a file rounds
     if not bool(changed.any()):
         return bounds(clean)[0]
