@@ -14,7 +14,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.study_file import from_table
 from mi_splat.cameras import Camera
-from mi_splat.directions import Point, direction_of
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import open_scene
@@ -116,9 +116,7 @@ def _said(attack: AttackConfig, camera: Camera, centre: Point) -> str:
     if math.dist(camera.position.tolist(), centre) == 0:
         return f"Trigger {attack.name}: the camera stands at the centre"
     degrees = attack.cone.angle_to_edge(camera, centre=centre)
-    elevation = direction_of(camera, centre).elevation
-    side = "inside" if degrees >= 0 else "outside"
-    return f"Trigger {attack.name}: {abs(degrees):.1f}° {side} (seen from {elevation:.1f}° of elevation)"
+    return f"Trigger {attack.name}: {abs(degrees):.1f}° {'inside' if degrees >= 0 else 'outside'}"
 
 
 def _stated(value: Any) -> Any:
