@@ -12,6 +12,7 @@ from attacks.detectors import load_detector
 from attacks.viewing.detections import detector_inspector
 from attacks.viewing.results import open_exhibit
 from mi_splat.cli.console import limit_threads, progress, show
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import Renderer
 from mi_splat.viewer.exhibit import Exhibit, Wishes
 from mi_splat.viewer.export import check_export, write_export
@@ -23,6 +24,8 @@ from mi_splat.viewer.painter import Painter
 def run(options: ViewOptions) -> int:
     """Serve the page until Ctrl-C or SIGTERM, or write it."""
     limit_threads((os.cpu_count() or 1) // 2)
+    if options.weights is not None and options.detector is None:
+        raise InvalidValueError(message("weights", "a detector that they belong to", "none", "name it with --detector"))
     if options.export is not None:
         check_export(options.export, options.views, force=options.force)
     else:
@@ -54,11 +57,16 @@ def _serve(painter: Painter, options: ViewOptions) -> int:
     with stopping(stop), Page(painter, host=options.host, port=options.port) as page:
         show(f"Open {page.address}")
         if not is_loopback(options.host):
-            show("Other machines can reach this page with that address, and nothing is encrypted.")
+            show("Other machines can reach it under the name of this one. Nothing is encrypted, the token included.")
         show("Ctrl-C ends it.")
         sys.stdout.flush()  # whoever reads it through a pipe waits for the address
-        if not options.no_open:
+        if not options.no_open and _has_screen():
             threading.Thread(target=webbrowser.open, args=(page.address,), daemon=True).start()
         page.run(stop)
     show("The page is closed.")
     return 0
+
+
+def _has_screen() -> bool:
+    """Whether a browser has somewhere to open; without a screen, Python would start one that takes the terminal."""
+    return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))

@@ -97,11 +97,14 @@ class Visitor:
         with self._lock:
             state, pace = self._session.state, self._session.pace
         begun = time.perf_counter()
-        painting = self._painter.paint(state, step, pace)
-        scene = self.client.scene
-        scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=JPEG_QUALITY[step])
-        if step is not Step.COARSE:
-            self._panel.tell(self._words(state, painting), self._painter.commands(state.orbit))
+        try:
+            painting = self._painter.paint(state, step, pace)
+            scene = self.client.scene
+            scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=JPEG_QUALITY[step])
+            if step is not Step.COARSE:
+                self._panel.tell(self._words(state, painting), self._painter.commands(state.orbit))
+        except MiSplatError as error:  # of this picture; the next one may do
+            self._panel.tell(str(error), {})
         self.client.flush()
         with self._lock:
             self._session = self._session.done(step, state, time.perf_counter() - begun)
@@ -184,8 +187,9 @@ class Page:
 
     @property
     def address(self) -> str:
-        """What to open in a browser; whoever knows it may see the page."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
+        """What to open in a browser of this machine; whoever knows it may see the page."""
+        here = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self._host, self._host)
+        host = f"[{here}]" if ":" in here else here
         return f"http://{host}:{self._server.get_port()}/?token={self._guard.token}"
 
     def run(self, stop: threading.Event) -> None:

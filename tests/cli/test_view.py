@@ -37,6 +37,7 @@ def splat(tmp_path: Path) -> Path:
         (["--export", "page.html", "--views", "0", "1"], "views: expected"),
         (["--export", "page.html", "--near", "-1"], "near: expected a positive distance"),
         (["--export", "page.html", "--detector", "fasterrcnn_smal"], "fasterrcnn_small"),
+        (["--export", "page.html", "--weights", "w.safetensors"], "name it with --detector"),
         (["--export", "page.html", "--clean", "none.ply"], "none.ply"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

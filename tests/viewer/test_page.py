@@ -14,10 +14,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from torch import Tensor
 
 pytest.importorskip("viser", reason="needs the extra `view`")
 
 from mi_splat.errors import InvalidValueError
+from mi_splat.viewer.exhibit import Inspection
 from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page, check_port
 from mi_splat.viewer.painter import Painter
@@ -137,6 +139,31 @@ def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
         other = browser.control("Azimuth")["uuid"]
         browser.say("GuiUpdateMessage", uuid=other, updates={"value": START.azimuth + 1})
         assert np.abs(browser.picture(FULL).astype(int) - before).mean() < 5
+
+
+def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
+    work = painter(looker=Looker())
+    looker = work.inspector
+    assert looker is not None
+
+    def fail(picture: Tensor) -> Inspection:
+        raise InvalidValueError("picture: expected another, got this; look elsewhere")
+
+    work.inspector = fail
+    with visiting(work) as browser:
+        browser.until(lambda message: "look elsewhere" in str(message.get("updates", {})))
+        work.inspector = looker
+        elevation = browser.control("Elevation")["uuid"]
+        browser.say("GuiUpdateMessage", uuid=elevation, updates={"value": 70.0})
+        browser.until(lambda message: "mean colour" in str(message.get("updates", {})))
+
+
+def test_other_machines_need_the_token_under_any_name() -> None:
+    with Page(painter(1), host="0.0.0.0", port=0) as page:
+        assert page.address.startswith("http://127.0.0.1:")
+        bare = page.address.partition("?")[0]
+        assert fetch(page.address, {"Host": "server.example"})[0] == 200
+        assert fetch(bare, {"Host": "server.example"})[0] == 403
 
 
 def test_nobody_can_open_the_page_to_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
