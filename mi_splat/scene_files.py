@@ -107,14 +107,11 @@ def open_scene(path: Path) -> SplatScene:
     A bare splat file becomes a scene of one object without cameras, in front of black.
 
     Raises:
-        MiSplatError: The file cannot be read, or is of neither kind.
+        MiSplatError: The file cannot be read, or is neither a Mitsuba scene nor a splat.
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
         return dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
-    if path.suffix.lower() != ".ply":
-        do = "pass a Mitsuba scene or a 3DGS splat"
-        raise InvalidValueError(message(str(path), "a file that ends in .xml or .ply", path.suffix or "no ending", do))
     scene = load_splat(path)
     settings = RenderSettings(near=near_plane(scene))
     return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)

@@ -51,6 +51,7 @@ COMMANDS = {
         "mi_splat.cli", "SelectOptions", "select", "select one object of a splat, and see whether it is the right one"
     ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
+    "convert": Command("mi_splat.cli", "ConvertOptions", "convert", "convert a splat file to another format"),
     "example-scenes": Command(
         "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
     ),

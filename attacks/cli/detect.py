@@ -58,7 +58,7 @@ class Seen:
 def run(options: DetectOptions) -> int:
     """Detect, draw the boxes, and list them."""
     if not options.inputs:
-        raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name some"))
+        raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
     check_new_folder(options.out, force=options.force, record=RECORD)
     with progress("loading the detectors") as advance:
         detectors = load_detectors(options.detectors, options.weights)

@@ -22,6 +22,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "select desk.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
         "select scenes/car_street.xml --object car --out car.ply",
     ),
+    "convert": ("convert desk.ply desk.spz", "convert web.ksplat web.ply", "convert desk.ply small.sog --sh-degree 1"),
     "info": ("info desk.ply", "info scenes/car_street.xml --json"),
     "example-scenes": ("example-scenes stop_sign --out out/scenes",),
     "dagger": (
@@ -50,7 +51,8 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "train": ("capture", "render", "info"),
     "render": ("info", "train"),
     "select": ("info", "render", "dagger"),
-    "info": ("render", "select"),
+    "convert": ("info", "render"),
+    "info": ("render", "select", "convert"),
     "example-scenes": ("render", "dagger"),
     "dagger": ("select", "evaluate", "dagger-study", "detectors"),
     "detect": ("detectors", "evaluate"),

@@ -60,7 +60,7 @@ class DetectOptions:
     """
 
     inputs: Positional[tuple[Path, ...]] = ()
-    """Pictures, splat files and scene XMLs."""
+    """Pictures, splat files and scene XMLs; at least one."""
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()

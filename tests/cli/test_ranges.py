@@ -23,6 +23,7 @@ NEEDED = {
     "capture": ["car_street"],
     "train": ["set", "--out", "out"],
     "render": ["a.ply"],
+    "convert": ["a.ply", "b.spz"],
     "select": ["a.ply"],
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],

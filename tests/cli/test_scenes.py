@@ -62,6 +62,7 @@ def folder(tmp_path: Path, cloud: GaussianScene) -> Path:
     """A folder with the cloud as a splat file and a scene XML."""
     save_splat(cloud, tmp_path / "cloud.ply")
     (tmp_path / "scene.xml").write_text(XML)
+    (tmp_path / "scene.csv").write_text("x,y,z\n")
     return tmp_path
 
 
@@ -102,7 +103,8 @@ def test_render_puts_a_background_behind(folder: Path) -> None:
     [
         (["scene.xml", "--camera", "back"], "front, side"),
         (["cloud.ply", "--camera", "back"], "no cameras"),
-        (["notes.txt"], ".xml or .ply"),
+        (["notes.txt"], "notes.txt"),
+        (["scene.csv"], "a name that ends in .ply"),
         (["missing.xml"], "missing.xml"),
         (["cloud.ply", "--out", "cloud.ply/picture.png"], "cloud.ply"),
     ],

@@ -17,7 +17,8 @@ DIAGRAM = ROOT / "docs" / "structure.md"
 
 LAYERS: dict[str, tuple[str, ...]] = {
     "values": tuple(
-        f"mi_splat.{n}" for n in ("errors", "attributes", "_lazy", "provenance", "sh", "rotation", "metrics", "scene")
+        f"mi_splat.{n}"
+        for n in ("errors", "attributes", "_lazy", "provenance", "sh", "rotation", "metrics", "scene", "camera_values")
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
     "files": ("mi_splat.io",),
