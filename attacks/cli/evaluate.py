@@ -79,7 +79,13 @@ def run(options: EvaluateOptions) -> int:
         }
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
             for detector in detectors if options.pictures else ():
-                drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=detector.name, most=options.pictures)
+                drawn = side_by_side(
+                    seen[CLEAN],
+                    seen[ATTACKED],
+                    detector=detector.name,
+                    most=options.pictures,
+                    names=list(chosen.cameras),
+                )
                 save_png(drawn, folder / f"{detector.name}.png")
             save_json(document, folder / RECORD)
     if options.json:

@@ -16,6 +16,8 @@ from mi_splat.cameras import Camera
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.datasets import load_dataset
+from mi_splat.datasets.colmap import find_model, read_model_cameras
+from mi_splat.datasets.transforms import find_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import is_rotation
@@ -101,13 +103,16 @@ def _named(text: str, loaded: SplatScene, options: CameraOptions, target: Gaussi
     if recorded is not None:
         return {name: _sized(camera, options) for name, camera in recorded.items()}
     if path.suffix.lower() == ".json":
-        read = camera_set(text, (0, 0, 0), distance=1, focal=1, size=options.size or SIZE)
-        return _numbered(path.stem, [_sized(camera, options) for camera in read])
+        listed = camera_set(text, (0, 0, 0), distance=1, focal=1, size=options.size or SIZE)
+        return _numbered(path.stem, [_sized(camera, options) for camera in listed])
     if path.is_dir():
-        pictures = load_dataset(path, split=None)
-        return {
-            file.stem: _sized(camera, options) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)
-        }
+        model = find_model(path)
+        if model is not None and find_transforms(path) is None:
+            read = read_model_cameras(model)  # without its pictures, which may be large, or elsewhere
+        else:
+            pictures = load_dataset(path, split=None)
+            read = {file.name: camera for file, camera in zip(pictures.paths, pictures.cameras, strict=True)}
+        return {Path(name).stem: _sized(camera, options) for name, camera in read.items()}
     if ":" not in text:
         own = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
         raise InvalidValueError(message("camera", f"{own}; or {FORMS}, or a folder", text, "name one that is there"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
 from tests.fakes import camera, toy_scene
 from tests.training.sets import write_set
 
@@ -93,6 +95,15 @@ def test_cameras_are_read_from_files(tmp_path: Path) -> None:
     numbered = find_cameras(loaded(), CameraOptions(cameras=(str(file),)))
     assert next(iter(numbered)).startswith("transforms_train-")
     assert len(numbered) == len(json.loads(file.read_text())["frames"])
+
+
+def test_a_colmap_model_needs_no_pictures(tmp_path: Path) -> None:
+    colmap_binary(tmp_path, VIEWS, CLOUD)
+    shutil.rmtree(tmp_path / "images")
+    found = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))
+    assert len(found) == len(VIEWS)
+    for view, one in zip(VIEWS, found.values(), strict=True):
+        assert torch.allclose(one.to_world, view.camera.to_world, atol=1e-6)
 
 
 def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
