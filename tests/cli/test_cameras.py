@@ -14,11 +14,12 @@ from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import describe, recorded_cameras
 from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.datasets import write_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene
-from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, view
 from tests.fakes import camera, toy_scene
 from tests.training.sets import write_set
 
@@ -69,6 +70,14 @@ def test_up_is_up(up: tuple[float, float, float]) -> None:
     assert float(one.to_world[:3, 1] @ direction) < 0  # y of the camera points down
 
 
+def test_pictures_of_one_name_in_two_folders_are_two_cameras(tmp_path: Path) -> None:
+    write_colmap(tmp_path, [view(1), view(2)])
+    listed = tmp_path / "sparse" / "0" / "images.txt"
+    names = [path.name for path in sorted((tmp_path / "images").iterdir())]
+    listed.write_text(listed.read_text().replace(names[0], "a/x.png").replace(names[1], "b/x.png"))
+    assert len(find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))) == 2
+
+
 def test_two_of_one_name_are_kept_apart() -> None:
     assert len(find_cameras(loaded(a=camera()), CameraOptions(cameras=("orbit:2@0", "orbit:2@10", "a", "a")))) == 6
 
@@ -102,8 +111,8 @@ def test_a_colmap_model_needs_no_pictures(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "images")
     found = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))
     assert len(found) == len(VIEWS)
-    for view, one in zip(VIEWS, found.values(), strict=True):
-        assert torch.allclose(one.to_world, view.camera.to_world, atol=1e-6)
+    for shot, one in zip(VIEWS, found.values(), strict=True):
+        assert torch.allclose(one.to_world, shot.camera.to_world, atol=1e-6)
 
 
 def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
