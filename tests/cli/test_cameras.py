@@ -136,6 +136,17 @@ def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
         find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path / "other.json"),)))
 
 
+def test_cameras_of_the_trainer_of_3dgs(tmp_path: Path) -> None:
+    pose = look_at((1, 2, 3), (0, 0, 0.5))
+    entry = {"id": 0, "img_name": "desk_01", "width": 40, "height": 30, "fx": 50.0, "fy": 51.0}
+    entry |= {"position": pose[:3, 3].tolist(), "rotation": pose[:3, :3].tolist()}
+    (tmp_path / "cameras.json").write_text(json.dumps([entry]))
+    ((name, one),) = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path / "cameras.json"),))).items()
+    assert name == "desk_01"
+    assert torch.equal(one.to_world, pose)
+    assert (one.fx, one.fy, one.cx, one.cy, one.width, one.height) == (50, 51, 20, 15, 40, 30)
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
