@@ -28,7 +28,7 @@ def describe(name: str, camera: Camera) -> dict[str, object]:
 
 
 def recorded_cameras(path: Path) -> dict[str, Camera] | None:
-    """The cameras of a file that `mi-splat render`, `dagger` or `evaluate` has written, or the trainer of 3DGS, by name.
+    """The cameras, by name, of a file that `mi-splat render`, `dagger`, `evaluate` or the trainer of 3DGS has written.
 
     Args:
         path: cameras.json, result.json or evaluation.json.
