@@ -40,8 +40,8 @@ def run(options: SelectOptions) -> int:
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _save(path, scene, mask, weights[0], first, chosen.render)
-    found = _facts(scene, mask, dict(zip(chosen.cameras, weights, strict=True)))
+            _save(path, scene, mask, next(iter(weights.values())), first, chosen.render)
+    found = _facts(scene, mask, weights)
     for doubt in doubts(mask, weights):
         warn(f"warning: {doubt}")
     if options.json:
