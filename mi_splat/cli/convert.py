@@ -13,6 +13,7 @@ from mi_splat.cli.console import progress, show, show_json, show_table
 from mi_splat.cli.options import ConvertOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.io.folders import check_writable
 from mi_splat.io.formats.encoded import Encoded, Values, dropped_bands
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene
@@ -23,6 +24,7 @@ def run(options: ConvertOptions) -> int:
     """Convert, read the new file back, and say how it differs."""
     if os.path.lexists(options.out) and not options.force:
         raise InvalidValueError(message(str(options.out), "a free name", "a file that is there", "pass --force"))
+    check_writable(options.out.parent)
     with progress(f"reading {options.source}"):
         scene = load_splat(options.source, on_invalid="drop" if options.drop_invalid else "raise")
     with progress(f"writing {options.out}"):
