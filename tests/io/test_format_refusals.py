@@ -77,6 +77,7 @@ BAD = {
     ),
     "triangles.glb": (gltf_with(lambda d: primitive(d, mode=4)), r"0 \(points\), got 4"),
     "required.glb": (gltf_with(lambda d: d.update(extensionsRequired=["KHR_draco"])), "without it"),
+    "odd_required.glb": (gltf_with(lambda d: d.update(extensionsRequired=5)), "extensionsRequired: expected strings"),
     "sheared.glb": (gltf_with(lambda d: d.update(nodes=[{"mesh": 0, "scale": [1, 2, 1]}])), "uniform scale"),
     "circle.glb": (gltf_with(lambda d: d.update(nodes=[{"mesh": 0, "children": [0]}])), "no parent yet"),
     "uri.glb": (gltf_with(lambda d: d.update(buffers=[{"byteLength": 4, "uri": "/etc/passwd"}])), "inside of the file"),
