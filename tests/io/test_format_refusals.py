@@ -49,6 +49,7 @@ BAD = {
     "short.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(179)), "180 bytes for 9 Gaussians, got 179"),
     "long.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(181)), "180 bytes for 9 Gaussians, got more"),
     "axes.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0003, 4, 8)), "RUB, RDF, LUF or LDB"),
+    "sh_range.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0001, 4, 8)), "sh_quantization"),
     "truncated_extension.spz": (spz_header(3, 0, 0, 12, 2, body=b"1234"), "whole extension records"),
     "window.spz": (
         struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 1, 0, 12, 0, 5, 32) + struct.pack("<QQ", 2**63, 9) * 5,
