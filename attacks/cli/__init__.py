@@ -77,6 +77,9 @@ COMMANDS = {
     "cloak-experiment": Command(
         "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
     ),
+    "view": Command(
+        "attacks.cli", "ViewOptions", "view", "look at a splat or a result in the browser, clean beside attacked"
+    ),
     "detectors": Command(
         "attacks.cli",
         "DetectorsOptions",

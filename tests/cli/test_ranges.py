@@ -30,6 +30,7 @@ NEEDED = {
     "info": ["a.ply"],
     "example-scenes": ["stop_sign"],
     "cloak": ["study.toml"],
+    "view": ["a.ply"],
     "cloak-experiment": ["surroundings", "study.toml"],
 }
 """What a command cannot do without."""

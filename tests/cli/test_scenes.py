@@ -91,6 +91,18 @@ def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
         assert picture[shape[0] // 2, shape[1] // 2].min() > 128
 
 
+def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) -> None:
+    """glTF holds all of a scene, so the picture is the same to the bit; a bare file is drawn as the PLY is."""
+    save_splat(cloud, folder / "cloud.glb")
+    (folder / "other.xml").write_text(XML.replace("cloud.ply", "cloud.glb"))
+    found = {}
+    for name in ("scene.xml", "other.xml", "cloud.ply", "cloud.glb"):
+        assert cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32", "24"]) == 0
+        found[name] = pixels(folder / "a.png")
+    assert np.array_equal(found["scene.xml"], found["other.xml"])
+    assert np.array_equal(found["cloud.ply"], found["cloud.glb"])
+
+
 def test_render_puts_a_background_behind(folder: Path) -> None:
     words = ["--background", "1", "0", "0", "--azimuth", "90", "--size", "32", "32"]
     out = folder / "picture.png"

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mi_splat.io import SplatFileError, load_splat
+from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
 from mi_splat.io.formats.sog_files import picture_bytes
+from mi_splat.io.formats.splat32 import RECORD
 from tests.io.format_files import gltf_with, rezipped, valid
 
 
@@ -109,3 +110,60 @@ def test_the_checksum_of_gzip_is_looked_at(tmp_path: Path) -> None:
     (tmp_path / "a.spz").write_bytes(damaged)
     with pytest.raises(SplatFileError, match="an intact gzip stream"):
         load_splat(tmp_path / "a.spz")
+
+
+def splat_rows() -> np.ndarray:
+    """The rows of the valid .splat file, to be changed."""
+    return np.frombuffer(valid("a.splat"), RECORD).copy()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("means", np.nan, "a coordinate of the mean is nan"),
+        ("means", -np.inf, "a coordinate of the mean is -inf"),
+        ("scales", 0, "a scale is 0"),
+        ("scales", -1, "a scale is -1"),
+        ("scales", np.inf, "a scale is inf"),
+        ("rotations", 128, "the quaternion is zero or not finite"),
+    ],
+)
+def test_invalid_gaussians_are_refused_or_dropped(name: str, value: float, words: str, tmp_path: Path) -> None:
+    rows, path = splat_rows(), tmp_path / "a.splat"
+    rows[name][[3, 7]] = value
+    path.write_bytes(rows.tobytes())
+    found = rf"valid Gaussians, got 2 of 20 that are not \(rows 3, 7; in the first, {words}\)"
+    with pytest.raises(SplatFileError, match=found + "; repair it, or load it with on_invalid='drop'"):
+        load_splat(path)
+    with pytest.warns(SplatFileWarning, match=found + "; they were left out") as caught:
+        scene = load_splat(path, on_invalid="drop")
+    assert caught[0].filename == __file__
+    np.testing.assert_array_equal(scene.means.numpy(), np.delete(splat_rows()["means"], [3, 7], axis=0))
+
+
+def test_values_that_are_not_finite_in_gltf_and_compressed_ply(tmp_path: Path) -> None:
+    whole = valid("a.glb")
+    (size,) = struct.unpack_from("<I", whole, 12)
+    start = 20 + size + 8  # the first attribute, POSITION
+    (tmp_path / "a.glb").write_bytes(whole[:start] + struct.pack("<f", np.nan) + whole[start + 4 :])
+    with pytest.raises(
+        SplatFileError, match=r"1 of 20 that are not \(rows 0; in the first, a coordinate of the mean is nan"
+    ):
+        load_splat(tmp_path / "a.glb")
+    whole = valid("a.compressed.ply")
+    start = whole.index(b"end_header\n") + 11 + 6 * 4  # the smallest log-scale of the only chunk
+    (tmp_path / "a.compressed.ply").write_bytes(whole[:start] + struct.pack("<f", np.inf) + whole[start + 4 :])
+    with pytest.raises(SplatFileError, match=r"of 20 that are not .* a scale is"):
+        load_splat(tmp_path / "a.compressed.ply")
+
+
+def test_the_fourth_band_of_spz_is_left_out(tmp_path: Path) -> None:
+    body = struct.pack("<9B4B3B4B", *bytes(9), 255, 0, 128, 255, 160, 160, 160, *bytes(3), 0xC0)
+    rest = bytes(range(72))
+    (tmp_path / "a.spz").write_bytes(spz_header(3, 1, 4, 12, 0, body=body + rest))
+    with pytest.warns(SplatFileWarning, match="SH of degree 0 to 3, got 4; the higher bands were left out"):
+        scene = load_splat(tmp_path / "a.spz")
+    assert scene.degree == 3
+    assert scene.rotations.tolist() == [[1, 0, 0, 0]]
+    assert scene.scales.tolist() == [[1, 1, 1]]
+    assert abs(float(scene.sh[0, 15, 2])) == (128 - 44) / 128

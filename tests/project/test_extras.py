@@ -109,6 +109,13 @@ def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: l
     assert not out.exists()
 
 
+def test_a_page_needs_viser_and_says_so() -> None:
+    done = without([EXTRAS["view"]], ["view", "scenes/car_street.xml"])
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "mi-splat[view]" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
 @pytest.mark.slow
 def test_training_needs_no_extra(tmp_path: Path) -> None:
     out = tmp_path / "out"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from mi_splat.io.formats.encoded import Array
 from mi_splat.io.formats.json_fields import Fields, parse
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
-_JSON_LIMIT = 1 << 24
+_JSON_LIMIT = 1 << 22
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _CODES = {kind: code for code, kind in _COMPONENTS.items()}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -26,9 +26,11 @@ _AGAIN = "write or download it again"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glb:
-    """A binary glTF in memory: its document, and the bytes of its one buffer."""
+    """A binary glTF in memory: its document, two lists of it, and the bytes of its one buffer."""
 
     root: Fields
+    accessors: Sequence[Fields]
+    views: Sequence[Fields]
     buffer: memoryview
 
     def count(self, attributes: Fields, name: str) -> int:
@@ -55,8 +57,7 @@ class Glb:
             raise accessor.bad(name, f"{count} {_TYPES[width]} of {' or '.join(kinds)}", found)
         if "sparse" in accessor.values:
             raise accessor.bad("sparse", "a plain accessor", "a sparse one")
-        views = self.root.objects("bufferViews")
-        view = views[accessor.whole("bufferView", 0, len(views) - 1)]
+        view = self.views[accessor.whole("bufferView", 0, len(self.views) - 1)]
         view.whole("buffer", 0, 0)
         start = view.whole("byteOffset", 0, len(self.buffer), 0)
         length = view.whole("byteLength", 0, len(self.buffer) - start)
@@ -69,10 +70,9 @@ class Glb:
         return _plain(np.ndarray(*place), kind if accessor.values.get("normalized") is True else "")
 
     def _accessor(self, attributes: Fields, name: str) -> Fields:
-        accessors = self.root.objects("accessors")
         if name not in attributes.values:
             raise attributes.bad(name, "an attribute", "none")
-        return accessors[attributes.whole(name, 0, len(accessors) - 1)]
+        return self.accessors[attributes.whole(name, 0, len(self.accessors) - 1)]
 
 
 def _plain(values: NDArray[np.generic], normalised: str) -> Array:
@@ -116,7 +116,8 @@ def open_glb(data: bytes, path: str) -> Glb:
         raise root.bad("buffers", "one buffer inside of the file", found, "pack it into one .glb")
     binary = next(((start, size) for kind, start, size in chunks[1:2] if kind == b"BIN\0"), (0, 0))
     used = buffers[0].whole("byteLength", 1, binary[1])
-    return Glb(root, memoryview(data)[binary[0] : binary[0] + used])
+    values = memoryview(data)[binary[0] : binary[0] + used]
+    return Glb(root, root.objects("accessors"), root.objects("bufferViews"), values)
 
 
 def glb_bytes(columns: Mapping[str, NDArray[np.generic]], extension: str, properties: Mapping[str, str]) -> bytes:

@@ -85,7 +85,7 @@ def _vertices(header: Header, path: str) -> Element:
     if missing:
         more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
         found = f"no {', '.join(missing[:SHOWN])}{more}"
-        do = "pass a 3DGS splat: this may be a point cloud, a mesh or a compressed splat"
+        do = "pass a splat: this may be a point cloud, or a mesh, of which mi-splat capture takes pictures"
         raise SplatFileError(message(path, "the properties of a 3DGS splat", found, do))
     for name in needed_names(rest):
         if columns[name].length_kind:
