@@ -27,7 +27,8 @@ class Selection:
         link_colour: Largest difference in a channel of sRGB of connected Gaussians, in [0, 1]; None if colour does not
             count (click, cluster). Set it where two objects touch.
         planes: Objects stand on a floor, a desk or a street, which would connect them: so many of the largest planes
-            are components of their own (click, cluster).
+            are components of their own (click, cluster). More may help where too much is selected, and cut flat objects
+            where they are too many.
 
     Raises:
         InvalidValueError: A value is out of its range.
