@@ -85,7 +85,7 @@ def test_a_click_on_the_ground_selects_what_is_near_of_it(bare: tuple[GaussianSc
     click = Selection(click=(pixel_of((3.5, 1.0, 0.0), above()),))
     mask = select(scene, click, camera=above(), render=Renderer())
     assert iou(mask, owners == GROUND) > 0.5
-    assert int((mask & (owners != GROUND)).sum()) < 0.03 * int(mask.sum())  # undersides
+    assert int((mask & (owners != GROUND)).sum()) < 0.05 * int(mask.sum())  # undersides
 
 
 def test_two_clicks_select_both_and_two_selectors_what_is_in_both(
