@@ -18,7 +18,7 @@ from mi_splat.cli.console import Advance, progress, show, show_json, warn
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import file_name, save_json
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.folders import check_new_folder, check_writable, new_folder
 from mi_splat.io.images import to_bytes
 from mi_splat.io.pictures import check_animation, is_animation, is_picture, save_animation, save_picture
 from mi_splat.rendering import Renderer
@@ -71,6 +71,7 @@ def run(options: RenderOptions) -> int:
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     """Raise, before anything is rendered, unless --out can take these pictures."""
     out = options.out
+    check_writable(out.parent)
     if is_animation(out):
         check_animation(out)
         sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
