@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -60,6 +61,32 @@ def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     with new_folder(out, force=True) as place:
         (place / "result.json").write_text("new")
     assert names(out) == ["result.json"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, rename = result_in(tmp_path / "out"), os.rename
+
+    def fails_once(source: os.PathLike[str], target: os.PathLike[str]) -> None:
+        if os.fspath(target) == os.fspath(out) and (Path(source) / "new").exists():
+            raise OSError(errno.EIO, "broken")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", fails_once)
+    with pytest.raises(SplatFileError), new_folder(out, force=True) as place:
+        (place / "new").write_text("")
+    assert names(out) == ["before.png", "result.json"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_a_new_folder_sweeps_what_a_killed_call_left_beside_it(tmp_path: Path) -> None:
+    left = tmp_path / ".elsewhere.7.0123456789abcdef.tmp"
+    left.mkdir()
+    os.utime(left, (time.time() - 90_000,) * 2)
+    with new_folder(tmp_path / "out") as place:
+        (place / "result.json").write_text("new")
     assert names(tmp_path) == ["out"]
 
 
