@@ -53,7 +53,10 @@ def test_cameras_take_numbers_of_any_kind(values: dict[str, Any], expected: tupl
 
 
 def test_a_principal_point_may_be_an_array() -> None:
-    assert lens(principal=np.array([30.0, 20.0])).principal == (30.0, 20.0)
+    found = lens(principal=np.array([30, 20], np.float32)).principal
+    assert found == (30.0, 20.0)
+    assert found is not None
+    assert [type(value) for value in found] == [float, float]
 
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {

@@ -12,7 +12,7 @@ from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.sh import colour_to_dc
-from mi_splat.training.initialization import from_points, random_points, spacing, with_outliers
+from mi_splat.training.initialization import from_points, random_points, spacing, thinned, with_outliers
 from mi_splat.training.loop import scene_extent
 from tests.training.sets import views_of, write_set
 
@@ -99,3 +99,14 @@ def test_outliers_lie_in_three_pictures_and_all_along_the_way() -> None:
         size = pixels.new_tensor([view.camera.width, view.camera.height])
         seen += ((depth > 0) & ((pixels >= 0) & (pixels < size)).all(1)).float()
     assert float(seen.min()) >= 3
+
+
+def test_a_thinned_cloud_keeps_its_order_and_colours() -> None:
+    cloud = PointCloud(torch.arange(300.0).reshape(100, 3), torch.arange(300.0).reshape(100, 3) / 300)
+    few = thinned(cloud, 40, seed=1)
+    assert len(few.points) == 40
+    assert (few.points[1:, 0] > few.points[:-1, 0]).all()
+    assert torch.equal(few.colours, few.points / 300)
+    assert torch.equal(few.points, thinned(cloud, 40, seed=1).points)
+    assert not torch.equal(few.points, thinned(cloud, 40, seed=2).points)
+    assert thinned(cloud, 100) is cloud

@@ -114,7 +114,10 @@ def test_progress_without_a_terminal_is_plain_lines(
         for step in range(100):
             now[0] += 0.5
             advance(f"loss {step}")
-    lines = capsys.readouterr().err.splitlines()
+        now[0] += 10
+        advance("the rest", 40)
+    *lines, last = capsys.readouterr().err.splitlines()
+    assert last == "mi-splat: 140 of 100: the rest"
     assert lines == [f"mi-splat: {done} of 100: loss {done - 1}" for done in (20, 40, 60, 80, 100)]
 
 
