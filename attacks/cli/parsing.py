@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import importlib
 import inspect
 import types
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
@@ -50,6 +52,22 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
     )
     check_ranges(options, ALL_RANGES)
     return options
+
+
+def argument_parser(name: str, command: Command) -> argparse.ArgumentParser:
+    """The options of a command as a parser of the standard library, from which documentation can be written.
+
+    Args:
+        name: Of the command.
+        command: Where its options are.
+    """
+    module, program = importlib.import_module(f"{command.package}.options"), f"{PROGRAM} {name}"
+    default = {"default": getattr(module, command.defaults)((), program=program)} if command.defaults else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # tyro offers nothing else that knows the whole help
+        return tyro.extras.get_parser(
+            getattr(module, command.options), prog=program, config=(FlagCreatePairsOff,), registry=_REGISTRY, **default
+        )
 
 
 def description(name: str, kind: type) -> str:
