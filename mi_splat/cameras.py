@@ -7,15 +7,15 @@ Pixel centres lie at half integers, so the image spans [0, width] x [0, height].
 from __future__ import annotations
 
 import math
-import operator
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
+from mi_splat.camera_values import check_finite, focal_lengths, pixel_count, pose_tensor, two_numbers
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 
@@ -42,7 +42,7 @@ class Camera:
     principal: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        pose = _pose_tensor(self.to_world)
+        pose = pose_tensor(self.to_world)
         if pose.shape != (4, 4):
             raise InvalidValueError(
                 message("to_world", "shape (4, 4)", tuple(pose.shape), "pass a camera-to-world matrix")
@@ -60,14 +60,14 @@ class Camera:
                 message("to_world", "a right-handed rotation", "a reflection", "flip two axes, not one or three")
             )
         object.__setattr__(self, "to_world", pose)
-        object.__setattr__(self, "focal", _focal_lengths(self.focal))
+        object.__setattr__(self, "focal", focal_lengths(self.focal))
         if self.principal is not None:
-            object.__setattr__(self, "principal", _two_numbers("principal", self.principal))
+            object.__setattr__(self, "principal", two_numbers("principal", self.principal))
         for name, value in (("focal x", self.fx), ("focal y", self.fy)):
             if not (math.isfinite(value) and value > 0):
                 raise InvalidValueError(message(name, "a positive number of pixels", value, "check the intrinsics"))
         for name, size in (("width", self.width), ("height", self.height)):
-            object.__setattr__(self, name, _pixel_count(name, size))
+            object.__setattr__(self, name, pixel_count(name, size))
         if not all(math.isfinite(value) for value in (self.cx, self.cy)):
             raise InvalidValueError(message("principal", "two finite numbers", self.principal, "check the intrinsics"))
 
@@ -101,47 +101,6 @@ class Camera:
         """(4, 4) float64 transform from world to camera space."""
         inverse: Tensor = torch.linalg.inv(self.to_world)
         return inverse
-
-
-def _pose_tensor(value: object) -> Tensor:
-    """A pose as float64 on the CPU, from a tensor, an array or nested lists."""
-    try:
-        return torch.as_tensor(value).detach().to("cpu", torch.float64)
-    except (TypeError, ValueError, RuntimeError):
-        got = f"{type(value).__name__} {value!r:.80}"
-        raise InvalidValueError(message("to_world", "a (4, 4) matrix of numbers", got, "pass a tensor")) from None
-
-
-def _focal_lengths(value: object) -> float | tuple[float, float]:
-    """A focal length, or those of x and y; numbers and tuples of them stay as they are."""
-    if isinstance(value, int | float):
-        return value
-    if isinstance(value, Sequence) or getattr(value, "ndim", 0) > 0:
-        return _two_numbers("focal", value)
-    try:
-        return float(value)  # type: ignore[arg-type]  # NumPy's and torch's numbers; the rest is refused
-    except (TypeError, ValueError):
-        raise InvalidValueError(message("focal", "one number or two", repr(value), "pass (fx, fy) in pixels")) from None
-
-
-def _two_numbers(name: str, value: Any) -> tuple[float, float]:
-    """Two numbers from any sequence of them."""
-    try:
-        x, y = value
-        return (x, y) if isinstance(x, float) and isinstance(y, float) else (float(x), float(y))
-    except (TypeError, ValueError):
-        raise InvalidValueError(message(name, "two numbers", repr(value), "pass (x, y) in pixels")) from None
-
-
-def _pixel_count(name: str, value: object) -> int:
-    """A picture's width or height, from any kind of integer."""
-    try:
-        size = operator.index(value)  # type: ignore[arg-type]  # what is no integer is refused
-    except TypeError:
-        size = 0
-    if not 0 < size <= 1 << 15:
-        raise InvalidValueError(message(name, "an integer in 1..32768", value, "check the image size"))
-    return size
 
 
 def as_cameras(cameras: Camera | Sequence[Camera]) -> tuple[Camera, ...]:
@@ -226,7 +185,7 @@ def look_at(
     Raises:
         InvalidValueError: origin and target coincide, or a number is not finite.
     """
-    _check_finite(origin=origin, target=target, up=up)
+    check_finite(origin=origin, target=target, up=up)
     eye = torch.tensor(list(origin), dtype=torch.float64)
     forward = torch.tensor(list(target), dtype=torch.float64) - eye
     if not torch.linalg.norm(forward) > 0:
@@ -239,14 +198,6 @@ def look_at(
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, torch.linalg.cross(forward, right), forward, eye
     return pose
-
-
-def _check_finite(**values: Sequence[float]) -> None:
-    """Raise unless all numbers are finite."""
-    for name, numbers in values.items():
-        if not all(math.isfinite(number) for number in numbers):
-            shown = numbers[0] if len(numbers) == 1 else tuple(numbers)
-            raise InvalidValueError(message(name, "finite numbers", shown, "pass world units and degrees"))
 
 
 def orbit_pose(
@@ -267,7 +218,7 @@ def orbit_pose(
     Raises:
         InvalidValueError: A number is not finite, or the distance is not positive.
     """
-    _check_finite(target=target, azimuth=(azimuth,), elevation=(elevation,), distance=(distance,))
+    check_finite(target=target, azimuth=(azimuth,), elevation=(elevation,), distance=(distance,))
     if distance <= 0:
         raise InvalidValueError(message("distance", "a positive number of world units", distance, "change it"))
     a, e = math.radians(azimuth), math.radians(elevation)

@@ -51,6 +51,22 @@ class Similarity:
         if not 0 < self.scale < float("inf"):
             raise InvalidValueError(message("scale", "a positive finite number", self.scale, "pass a size factor"))
 
+    @classmethod
+    def from_matrix(cls, matrix: Tensor, what: str) -> Similarity:
+        """The similarity of a (4, 4) matrix that is called `what`.
+
+        Raises:
+            InvalidValueError: The matrix shears, mirrors or scales its axes differently.
+        """
+        linear = matrix[:3, :3].double()
+        determinant = float(torch.linalg.det(linear))
+        scale = abs(determinant) ** (1 / 3)
+        defect = (linear @ linear.T - scale**2 * torch.eye(3, dtype=torch.float64)).abs().max()
+        if determinant <= 0 or not bool(defect <= 1e-4 * scale**2):
+            do = "remove shear and mirroring"
+            raise InvalidValueError(message(what, "rotation, translation and uniform scale", matrix.tolist(), do))
+        return cls(rotation=linear / scale, translation=matrix[:3, 3].double(), scale=scale)
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class GaussianScene:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -106,31 +107,14 @@ def open_scene(path: Path) -> SplatScene:
     A bare splat file becomes a scene of one object without cameras, in front of black.
 
     Raises:
-        MiSplatError: The file cannot be read, or is of neither kind.
+        MiSplatError: The file cannot be read, or is neither a Mitsuba scene nor a splat.
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
         return dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
-    if path.suffix.lower() != ".ply":
-        do = "pass a Mitsuba scene or a 3DGS splat"
-        raise InvalidValueError(message(str(path), "a file that ends in .xml or .ply", path.suffix or "no ending", do))
     scene = load_splat(path)
     settings = RenderSettings(near=near_plane(scene))
     return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
-
-
-def choose_camera(loaded: SplatScene, name: str | None, path: Path) -> Camera:
-    """The camera called `name`, or the first one if None.
-
-    Raises:
-        InvalidValueError: There is no such camera.
-    """
-    if name is None and loaded.cameras:
-        return next(iter(loaded.cameras.values()))
-    if name not in loaded.cameras:
-        expected = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "none, since it has no cameras"
-        raise InvalidValueError(message(f"camera of {path}", expected, name, "name one that is there"))
-    return loaded.cameras[name]
 
 
 def orbit_camera(
@@ -141,8 +125,9 @@ def orbit_camera(
     distance: float | None,
     fov: float,
     size: tuple[int, int],
+    centre: Sequence[float] | None = None,
 ) -> Camera:
-    """A camera that looks at the middle of a scene.
+    """A camera that looks at the middle of a scene, or at another point.
 
     Args:
         scene: What to look at.
@@ -151,6 +136,7 @@ def orbit_camera(
         distance: World units; None is as near as shows all of `bounds`.
         fov: Degrees over the shorter side of the picture.
         size: Width and height in pixels.
+        centre: (3,) point to look at, world units; None is the middle of `bounds`.
 
     Raises:
         InvalidValueError: The scene is empty, or a number is out of range.
@@ -163,7 +149,8 @@ def orbit_camera(
     half = math.radians(fov) / 2
     if distance is None:
         distance = radius / math.sin(half)
-    pose = orbit_pose(middle, azimuth=azimuth, elevation=elevation, distance=distance)
+    target = middle if centre is None else centre
+    pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
     return Camera(to_world=pose, focal=min(size) / 2 / math.tan(half), width=size[0], height=size[1])
 
 

@@ -51,6 +51,7 @@ COMMANDS = {
         "mi_splat.cli", "SelectOptions", "select", "select one object of a splat, and see whether it is the right one"
     ),
     "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
+    "convert": Command("mi_splat.cli", "ConvertOptions", "convert", "convert a splat file to another format"),
     "example-scenes": Command(
         "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
     ),
@@ -75,6 +76,9 @@ COMMANDS = {
     ),
     "cloak-experiment": Command(
         "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
+    ),
+    "view": Command(
+        "attacks.cli", "ViewOptions", "view", "look at a splat or a result in the browser, clean beside attacked"
     ),
     "detectors": Command(
         "attacks.cli",

@@ -253,7 +253,13 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
         ),
     ),
 }
-EXTRAS = {"figures": "matplotlib", "meshes": "trimesh", "yolo": "ultralytics", "video": "imageio_ffmpeg"}
+EXTRAS = {
+    "figures": "matplotlib",
+    "meshes": "trimesh",
+    "video": "imageio_ffmpeg",
+    "view": "viser",
+    "yolo": "ultralytics",
+}
 
 
 def report_group(group: str) -> None:

@@ -19,7 +19,9 @@ from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import describe
 from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.ranges import UsageError
 from mi_splat.datasets.pictures import SUFFIXES, read_picture
+from mi_splat.errors import message
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.rendering import Renderer
@@ -55,6 +57,8 @@ class Seen:
 
 def run(options: DetectOptions) -> int:
     """Detect, draw the boxes, and list them."""
+    if not options.inputs:
+        raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
     check_new_folder(options.out, force=options.force, record=RECORD)
     with progress("loading the detectors") as advance:
         detectors = load_detectors(options.detectors, options.weights)

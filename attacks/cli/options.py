@@ -59,8 +59,8 @@ class DetectOptions:
     Writes a picture with boxes for each picture and detector, and detections.json, into --out.
     """
 
-    inputs: Positional[tuple[Path, ...]]
-    """Pictures, splat files and scene XMLs."""
+    inputs: Positional[tuple[Path, ...]] = ()
+    """Pictures, splat files and scene XMLs; at least one."""
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
@@ -183,6 +183,45 @@ class CloakExperimentOptions:
     """Folder that `mi-splat cloak` has written for this study (surroundings, distance)."""
     every: int = 4
     """Use each so manieth of the held-out cameras (surroundings, distance)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewOptions:
+    """Look at a splat or at the result of an attack on a page in the browser, or write such a page to a file.
+
+    Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger` or `mi-splat
+    cloak` has written, the clean and the attacked splat are shown from one camera. The page is served to this machine
+    alone until Ctrl-C; open it by the address that is printed.
+    """
+
+    path: Positional[Path]
+    """3DGS PLY, scene XML made of splats, or folder of results."""
+    clean: Path | None = None
+    """Splat or scene to compare with; of a folder of results it is found."""
+    detector: str | None = None
+    """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    size: tuple[int, int] | None = None
+    """Width and height in pixels of the picture that the detector sees; None is that of the scene's cameras."""
+    background: tuple[float, float, float] | None = None
+    """sRGB colour behind the Gaussians; None is the scene's own, black for a bare splat file."""
+    near: float | None = None
+    """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
+    host: str = "127.0.0.1"
+    """Name or address to serve on; one that other machines can reach needs --allow-remote."""
+    port: int = 8080
+    """Port to serve on; 0 is any free one."""
+    allow_remote: bool = False
+    """Let other machines in that know the token in the address; nothing is encrypted. An SSH tunnel is better."""
+    no_open: bool = False
+    """Do not open a browser."""
+    export: Path | None = None
+    """Write one HTML file with pictures from all around instead, which needs no server and no network."""
+    views: tuple[int, int] = (24, 4)
+    """Azimuths and elevations of the pictures of --export."""
+    force: bool = False
+    """Replace the file of --export if it is there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
 import tyro
-from tyro.conf import FlagCreatePairsOff
+from tyro.conf import FlagCreatePairsOff, Positional
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from attacks.cli.examples import ALIASES, EXAMPLES, SEE_ALSO
@@ -123,7 +123,7 @@ def _any_number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None
         return None
     return PrimitiveConstructorSpec(
         nargs="*",
-        metavar=f"[{spec.metavar} ...]",
+        metavar=f"{spec.metavar} ..." if Positional in info.markers else f"[{spec.metavar} ...]",
         instance_from_str=lambda words: tuple(spec.instance_from_str([word]) for word in words),
         is_instance=lambda values: isinstance(values, tuple) and all(map(spec.is_instance, values)),
         str_from_instance=lambda values: [spec.str_from_instance(value)[0] for value in values] or [_NONE],

@@ -17,6 +17,7 @@ ALL_RANGES: dict[str, Range] = {
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),
     "every": at_least(1, "cameras"),
+    "port": Range(0, 65535, do="0 takes a free one"),
     # detectors
     "validate_every": at_least(1, "epochs"),
     "processes": Range(0, 1024),

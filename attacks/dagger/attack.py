@@ -18,7 +18,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import AttackProblem, AttackView, joint_verdict
 from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
-from attacks.detectors.registry import as_detectors
+from attacks.detectors.given import as_detectors
 from attacks.evaluation.views import as_saved
 from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset, Mask

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
@@ -153,27 +153,6 @@ def load_detector(name: str, *, weights: Path | None = None) -> Detector:
         hint = f"did you mean {near[0]}?" if near else "choose one of them"
         raise DetectorError(message("detector", " or ".join(DETECTORS), repr(name), hint))
     return DETECTORS[name].load(weights)
-
-
-def as_detectors(detectors: Detector | str | Sequence[Detector | str]) -> tuple[Detector, ...]:
-    """The detectors as a tuple, whether one was given or several; those given by name are loaded.
-
-    Raises:
-        DetectorError: As in `load_detector`, or something else is among them.
-    """
-    given = detectors if isinstance(detectors, Sequence) and not isinstance(detectors, str) else [detectors]
-    return tuple(_as_detector(one) for one in given)
-
-
-def _as_detector(detector: object) -> Detector:
-    from attacks.detectors.base import Detector
-
-    if isinstance(detector, str):
-        return load_detector(detector)
-    if not isinstance(detector, Detector):
-        got = type(detector).__name__
-        raise DetectorError(message("detector", "a Detector or its name", got, "see attacks.detectors.Detector"))
-    return detector
 
 
 def _small_rcnn(weights: Path | None) -> Detector:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
 
 from attacks.detectors.base import Detections
 from mi_splat.io.images import to_bytes
+from mi_splat.labels import write_label
 
 _COLOURS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080", "#9a6324", "#000075")
 
@@ -34,7 +35,23 @@ def annotated(
         (H', W', 3) uint8.
     """
     canvas = _enlarged(to_bytes(picture), width)
-    draw, scale = ImageDraw.Draw(canvas), canvas.width / picture.shape[1]
+    draw = ImageDraw.Draw(canvas)
+    draw_detections(draw, detections, scale=canvas.width / picture.shape[1], min_confidence=min_confidence)
+    write_label(draw, (6, canvas.height - 26), title, "#000000")
+    return np.asarray(canvas)
+
+
+def draw_detections(
+    draw: ImageDraw.ImageDraw, detections: Detections, *, scale: float = 1.0, min_confidence: float = 0.3
+) -> None:
+    """Draw boxes, labels and confidences, the best last and so on top.
+
+    Args:
+        draw: Of the picture.
+        detections: What is reported in it.
+        scale: Pixels of the picture for one of the boxes' pixels.
+        min_confidence: Confidence from which a detection is drawn, in [0, 1].
+    """
     for label, score, box in reversed(
         list(zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True))
     ):
@@ -42,9 +59,7 @@ def annotated(
             colour = _colour(label)
             x0, y0, x1, y1 = (scale * x for x in box)
             draw.rectangle((x0, y0, x1, y1), outline=colour, width=3)
-            _write(draw, (x0, y0 - 22 if y0 >= 22 else y0 + 2), f"{label} {score:.0%}", colour)
-    _write(draw, (6, canvas.height - 26), title, "#000000")
-    return np.asarray(canvas)
+            write_label(draw, (x0, y0 - 22 if y0 >= 22 else y0 + 2), f"{label} {score:.0%}", colour)
 
 
 def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.uint8]:
@@ -65,7 +80,7 @@ def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.
     pictures = []
     for gap in gaps:
         picture = _enlarged(to_bytes(0.5 + factor * gap))
-        _write(ImageDraw.Draw(picture), (6, 6), f"difference x {factor}, grey = none", "#000000")
+        write_label(ImageDraw.Draw(picture), (6, 6), f"difference x {factor}, grey = none", "#000000")
         pictures.append(np.asarray(picture))
     return stacked(pictures)
 
@@ -85,17 +100,6 @@ def listed(found: Detections) -> list[dict[str, Any]]:
 def _colour(label: str) -> str:
     # The same colour for a class in every picture, whatever else was found.
     return _COLOURS[zlib.crc32(label.encode()) % len(_COLOURS)]
-
-
-def _write(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, colour: str) -> None:
-    """Text in white on a filled plate, kept inside the picture."""
-    font = ImageFont.load_default(size=16)
-    left, top, right, bottom = draw.textbbox((0, 0), text, font=font)
-    width, height = right - left + 8, bottom - top + 6
-    x = min(max(corner[0], 0), max(draw.im.size[0] - width, 0))
-    y = min(max(corner[1], 0), max(draw.im.size[1] - height, 0))
-    draw.rectangle((x, y, x + width, y + height), fill=colour)
-    draw.text((x + 4 - left, y + 3 - top), text, fill="#ffffff", font=font)
 
 
 def _enlarged(pixels: NDArray[np.uint8], width: int = 512) -> Image.Image:

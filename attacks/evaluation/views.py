@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections, Detector
-from attacks.detectors.registry import as_detectors
+from attacks.detectors.given import as_detectors
 from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import confidence

@@ -84,7 +84,8 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     except InvalidValueError as error:
         raise _not_finite(path, error) from error
     x, y, z = offset.tolist()
-    return LoadedMesh(asset=Asset(path.stem, meshes), world_offset=(x, y, z), warnings=(*faults, *remarks))
+    warnings = tuple(f"{path}: {text}" for text in (*faults, *remarks))
+    return LoadedMesh(asset=Asset(path.stem, meshes), world_offset=(x, y, z), warnings=warnings)
 
 
 def turning(settings: MeshSettings, *, up: Literal["y", "z"]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.datasets.writing import make_folder
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
 
 RECORD = "capture.json"
@@ -78,10 +79,11 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str | None:
         InvalidValueError: The folder holds something else, or a capture that differs in what the message says.
     """
     make_folder(folder)
+    for place in (folder, folder / "images"):
+        sweep_temporary(place)
     file = folder / RECORD
     if not file.exists():
-        # A killed write may have left a temporary file.
-        others = sorted(path.name for path in folder.iterdir() if not path.name.endswith(".tmp"))
+        others = sorted(path.name for path in folder.iterdir() if not is_temporary(path.name))
         if others:
             found, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
             raise InvalidValueError(message(str(folder), "an empty folder or that of a capture", found, do))

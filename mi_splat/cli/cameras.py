@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mi_splat.bounds import bounds, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.datasets import load_dataset
@@ -20,7 +20,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import is_rotation
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, resized
+from mi_splat.scene_files import SplatScene, orbit_camera, resized
 
 ALL = "all"
 """Names all cameras of a scene."""
@@ -140,10 +140,17 @@ def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[flo
 
 def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> Camera:
     """One camera that looks at the target."""
-    centre, distance, focal = _placement(target, options)
-    width, height = options.size or SIZE
-    pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance)
-    return _turned(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
+    centre, distance, _ = _placement(target, options)
+    camera = orbit_camera(
+        target,
+        azimuth=azimuth,
+        elevation=elevation,
+        distance=distance,
+        fov=options.fov,
+        size=options.size or SIZE,
+        centre=centre,
+    )
+    return _turned(camera, centre, options.up)
 
 
 def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float, float, float]) -> Camera:

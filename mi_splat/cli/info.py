@@ -50,12 +50,13 @@ def _scene_file_facts(path: Path) -> dict[str, object]:
 def scene_facts(scene: GaussianScene) -> dict[str, object]:
     """Numbers that describe a scene, as JSON can hold them; bounds and scales in world units.
 
-    Of a captured scene `bounds` are those of the farthest floaters, and `bounds_98%` tell where the scene is.
+    Of a captured scene `bounds` are those of the farthest floaters; `box`, of the middle 98 % along each axis, tells
+    where the scene is.
     """
     facts: dict[str, object] = {"gaussians": len(scene), "sh_degree": scene.degree}
     if len(scene):
         facts["bounds"] = _bounds(scene)
-        facts["bounds_98%"] = _bounds(scene, outside=0.01)
+        facts["box"] = _bounds(scene, outside=0.01)
         facts["opacity"] = _quantiles(scene.opacities)
         facts["scale"] = _quantiles(scene.scales.flatten())
     return {**facts, "hash": scene_hash(scene)}

@@ -28,7 +28,7 @@ class RenderOptions:
     """
 
     scene: Positional[Path]
-    """Scene XML made of splats, or a 3DGS PLY."""
+    """Scene XML made of splats, or a splat file of any format that is read."""
     out: Path = Path("picture.png")
     """What to write: NAME.png or NAME.jpg; NAME.gif or NAME.mp4 (needs the extra `video`) of several cameras one after
     the other; a folder, or a name with {} for the camera's, for a picture from each."""
@@ -62,6 +62,29 @@ class SelectOptions:
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
     json: bool = False
     """Print what was selected as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConvertOptions:
+    """Convert a splat file to another format, which the ending of its name says.
+
+    Says what the new file does not hold, and how far its values are off.
+    """
+
+    source: Positional[Path]
+    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .splat or .ksplat."""
+    out: Positional[Path]
+    """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb or .splat."""
+    force: bool = False
+    """Replace a file that is there."""
+    sh_degree: Literal[0, 1, 2, 3] | None = None
+    """Cut spherical harmonics above this degree; None keeps what the format holds."""
+    spz_version: Literal[2, 3, 4] = 3
+    """Version of an SPZ file."""
+    drop_invalid: bool = False
+    """Leave out Gaussians that are not valid, instead of an error."""
+    json: bool = False
+    """Print what was written and lost as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +200,7 @@ class InfoOptions:
     """Say what a splat file or a scene XML holds."""
 
     file: Positional[Path]
-    """3DGS PLY, or scene XML made of splats."""
+    """Splat file of any format that is read, or scene XML made of splats."""
     json: bool = False
     """Print it as one JSON document on stdout."""
 

@@ -89,6 +89,7 @@ RANGES: dict[str, Range] = {
     "samples": Range(1, 1 << 16, unit="samples per pixel", do="32 is usual"),
     "test": Range(0, 100_000, unit="pictures"),
     "scale": above(0, "metres per unit of the file"),
+    "rotate": Range(-360, 360, unit="degrees"),
     "points": Range(0, 100_000_000, unit="points"),
     # training
     "iterations": at_least(1, "steps"),

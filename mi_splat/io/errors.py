@@ -15,6 +15,10 @@ class SplatFileWarning(UserWarning):
     """A splat file was read, but not all of it."""
 
 
+class SplatLossWarning(UserWarning):
+    """A splat file was written, but its format cannot hold all of the scene."""
+
+
 _ADVICE = {
     errno.ENOENT: "check the path",
     errno.ENOTDIR: "check the path",

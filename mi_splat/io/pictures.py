@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ _JPEG_QUALITY = 95
 
 
 class VideoError(MiSplatError):
-    """What writes videos is not installed."""
+    """What writes videos is not installed, or does not work."""
 
 
 def is_picture(path: Path) -> bool:
@@ -74,7 +75,7 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
     Raises:
         InvalidValueError: There are none, their sizes differ, the rate is not positive, or the name ends in something
             else.
-        VideoError: The package that a video needs is not installed.
+        VideoError: What a video needs is not installed, or does not work.
         SplatFileError: The file cannot be written.
     """
     sizes = {frame.shape for frame in frames}
@@ -106,13 +107,14 @@ def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
 
     height, width = frames[0].shape[:2]
     padding = ((0, height % 2), (0, width % 2), (0, 0))
+    pixels = b"".join(np.pad(frame, padding, mode="edge").tobytes() for frame in frames)
+    size = f"{width + width % 2}x{height + height % 2}"
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "video.mp4"
-        writer = imageio_ffmpeg.write_frames(
-            str(target), (width + width % 2, height + height % 2), fps=fps, macro_block_size=2, ffmpeg_log_level="error"
-        )
-        writer.send(None)  # the writer waits for its first picture
-        for frame in frames:
-            writer.send(np.ascontiguousarray(np.pad(frame, padding, mode="edge")))
-        writer.close()
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", size, "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"]
+        done = subprocess.run([*command, str(target)], input=pixels, capture_output=True)
+        if done.returncode or not target.is_file():
+            found = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
+            raise VideoError(message(str(path), "a video out of ffmpeg", found, "end the name in .gif"))
         return target.read_bytes()

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io._blocks import Rows
-from mi_splat.io._ply_body import locate, read_rows
-from mi_splat.io._ply_header import Element, read_header
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
+from mi_splat.io.ply.blocks import Rows
+from mi_splat.io.ply.body import locate, read_rows
+from mi_splat.io.ply.header import Element, read_header
 
 _AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
 # Readers of other trainers ask for normals as well.

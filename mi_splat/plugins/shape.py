@@ -57,7 +57,9 @@ def gaussians(props: Any) -> Any:
             )
         )
     if "to_world" in props:
-        scene = scene.transform(similarity(np.array(props["to_world"].matrix)))
+        scene = scene.transform(
+            Similarity.from_matrix(torch.from_numpy(np.array(props["to_world"].matrix)), "to_world")
+        )
     extra = {key: props[key] for key in _PASSED_ON if key in props}
     children = dict(props.objects())
     return mi.load_dict({"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra, **children})
@@ -75,26 +77,6 @@ def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
     """A dict for `mi.load_dict` that holds `scene` as a `gaussians` shape."""
     arrays: dict[str, Any] = {name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
     return {"type": "gaussians", **arrays, **extra}
-
-
-def similarity(matrix: NDArray[np.float64]) -> Similarity:
-    """The similarity of a 4 x 4 matrix.
-
-    Raises:
-        InvalidValueError: The matrix shears, mirrors or scales its axes differently.
-    """
-    linear = matrix[:3, :3].astype(np.float64)
-    determinant = float(np.linalg.det(linear))
-    scale = abs(determinant) ** (1 / 3)
-    if determinant <= 0 or not np.allclose(linear @ linear.T, scale**2 * np.eye(3), rtol=0, atol=1e-4 * scale**2):
-        raise InvalidValueError(
-            message(
-                "to_world", "rotation, translation and uniform scale", matrix.tolist(), "remove shear and mirroring"
-            )
-        )
-    return Similarity(
-        rotation=torch.from_numpy(linear / scale), translation=torch.from_numpy(matrix[:3, 3].copy()), scale=scale
-    )
 
 
 def _tensor(values: torch.Tensor) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, features
 
 from attacks import cli
 from mi_splat.assets.srgb import to_srgb
@@ -225,6 +225,17 @@ def test_pictures_of_16_bits_and_names_with_spaces(tmp_path: Path) -> None:
     found = np.unique(corner_colours(load_mesh(path))[:, 0])
     assert len(found) == 4
     assert found.max() < 240
+
+
+@pytest.mark.skipif(not features.check("webp"), reason="this Pillow reads no WebP")
+def test_webp_is_shown_and_named_when_it_is_missing(tmp_path: Path) -> None:
+    image, texture = {"uri": "truck.webp"}, {"extensions": {"EXT_texture_webp": {"source": 0}}}
+    path = write_glb(tmp_path, truck(), image=image, texture=texture, required=("EXT_texture_webp",))
+    Image.open(tmp_path / TEXTURE).save(tmp_path / "truck.webp", lossless=True)
+    assert np.abs(corner_colours(load_mesh(path)) - expected()).max() < 3
+    (tmp_path / "truck.webp").unlink()
+    with pytest.raises(MiSplatError, match=r"truck\.webp.*no such file"):
+        load_mesh(path)
 
 
 def test_the_command_refuses_or_warns(

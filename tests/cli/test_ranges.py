@@ -23,12 +23,14 @@ NEEDED = {
     "capture": ["car_street"],
     "train": ["set", "--out", "out"],
     "render": ["a.ply"],
+    "convert": ["a.ply", "b.spz"],
     "select": ["a.ply"],
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],
     "example-scenes": ["stop_sign"],
     "cloak": ["study.toml"],
+    "view": ["a.ply"],
     "cloak-experiment": ["surroundings", "study.toml"],
 }
 """What a command cannot do without."""

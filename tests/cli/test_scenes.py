@@ -17,6 +17,7 @@ from attacks.dagger.config import DaggerConfig
 from mi_splat import scene_files
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cli import selecting
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import RenderSettings
@@ -61,6 +62,7 @@ def folder(tmp_path: Path, cloud: GaussianScene) -> Path:
     """A folder with the cloud as a splat file and a scene XML."""
     save_splat(cloud, tmp_path / "cloud.ply")
     (tmp_path / "scene.xml").write_text(XML)
+    (tmp_path / "scene.csv").write_text("x,y,z\n")
     return tmp_path
 
 
@@ -89,6 +91,18 @@ def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
         assert picture[shape[0] // 2, shape[1] // 2].min() > 128
 
 
+def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) -> None:
+    """glTF holds all of a scene, so the picture is the same to the bit; a bare file is drawn as the PLY is."""
+    save_splat(cloud, folder / "cloud.glb")
+    (folder / "other.xml").write_text(XML.replace("cloud.ply", "cloud.glb"))
+    found = {}
+    for name in ("scene.xml", "other.xml", "cloud.ply", "cloud.glb"):
+        assert cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32", "24"]) == 0
+        found[name] = pixels(folder / "a.png")
+    assert np.array_equal(found["scene.xml"], found["other.xml"])
+    assert np.array_equal(found["cloud.ply"], found["cloud.glb"])
+
+
 def test_render_puts_a_background_behind(folder: Path) -> None:
     words = ["--background", "1", "0", "0", "--azimuth", "90", "--size", "32", "32"]
     out = folder / "picture.png"
@@ -101,7 +115,8 @@ def test_render_puts_a_background_behind(folder: Path) -> None:
     [
         (["scene.xml", "--camera", "back"], "front, side"),
         (["cloud.ply", "--camera", "back"], "no cameras"),
-        (["notes.txt"], ".xml or .ply"),
+        (["notes.txt"], "notes.txt"),
+        (["scene.csv"], "a name that ends in .ply"),
         (["missing.xml"], "missing.xml"),
         (["cloud.ply", "--out", "cloud.ply/picture.png"], "cloud.ply"),
     ],
@@ -163,7 +178,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
-    monkeypatch.setattr(dagger, "Renderer", lambda settings: blobs)
+    monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
     monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
     return loaded
 
@@ -176,11 +191,13 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
     assert lines[0].startswith("SUCCESS")
     assert "person" in lines[1]
     assert str(out / "detections.png") in lines[-2]
-    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
+    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json", "mask.npy"}
+    names |= {"attacked.xml", "attacked_rest.ply", "attacked_thing.ply"}
     assert {path.name for path in out.iterdir()} == names
     result = json.loads((out / "result.json").read_text())
     assert set(result) >= KEYS
     assert (result["target"], result["eps"], result["seed"]) == ("person", 20.0, 3)
+    assert (result["selection"], result["cameras"]) == ({"object": "thing"}, ["front"])
     attacked = load_splat(out / "attacked.ply")
     lower, higher = attacked.sh[:, :4], attacked.sh[:, 4:]  # the scene has degree 1, the attack makes it 3
     assert torch.equal(lower[:10], toy.scene.sh[:10])

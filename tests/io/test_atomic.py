@@ -42,7 +42,7 @@ def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkey
         raise OSError(code, os.strerror(code))
 
     with monkeypatch.context() as patch:
-        patch.setattr("mi_splat.io.ply.write_all" if when == "write" else f"mi_splat.io.atomic.os.{when}", fail)
+        patch.setattr("mi_splat.io.ply.splat.write_all" if when == "write" else f"mi_splat.io.atomic.os.{when}", fail)
         with pytest.raises(SplatFileError, match=rf"{old}: expected a file that can be written, got .+; .+"):
             save_splat(random_scene(7), old)
     assert old.read_bytes() == before
@@ -113,17 +113,19 @@ def test_a_kill_leaves_the_old_file_or_the_new_one(old: Path) -> None:
 
 def test_folders_and_odd_targets_are_refused(tmp_path: Path) -> None:
     scene = random_scene(1)
+    (tmp_path / "folder.ply").mkdir()
     with pytest.raises(SplatFileError, match="got a folder"):
-        save_splat(scene, tmp_path)
+        save_splat(scene, tmp_path / "folder.ply")
+    (tmp_path / "folder.ply").rmdir()
     with pytest.raises(SplatFileError, match="No such file or directory; check the path"):
         save_splat(scene, tmp_path / "none" / "a.ply")
     with pytest.raises(SplatFileError, match="use a shorter name"):
-        save_splat(scene, tmp_path / ("x" * 300))
+        save_splat(scene, tmp_path / f"{'x' * 300}.ply")
     if hasattr(os, "mkfifo"):
-        os.mkfifo(tmp_path / "pipe")
+        os.mkfifo(tmp_path / "pipe.ply")
         with pytest.raises(SplatFileError, match="got a special file"):
-            save_splat(scene, tmp_path / "pipe")
-        assert [entry.name for entry in tmp_path.iterdir()] == ["pipe"]
+            save_splat(scene, tmp_path / "pipe.ply")
+        assert [entry.name for entry in tmp_path.iterdir()] == ["pipe.ply"]
 
 
 def test_a_folder_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -267,7 +267,7 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path, monkeypatch: pytes
         return os.stat_result([*status[:6], len(ply_header(ROWS, count=11)) + len(BODY) * 11 // 10, *status[7:]])
 
     (tmp_path / "a.ply").write_bytes(ply_header(ROWS, count=11) + BODY)
-    monkeypatch.setattr("mi_splat.io._ply_body.os.fstat", longer)
+    monkeypatch.setattr("mi_splat.io.ply.body.os.fstat", longer)
     with pytest.raises(SplatFileError, match="it shrank"):
         load_splat(tmp_path / "a.ply")
 
@@ -278,6 +278,6 @@ def test_a_disk_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     def fail(*_: object) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("mi_splat.io._ply_body._fill", fail)
+    monkeypatch.setattr("mi_splat.io.ply.body._fill", fail)
     with pytest.raises(SplatFileError, match="got Input/output error; check the disk and try again"):
         load_splat(tmp_path / "a.ply")

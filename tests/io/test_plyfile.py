@@ -51,8 +51,8 @@ def plain(tmp_path: Path) -> str:
 def test_lists_of_vertices_are_passed_over(
     encoding: str, order: str, block: int, plain: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("_plyfile", "_ply_body"):
-        monkeypatch.setattr(f"mi_splat.io.{module}.BLOCK_BYTES", block)
+    for module in ("with_plyfile", "body"):
+        monkeypatch.setattr(f"mi_splat.io.ply.{module}.BLOCK_BYTES", block)
     (tmp_path / "a.ply").write_bytes(listed(encoding, order))
     assert scene_hash(load_splat(tmp_path / "a.ply")) == plain
 

@@ -181,7 +181,7 @@ def test_paths_may_be_text_or_relative(plain: str, tmp_path: Path, monkeypatch: 
 
 
 def test_large_text_crosses_the_borders_of_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mi_splat.io._plyfile.BLOCK_BYTES", 2000)
+    monkeypatch.setattr("mi_splat.io.ply.with_plyfile.BLOCK_BYTES", 2000)
     (tmp_path / "a.ply").write_bytes(ply_header(ROWS, "ascii") + text(ROWS))
     np.testing.assert_array_equal(load_splat(tmp_path / "a.ply").means[:, 2], ROWS["z"])
 

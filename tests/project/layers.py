@@ -17,7 +17,19 @@ DIAGRAM = ROOT / "docs" / "structure.md"
 
 LAYERS: dict[str, tuple[str, ...]] = {
     "values": tuple(
-        f"mi_splat.{n}" for n in ("errors", "attributes", "_lazy", "provenance", "sh", "rotation", "metrics", "scene")
+        f"mi_splat.{n}"
+        for n in (
+            "errors",
+            "attributes",
+            "_lazy",
+            "provenance",
+            "sh",
+            "rotation",
+            "metrics",
+            "labels",
+            "scene",
+            "camera_values",
+        )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
     "files": ("mi_splat.io",),
@@ -29,6 +41,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rendering": ("mi_splat.rendering", "mi_splat.scene_files", "mi_splat.scene_writing"),
     "training": ("mi_splat.training",),
     "capture": ("mi_splat.capture",),
+    "viewer": ("mi_splat.viewer",),
     "example scenes": ("mi_splat.example_scenes",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
@@ -41,6 +54,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "study of CLOAK": ("attacks.cloak.study",),
     "experiments": ("attacks.cloak.experiments",),
+    "viewing": ("attacks.viewing",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }
 

@@ -87,14 +87,18 @@ elevation = [60, 90]
         ("figures", ["cloak", "scenes/cloak_demo.toml"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
-        ("video", ["render", "scenes/stop_sign.xml", "--cameras", "orbit:2@20", "--out", "OUT.mp4"]),
+        ("video", ["render", "scenes/stop_sign.xml", "--cameras", "orbit:2@20"]),
         ("yolo", ["dagger", "--detector", "yolov8n_small"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
 def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: list[str], tmp_path: Path) -> None:
-    mesh, study, out = tmp_path / "m.obj", tmp_path / "study.toml", tmp_path / "out"
+    mesh, study, out = (
+        tmp_path / "m.obj",
+        tmp_path / "study.toml",
+        tmp_path / ("out.mp4" if extra == "video" else "out"),
+    )
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     study.write_text(STUDY.format(mesh=mesh))
     given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
@@ -103,6 +107,13 @@ def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: l
     assert f"mi-splat[{extra}]" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
     assert not out.exists()
+
+
+def test_a_page_needs_viser_and_says_so() -> None:
+    done = without([EXTRAS["view"]], ["view", "scenes/car_street.xml"])
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "mi-splat[view]" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 from mi_splat.plugins import sensor as sensors  # noqa: E402
-from mi_splat.plugins.shape import shape_dict, similarity  # noqa: E402
+from mi_splat.plugins.shape import shape_dict  # noqa: E402
 
 FILM = '<integer name="width" value="61"/><integer name="height" value="43"/>'
 CROP = (
@@ -257,6 +257,6 @@ def test_other_sensors_are_refused() -> None:
 
 def test_shear_is_no_similarity() -> None:
     with pytest.raises(InvalidValueError, match="uniform scale"):
-        similarity(np.diag([1.0, 2.0, 1.0, 1.0]))
+        Similarity.from_matrix(torch.from_numpy(np.diag([1.0, 2.0, 1.0, 1.0])), "to_world")
     with pytest.raises(InvalidValueError, match="uniform scale"):
-        similarity(np.diag([-1.0, 1.0, 1.0, 1.0]))
+        Similarity.from_matrix(torch.from_numpy(np.diag([-1.0, 1.0, 1.0, 1.0])), "to_world")

@@ -4,68 +4,39 @@ from __future__ import annotations
 
 import io
 import os
-import stat
 import threading
-import warnings
-from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io._blocks import Rows, for_each_block
-from mi_splat.io._ply_body import locate, read_rows
-from mi_splat.io._ply_header import Element, Header, read_header
-from mi_splat.io._ply_rows import REST_COUNTS, describe, file_names, file_record, needed_names, pack, unpack
 from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.errors import SplatFileError, SplatFileWarning, from_os_error
+from mi_splat.io.errors import SplatFileError
+from mi_splat.io.loaded import SHOWN, Loaded
+from mi_splat.io.ply.blocks import Rows, for_each_block
+from mi_splat.io.ply.body import locate, read_rows
+from mi_splat.io.ply.header import Element, Header
+from mi_splat.io.ply.rows import REST_COUNTS, describe, file_names, file_record, needed_names, pack, unpack
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 from mi_splat.sh import coefficient_count
 
-_SHOWN = 5
 
-
-def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise") -> GaussianScene:
-    """Load a 3DGS splat.
-
-    Reads text and both byte orders, float and double, any order of properties, SH degree 0 to 3. Normals, further
-    properties and further elements are passed over. Quaternions are normalised. The tensors are float32 on the CPU.
-    Text, and vertices that carry lists, need the package plyfile; all other files are read without it.
+def read_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
+    """Read a 3DGS splat: text and both byte orders, float and double, any order of properties, SH degree 0 to 3.
 
     Args:
-        path: A PLY file.
-        on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32, the scale vanishes,
-            the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many and which.
+        file: The file, open for unbuffered reading.
+        header: Its header.
+        path: For messages.
 
     Raises:
-        SplatFileError: The file cannot be read, is no 3DGS splat, does not have the size that its header says, or holds
-            Gaussians that are not valid and `on_invalid` is "raise".
-        InvalidValueError: on_invalid is something else.
+        SplatFileError: It is no 3DGS splat, or does not have the size that its header says.
     """
-    if on_invalid not in ("raise", "drop"):
-        raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
-    name = os.fspath(path)
-    try:
-        with _open(name) as file:
-            header = read_header(file, name)
-            element = _vertices(header, name)
-            scene, bad, example = _read(file, header, element, name)
-    except OSError as error:
-        raise from_os_error(name, "a PLY file that can be read", error) from error
-    if not len(bad):
-        return scene
-    which = ", ".join(str(row) for row in bad[:_SHOWN].tolist()) + (", ..." if len(bad) > _SHOWN else "")
-    found = f"{len(bad)} of {element.count} that are not (rows {which}; in the first, {example})"
-    if on_invalid == "raise":
-        raise SplatFileError(message(name, "valid Gaussians", found, "repair it, or load it with on_invalid='drop'"))
-    warnings.warn(message(name, "valid Gaussians", found, "they were left out"), SplatFileWarning, stacklevel=2)
-    keep = torch.ones(element.count, dtype=torch.bool)
-    keep[torch.from_numpy(bad)] = False
-    return scene.select(keep)
+    return _read(file, header, _vertices(header, path), path)
 
 
-def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
+def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
     """Save a splat as 3DGS writes it: binary little-endian float32 PLY with zero normals and the scene's SH degree.
 
     The file appears whole or not at all. Means and SH of a float32 scene are kept bit for bit; saving what was loaded
@@ -99,16 +70,6 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
         for_each_block(len(scene), record, store)
 
 
-def _open(path: str) -> io.FileIO:
-    """The file, if it is a regular one; not blocking, so that a pipe does not wait for its writer."""
-    file = io.FileIO(path, opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        file.close()
-        found = "a special file (pipe, socket or device)"
-        raise SplatFileError(message(path, "a PLY file", found, "pass the path of a regular file"))
-    return file
-
-
 def _vertices(header: Header, path: str) -> Element:
     """The element with the Gaussians, after a check that it has the properties of one."""
     element = next((element for element in header.elements if element.name == "vertex"), None)
@@ -122,9 +83,9 @@ def _vertices(header: Header, path: str) -> Element:
         raise SplatFileError(message(path, expected, rest, "export the splat again"))
     missing = [name for name in needed_names(rest) if name not in columns]
     if missing:
-        more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
-        found = f"no {', '.join(missing[:_SHOWN])}{more}"
-        do = "pass a 3DGS splat: this may be a point cloud, a mesh or a compressed splat"
+        more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
+        found = f"no {', '.join(missing[:SHOWN])}{more}"
+        do = "pass a splat: this may be a point cloud, or a mesh, of which mi-splat capture takes pictures"
         raise SplatFileError(message(path, "the properties of a 3DGS splat", found, do))
     for name in needed_names(rest):
         if columns[name].length_kind:
@@ -141,8 +102,8 @@ def _rest_count(element: Element) -> int:
     return sum(column.name.startswith("f_rest_") for column in element.properties)
 
 
-def _read(file: io.FileIO, header: Header, element: Element, path: str) -> tuple[GaussianScene, NDArray[np.int64], str]:
-    """The scene with all rows, the rows that are not valid in order, and what is wrong with the first of these."""
+def _read(file: io.FileIO, header: Header, element: Element, path: str) -> Loaded:
+    """The scene with all rows, and which of them are not valid."""
     rest = _rest_count(element)
     locate(file, header, element.name, path)  # the sizes are right before the tensors are allocated
     bands, count = coefficient_count(REST_COUNTS.index(rest)), element.count
@@ -160,5 +121,5 @@ def _read(file: io.FileIO, header: Header, element: Element, path: str) -> tuple
     read_rows(file, header, element, path, take)
     scene = GaussianScene.unchecked(*tensors)
     if not wrong:
-        return scene, np.empty(0, np.int64), ""
-    return scene, np.concatenate([wrong[first][0] for first in sorted(wrong)]), wrong[min(wrong)][1]
+        return Loaded(scene, np.empty(0, np.int64), "")
+    return Loaded(scene, np.concatenate([wrong[first][0] for first in sorted(wrong)]), wrong[min(wrong)][1])

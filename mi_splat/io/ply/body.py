@@ -1,7 +1,7 @@
 """The rows of one element of a PLY file, as structured NumPy arrays of bounded size.
 
 Every size that the header claims is held against the bytes that are there before anything is allocated. NumPy reads
-binary rows of one size, which is every splat that a trainer writes; text and rows with lists go on to `_plyfile`.
+binary rows of one size, which is every splat that a trainer writes; text and rows with lists go on to `with_plyfile`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import NoReturn
 import numpy as np
 
 from mi_splat.errors import message
-from mi_splat.io._blocks import BLOCK_BYTES, Rows, for_each_block
-from mi_splat.io._ply_header import Element, Header
-from mi_splat.io._plyfile import read_binary, read_text, scalar_record
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.ply.blocks import BLOCK_BYTES, Rows, for_each_block
+from mi_splat.io.ply.header import Element, Header
+from mi_splat.io.ply.with_plyfile import read_binary, read_text, scalar_record
 
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 _AGAIN = "write or download it again"

@@ -16,9 +16,9 @@ from types import ModuleType
 import numpy as np
 
 from mi_splat.errors import message
-from mi_splat.io._blocks import BLOCK_BYTES, Rows
-from mi_splat.io._ply_header import ORDERS, Element, Property
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.ply.blocks import BLOCK_BYTES, Rows
+from mi_splat.io.ply.header import ORDERS, Element, Property
 
 LINE_LIMIT = 1 << 20
 """Longest line of a text file in bytes."""

@@ -1,0 +1,86 @@
+"""What is left of DAGGER after its splat was converted to each format: the paper's six pairs, as a Markdown table.
+
+    python benchmarks/conversions.py [--seeds 1]
+
+Each attack (l2 ball of 5 over SH, 11 steps, the scene's first camera, turned and moved a little by the seed) is made
+twice: on SH of degree 3, and on a scene cut to the first coefficients before the attack. A format keeps an attack when
+the detector still reports the target on the object, from the converted file, on an 8-bit picture. It takes minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.jobs import jittered
+from attacks.dagger.study import PAIRS
+from attacks.detectors import load_detector
+from attacks.evaluation.views import detect_views, object_boxes
+from attacks.objectives import REPORTED, relabel
+from mi_splat.io import load_splat
+from mi_splat.io.formats.table import FORMATS
+from mi_splat.io.splat_files import write_splat_file
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import read_scene
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+CONFIG = DaggerConfig(noise_draws=0, sh_degree=None)
+SUFFIXES = [entry.suffix for entry in FORMATS if entry.writes]
+
+
+def kept(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> dict[str, tuple[bool, float]] | None:
+    """For each format whether the target is still reported, and the PSNR of the pictures before and after in dB.
+
+    None if the attack itself fails.
+    """
+    name, thing, target = pair
+    loaded, detector = read_scene(SCENES / f"{name}.xml"), load_detector("fasterrcnn_small")
+    scene, rows, render = loaded.scene.with_degree(degree), loaded.objects[thing], Renderer(loaded.settings)
+    camera = jittered(next(iter(loaded.cameras.values())), scene.means[rows].mean(0), seed=seed)
+    config = dataclasses.replace(CONFIG, seed=seed)
+    found = attack(scene, rows, [camera], detector, relabel(target), render=render, config=config)
+    if not found.success:
+        return None
+    boxes = object_boxes(scene, rows, [camera], render=render)
+    seen, figures = {}, {}
+    for suffix in SUFFIXES:
+        write_splat_file(found.scene, folder / f"attacked{suffix}")
+        again = load_splat(folder / f"attacked{suffix}")
+        (seen[suffix],) = detect_views(again, [camera], [detector], render=render, boxes=boxes)
+        error = float((seen[suffix].image - seen[".ply"].image).pow(2).mean())
+        reported = seen[suffix].confidence(target) >= REPORTED
+        figures[suffix] = (reported, -10 * math.log10(max(error, 1e-10)))
+    return figures
+
+
+def main() -> None:
+    """Run all attacks and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=1)
+    seeds = parser.parse_args().seeds
+    lines = [f"| the attack may change | {' | '.join(f'`{suffix}`' for suffix in SUFFIXES)} |"]
+    lines.append("|" + "---|" * (1 + len(SUFFIXES)))
+    with tempfile.TemporaryDirectory() as folder:
+        for degree, words in ((3, "all SH, degree 3"), (0, "the first SH coefficients, on a scene that has no others")):
+            runs = [kept(pair, degree, seed, Path(folder)) for pair in PAIRS for seed in range(seeds)]
+            done = [run for run in runs if run is not None]
+            cells = []
+            for suffix in SUFFIXES:
+                count = sum(run[suffix][0] for run in done)
+                middle = statistics.median(run[suffix][1] for run in done)
+                cells.append(f"{count} of {len(done)}" + (f", {middle:.0f} dB" if middle < 99 else ""))
+            lines.append(f"| {words} ({len(done)} of {len(runs)} attacks succeed) | {' | '.join(cells)} |")
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""How many pictures a second does `mi-splat view` make while the camera moves?
+
+    python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700] [--pictures 120] [--json]
+
+A camera goes around a shell of Gaussians. Timed is what the server does for each picture: rendering, putting together,
+and encoding as JPEG, at the resolution that the pace settles on; once with one splat, once with two side by side. The
+browser's own work and the network are not in it. `cpu_ms` is the processor time of a picture, which other programs on
+the machine change less than the clock's. The first quarter of the pictures, in which kernels are compiled and
+the pace settles, does not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from render import shell  # of this folder
+
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.viewer.composition import ways_of_showing
+from mi_splat.viewer.exhibit import Exhibit, ShownSplat, whole
+from mi_splat.viewer.page import JPEG_QUALITY
+from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.session import Pace, Step, ViewState
+
+
+def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:
+    """Pictures a second while the camera moves, and what a full picture takes.
+
+    Args:
+        scene: What is shown.
+        splats: How many of it, 1 or 2.
+        canvas: Width and height of the page's place for pictures.
+        pictures: Number of coarse pictures.
+    """
+    settings = RenderSettings()
+    names = ("clean", "attacked")[:splats]
+    shown = tuple(ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply"), own=settings) for name in names)
+    exhibit = Exhibit(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
+    painter, pace = Painter(exhibit, Renderer(settings)), Pace()
+    state = ViewState(orbit=exhibit.start, show=ways_of_showing(names)[0], canvas=canvas)
+    times: list[float] = []
+    busy = 0.0
+    for number in range(pictures):
+        if number == pictures // 4:
+            busy = time.process_time()
+        state = replace(state, orbit=replace(state.orbit, azimuth=3.0 * number))
+        times.append(_seconds(painter, state, Step.COARSE, pace))
+        pace = pace.after(times[-1])
+    busy, settled = time.process_time() - busy, times[pictures // 4 :]
+    full = [_seconds(painter, state, Step.FULL, pace) for _ in range(5)]
+    return {
+        "splats": splats,
+        "pictures_a_second": round(len(settled) / sum(settled), 1),
+        "cpu_ms": round(1000 * busy / len(settled), 1),
+        "slowest_ms": round(1000 * max(settled), 1),
+        "scale": round(pace.scale, 2),
+        "full_ms": round(1000 * statistics.median(full), 1),
+    }
+
+
+def _seconds(painter: Painter, state: ViewState, step: Step, pace: Pace) -> float:
+    begun = time.perf_counter()
+    picture = Image.fromarray(painter.paint(state, step, pace).pixels)
+    picture.save(io.BytesIO(), format="JPEG", quality=JPEG_QUALITY[step])
+    return time.perf_counter() - begun
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--gaussians", type=int, default=100_000)
+    parser.add_argument("--canvas", type=int, nargs=2, default=(1000, 700))
+    parser.add_argument("--pictures", type=int, default=120)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    scene, canvas = shell(options.gaussians), (options.canvas[0], options.canvas[1])
+    lines = [measure(scene, splats, canvas, options.pictures) for splats in (1, 2)]
+    if options.json:
+        sys.stdout.write(json.dumps(lines, indent=2) + "\n")
+        return
+    for line in lines:
+        sys.stdout.write(
+            f"{line['splats']} x {options.gaussians:,} Gaussians at {canvas[0]} x {canvas[1]}: "
+            f"{line['pictures_a_second']} pictures a second at {line['scale']:.0%} of the width, "
+            f"processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms; a full picture {line['full_ms']} ms\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""`mi-splat convert`: a splat file in another format, and what the new file does not hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+
+import torch
+from torch import Tensor
+
+from mi_splat.cli.console import progress, show, show_json, show_table
+from mi_splat.cli.options import ConvertOptions
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.io.formats.encoded import Encoded, Values, dropped_bands
+from mi_splat.io.splat_files import write_splat_file
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import dc_to_colour
+
+
+def run(options: ConvertOptions) -> int:
+    """Convert, read the new file back, and say how it differs."""
+    if os.path.lexists(options.out) and not options.force:
+        raise InvalidValueError(message(str(options.out), "a free name", "a file that is there", "pass --force"))
+    with progress(f"reading {options.source}"):
+        scene = load_splat(options.source, on_invalid="drop" if options.drop_invalid else "raise")
+    with progress(f"writing {options.out}"):
+        kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
+        encoded = write_splat_file(kept, options.out, spz_version=options.spz_version)
+        again = load_splat(options.out)
+    changes = differences(_as_written(scene, encoded), again)
+    losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
+    if options.json:
+        document = {
+            "source": str(options.source),
+            "out": str(options.out),
+            "gaussians": len(again),
+            "bytes_before": options.source.stat().st_size,
+            "bytes_after": options.out.stat().st_size,
+            "sh_degree_before": scene.degree,
+            "sh_degree_after": again.degree,
+            "reordered": encoded.order is not None,
+            "largest_changes": changes,
+            "lost": [dataclasses.asdict(loss) for loss in losses],
+        }
+        show_json(document)
+        return 0
+    rows = [("file", f"{options.out}, {options.out.stat().st_size:,} bytes"), ("gaussians", f"{len(again):,}")]
+    rows += [("sh degree", f"{scene.degree} before, {again.degree} after")]
+    rows += [("order", "changed" if encoded.order is not None else "kept")]
+    show_table([*rows, *(("largest change", f"{name}: {value:.3g}") for name, value in changes.items())])
+    for loss in losses:
+        show(f"lost: {loss}")
+    return 0
+
+
+def _as_written(scene: GaussianScene, encoded: Encoded) -> GaussianScene:
+    """The scene in the order of the file."""
+    return scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
+
+
+def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]:
+    """How far the values of two scenes with the same rows are apart at most, by what it is measured in.
+
+    Colours are those of the first SH coefficients, from 0 to 1. SH that only one scene has count as zero in the other.
+    """
+    degree = max(before.degree, after.degree)
+    one, two = before.with_degree(degree), after.with_degree(degree)
+    first, second = one.rotations.double(), two.rotations.double()
+    chord = torch.minimum((first - second).norm(dim=1), (first + second).norm(dim=1))  # q and -q are one rotation
+    found = {
+        "means, world units": _largest(one.means - two.means),
+        "scales, ratio": math.exp(_largest(one.scales.double().log() - two.scales.double().log())),
+        "rotations, degrees": math.degrees(4 * math.asin(min(1.0, _largest(chord) / 2))),
+        "opacity": _largest(one.opacities - two.opacities),
+        "colour": _largest(dc_to_colour(one.sh[:, 0]) - dc_to_colour(two.sh[:, 0])),
+    }
+    return {**found, "SH coefficients": _largest(one.sh[:, 1:] - two.sh[:, 1:])} if degree else found
+
+
+def _largest(values: Tensor) -> float:
+    return float(values.abs().max()) if values.numel() else 0.0

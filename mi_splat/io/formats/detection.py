@@ -1,0 +1,91 @@
+"""Which splat format a file has: by how its name ends, held against its first bytes."""
+
+from __future__ import annotations
+
+import os
+
+from mi_splat.errors import message
+from mi_splat.io.errors import SplatFileError
+from mi_splat.io.formats.table import FORMATS
+
+HEAD = 16
+"""First bytes of a file that `by_content` looks at."""
+
+META = "meta.json"
+"""The file that leads to the pictures of an unbundled SOG."""
+
+SUFFIXES = tuple(sorted((entry.suffix for entry in FORMATS), key=len, reverse=True))
+
+_MAGIC = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
+_OTHERS = {
+    ".gltf": "pack it into one .glb, for instance with gltf-transform",
+    ".obj": "this is a mesh: capture pictures of it with mi-splat capture, and train a splat on them",
+    ".lcc": "convert it to .ply with splat-transform",
+    ".lcc2": "convert it to .ply with splat-transform",
+    ".csv": "save it as .ply; splat-transform writes .csv from that",
+    ".html": "save it as .ply; splat-transform makes a page from that",
+    ".usdz": "export it as .ply",
+    ".pt": "export the checkpoint as .ply with the trainer that wrote it",
+    ".ckpt": "export the checkpoint as .ply with the trainer that wrote it",
+}
+
+
+def suffix_of(path: str) -> str | None:
+    """The suffix of the format that a name promises; None if it ends otherwise."""
+    name = os.path.basename(path).lower()
+    if name == META or name.endswith("." + META):
+        return META
+    return next((suffix for suffix in SUFFIXES if name.endswith(suffix)), None)
+
+
+def by_content(head: bytes) -> str | None:
+    """The suffix of the format whose mark a file begins with; None if it has none (.splat, .ksplat)."""
+    return next((suffix for magic, suffix in _MAGIC.items() if head.startswith(magic)), None)
+
+
+def format_to_read(path: str, head: bytes) -> str:
+    """The suffix of the format of a file, ".ply" also for compressed ones, `META` for an unbundled SOG.
+
+    A name that promises nothing is overruled by the file's mark; one that promises something else is an error.
+
+    Args:
+        path: Name of the file.
+        head: Its first `HEAD` bytes.
+
+    Raises:
+        SplatFileError: No format fits, or name and mark disagree.
+    """
+    named, found = suffix_of(path), by_content(head)
+    named = ".ply" if named == ".compressed.ply" else named
+    if named is None and found is None:
+        raise _unknown(path)
+    if named in (None, found) and found is not None:
+        return found
+    if found is not None and named in (".splat", ".ksplat", META, *_MAGIC.values()):
+        raise SplatFileError(message(path, f"a {named} file", f"the mark of a {found} file", f"rename it to {found}"))
+    return str(named)
+
+
+def format_to_write(path: str) -> str:
+    """The suffix of the format in which a file is to be written.
+
+    Raises:
+        SplatFileError: No format fits, or mi-splat only reads it.
+    """
+    named = suffix_of(path)
+    if named is None:
+        raise _unknown(path)
+    if named == META:
+        raise SplatFileError(message(path, "a format that is written", "an unbundled SOG", "save it as .sog"))
+    if named == ".ksplat":
+        do = "save it as .ply and convert that with create-ksplat of GaussianSplats3D"
+        raise SplatFileError(message(path, "a format that is written", ".ksplat, which is only read", do))
+    return named
+
+
+def _unknown(path: str) -> SplatFileError:
+    """The error for a name that fits no format."""
+    ending = os.path.splitext(path)[1].lower()
+    do = _OTHERS.get(ending, "convert it to .ply, for instance with splat-transform")
+    names = ", ".join(entry.suffix for entry in FORMATS)
+    return SplatFileError(message(path, f"a name that ends in {names}", ending or "no ending", do))

@@ -1,0 +1,174 @@
+"""Binary glTF with KHR_gaussian_splatting, the extension that Khronos ratified.
+
+Source: extensions/2.0/Khronos/KHR_gaussian_splatting/README.md of github.com/KhronosGroup/glTF. A splat is a mesh of
+points with the attributes POSITION, ROTATION (quaternion x, y, z, w), SCALE (standard deviations), OPACITY and
+SH_DEGREE_l_COEF_n. The basis of SH is that of 3DGS. glTF's y points up where the PLY's points down: the scene is turned
+by half a turn about z, as splat-transform does.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+
+import numpy as np
+import torch
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.io.formats import half_turns
+from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of
+from mi_splat.io.formats.glb import Glb, glb_bytes, open_glb
+from mi_splat.io.formats.gltf_nodes import placements
+from mi_splat.io.formats.json_fields import Fields
+from mi_splat.io.loaded import Loaded, check_count, judged, read_whole
+from mi_splat.scene import GaussianScene, Similarity, merge
+
+EXTENSION = "KHR_gaussian_splatting"
+COLOUR_SPACE = "srgb_rec709_display"
+_MOST_PARTS = 1000
+_LEAST_BYTES = 4
+"""Bytes that a Gaussian takes at the least, however often nodes place the same mesh."""
+
+_KNOWN = (EXTENSION, "KHR_mesh_quantization")
+_KINDS = {
+    "POSITION": ("f4", "i1", "u1", "i2", "u2"),
+    "SCALE": ("f4", "u1", "u2"),
+    "ROTATION": ("f4", "i1", "i2"),
+    "OPACITY": ("f4", "u1", "u2"),
+}
+
+
+def read_glb(file: io.FileIO, path: str) -> Loaded:
+    """Read the splats of a binary glTF, each placed by its node.
+
+    Raises:
+        SplatFileError: It is damaged, has no splats, or needs what is not read: another kernel or colour space, another
+            extension, compression, a node that shears or mirrors.
+    """
+    data = read_whole(file)
+    document = open_glb(data, path)
+    needed = [name for name in document.root.values.get("extensionsRequired", ()) or () if name not in _KNOWN]  # type: ignore[attr-defined]
+    if needed:
+        do = "export the splat without it"
+        raise document.root.bad("extensionsRequired", f"only {', '.join(_KNOWN)}", needed, do)
+    meshes = document.root.objects("meshes")
+    parts: list[Loaded] = []
+    total = others = 0
+    for number, matrix in placements(document.root, len(meshes)):
+        for primitive in meshes[number].objects("primitives"):
+            extensions = primitive.object("extensions", {})
+            if EXTENSION not in extensions.values:
+                others += 1
+                continue
+            total += document.count(primitive.object("attributes"), "POSITION")
+            check_count(total, len(data) // _LEAST_BYTES, path)
+            if len(parts) == _MOST_PARTS:
+                raise SplatFileError(message(path, f"at most {_MOST_PARTS} splats", "more", "merge them"))
+            parts.append(_placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
+    if not parts:
+        found = f"none, but {others} other primitives" if others else "none"
+        raise SplatFileError(message(path, f"a primitive with {EXTENSION}", found, "export the splat again"))
+    if others:
+        text = message(path, "splats only", f"{others} other primitives", "they were left out")
+        warnings.warn(text, SplatFileWarning, stacklevel=3)
+    return _together(parts)
+
+
+def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
+    """The Gaussians of one primitive, in glTF's axes."""
+    if primitive.whole("mode", 0, 6, 4) != 0:
+        raise primitive.bad("mode", "0 (points)", primitive.values.get("mode", 4))
+    for name, known in (("kernel", "ellipse"), ("colorSpace", COLOUR_SPACE)):
+        if extension.text(name) != known:
+            raise extension.bad(name, repr(known), extension.text(name), f"export the splat with {known}")
+    if extension.object("extensions", {}).values:
+        found = ", ".join(extension.object("extensions").values)[:60]
+        raise extension.bad("extensions", "none", found, "export the splat without compression")
+    attributes = primitive.object("attributes")
+    count = document.count(attributes, "POSITION")
+
+    def read(name: str, width: int, kinds: tuple[str, ...]) -> Array:
+        return document.values(attributes, name, width, count, kinds)
+
+    values = {name: read(f"{EXTENSION}:{name}", width, _KINDS[name])
+              for name, width in (("SCALE", 3), ("ROTATION", 4), ("OPACITY", 1))}  # fmt: skip
+    names = [_sh_name(degree, order) for degree in range(4) for order in range(2 * degree + 1)]
+    present = [name in attributes.values for name in names]
+    coefficients = next((n for n in (16, 9, 4) if all(present[:n])), 1)
+    if any(present[coefficients:]):
+        expected = "whole degrees of SH, and all lower ones"
+        raise attributes.bad(
+            EXTENSION, expected, [name for name, there in zip(names, present, strict=True) if there][-1]
+        )
+    sh = np.empty((count, coefficients, 3), np.float32)
+    for column, name in enumerate(names[:coefficients]):
+        sh[:, column] = read(name, 3, ("f4",))
+    means, quaternions = read("POSITION", 3, _KINDS["POSITION"]), values["ROTATION"][:, [3, 0, 1, 2]]
+    return judged(means, values["SCALE"], quaternions, values["OPACITY"][:, 0], sh)
+
+
+def _sh_name(degree: int, order: int) -> str:
+    return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"
+
+
+def _placed(part: Loaded, matrix: Array, path: str) -> Loaded:
+    """A part after its node's transform and the turn to the axes of the PLY."""
+    scene = part.scene
+    if not np.array_equal(matrix, np.eye(4)):
+        if len(part.invalid):
+            raise SplatFileError(
+                message(path, "valid Gaussians in a node that is turned or moved", part.reason, "repair it")
+            )
+        try:
+            scene = scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "matrix of a node"))
+        except InvalidValueError as error:
+            raise SplatFileError(message(path, "nodes that turn, move and resize", error, "export it again")) from None
+    return Loaded(half_turns.turned(scene, half_turns.Z), part.invalid, part.reason)
+
+
+def _together(parts: list[Loaded]) -> Loaded:
+    if len(parts) == 1:
+        return parts[0]
+    starts = np.cumsum([0, *(len(part.scene) for part in parts[:-1])])
+    invalid = np.concatenate([part.invalid + start for part, start in zip(parts, starts, strict=True)])
+    return Loaded(merge(*(part.scene for part in parts)), invalid, next((p.reason for p in parts if p.reason), ""))
+
+
+def write_glb(scene: GaussianScene) -> Encoded:
+    """A scene as a binary glTF; nothing is rounded.
+
+    COLOR_0 is there for programs that draw points: linear light of the first SH coefficient, and the opacity.
+
+    Raises:
+        InvalidValueError: A value is not finite in float32.
+        SplatFileError: The scene is empty, which glTF has no accessors for.
+    """
+    if not len(scene):
+        raise SplatFileError(message("scene", "Gaussians for a .glb file", "none", "save it as a PLY"))
+    colours = Values.of(scene)
+    scene = half_turns.turned(scene.detach().to("cpu", torch.float32), half_turns.Z)
+    means, scales, rotations, opacities, sh = (value.numpy() for value in scene.tensors())
+    shown = np.concatenate([_linear(np.clip(colours.colours, 0, 1)), colours.opacities[:, None]], axis=1)
+    columns = {
+        "POSITION": means,
+        "COLOR_0": bytes_of(shown * 255),
+        f"{EXTENSION}:ROTATION": rotations[:, [1, 2, 3, 0]],
+        f"{EXTENSION}:SCALE": scales,
+        f"{EXTENSION}:OPACITY": opacities[:, None],
+    }
+    for degree in range(scene.degree + 1):
+        for order in range(2 * degree + 1):
+            columns[_sh_name(degree, order)] = sh[:, degree**2 + order]
+    extension = {
+        "kernel": "ellipse",
+        "colorSpace": COLOUR_SPACE,
+        "sortingMethod": "cameraDistance",
+        "projection": "perspective",
+    }
+    return Encoded(glb_bytes(columns, EXTENSION, extension), ())
+
+
+def _linear(colours: Array) -> Array:
+    """Linear light of sRGB (IEC 61966-2-1)."""
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)

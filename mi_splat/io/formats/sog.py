@@ -1,0 +1,220 @@
+"""SOG of PlayCanvas, version 2: lossless WebP pictures of bytes and codebooks, in a zip archive or a folder.
+
+Source: read-sog.ts and write-sog.ts of github.com/playcanvas/splat-transform, and the format's page in the PlayCanvas
+manual. Means are 16 bits over the range of sign(x) ln(1 + |x|), scales, first SH coefficients and other ones each an
+index into 256 numbers, quaternions three bytes and the index of the largest of w, x, y, z.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mi_splat.errors import message
+from mi_splat.io.errors import SplatFileError
+from mi_splat.io.formats.codebooks import ENTRIES, PALETTE, codebook, palette
+from mi_splat.io.formats.encoded import Array, Encoded, Loss, Values, bytes_of, vanished
+from mi_splat.io.formats.json_fields import Fields, parse
+from mi_splat.io.formats.quaternions import ROOT_HALF, drop_largest, restore_largest
+from mi_splat.io.formats.sog_files import (
+    Files,
+    archive_bytes,
+    archive_files,
+    folder_files,
+    picture_bytes,
+    read_picture,
+)
+from mi_splat.io.loaded import Loaded, check_count, judged, read_whole
+from mi_splat.scene import GaussianScene
+
+_META, _META_LIMIT = "meta.json", 1 << 20
+_COUNTS = (0, 3, 8, 15)
+_COLUMNS = 64
+_TAG = 252
+_STEPS = 65_535
+_PICTURE_LIMIT = 1 << 30
+
+
+class _Picture(Protocol):
+    """Reads pixels of a picture that a part of meta.json names."""
+
+    def __call__(
+        self, part: Fields, names: int, number: int, needed: int, width: int | None = None
+    ) -> NDArray[np.uint8]:
+        """(needed, 4) bytes of the picture `number` of `names`, which is `width` wide if that is given."""
+        ...
+
+
+def read_sog(file: io.FileIO, path: str) -> Loaded:
+    """Read a bundled SOG.
+
+    Raises:
+        SplatFileError: It is damaged, of another version, or claims more than its size allows.
+    """
+    data = read_whole(file)
+    return _read(archive_files(data, path), len(data), path)
+
+
+def read_sog_folder(file: io.FileIO, path: str) -> Loaded:
+    """Read an unbundled SOG: its meta.json, and the pictures beside it.
+
+    Raises:
+        SplatFileError: As for `read_sog`, or a picture is missing.
+    """
+    folder = os.path.dirname(path) or "."
+    with os.scandir(folder) as entries:
+        size = sum(entry.stat().st_size for entry in entries if entry.is_file())
+    files = folder_files(folder)
+    return _read(lambda name, most: files(os.path.basename(path) if name == _META else name, most), size, path)
+
+
+def _read(files: Files, size: int, path: str) -> Loaded:
+    """The scene in files of `size` bytes together."""
+    meta = parse(files(_META, _META_LIMIT), path, limit=_META_LIMIT)
+    if meta.values.get("version") != 2:
+        do = "convert it with splat-transform"
+        raise meta.bad("version", "2", meta.values.get("version", "none, which is an old SOG"), do)
+    count = meta.whole("count", 0, 1 << 31)
+    check_count(count, size, path)
+
+    def picture(part: Fields, names: int, number: int, needed: int, width: int | None = None) -> NDArray[np.uint8]:
+        name = part.texts("files", names)[number]
+        data = files(name, min(size, _PICTURE_LIMIT))
+        return read_picture(data, f"{path}: {name}", least=needed, width=width)[:needed]
+
+    parts = {name: meta.object(name) for name in ("means", "scales", "quats", "sh0")}
+    low, high = (np.array(parts["means"].numbers(name, 3, 3)) for name in ("mins", "maxs"))
+    fine, coarse = (picture(parts["means"], 2, number, count)[:, :3] for number in (0, 1))
+    logs = low + (high - low) * ((coarse.astype(np.uint32) << 8 | fine) / _STEPS)
+    quaternions = picture(parts["quats"], 1, 0, count)
+    colours = picture(parts["sh0"], 1, 0, count)
+    sh = _look_up(parts["sh0"], colours[:, :3])[:, None]
+    if "shN" in meta.values:
+        sh = np.concatenate([sh, _rest(meta.object("shN"), picture, count)], axis=1)
+    with np.errstate(over="ignore"):  # what leaves float64 is judged
+        means = np.sign(logs) * np.expm1(np.abs(logs))
+        scales = np.exp(_look_up(parts["scales"], picture(parts["scales"], 1, 0, count)[:, :3]))
+    return judged(means, scales, _unpack_rotations(quaternions), colours[:, 3] / 255.0, sh)
+
+
+def _look_up(part: Fields, indices: NDArray[np.uint8]) -> Array:
+    """Values of indices into a codebook; NaN where it is too short."""
+    book = np.full(ENTRIES, np.nan)
+    numbers = part.numbers("codebook", 1, ENTRIES)
+    book[: len(numbers)] = numbers
+    values: Array = book[indices]
+    return values
+
+
+def _rest(part: Fields, picture: _Picture, count: int) -> Array:
+    """(N, K - 1, 3) SH coefficients after the first, from a palette of rows and an index a Gaussian."""
+    bands = _COUNTS[part.whole("bands", 1, 3)]
+    entries = part.whole("count", 1, PALETTE)
+    labels = picture(part, 2, 1, count)
+    rows = labels[:, 0].astype(np.int64) | labels[:, 1].astype(np.int64) << 8
+    used = min(entries, int(rows.max(initial=0)) + 1)
+    pixels = picture(part, 2, 0, _COLUMNS * bands * -(-used // _COLUMNS), _COLUMNS * bands)
+    if len(rows) and int(rows.max()) >= entries:
+        raise part.bad("count", f"more than {int(rows.max())}, the largest index", entries)
+    table = _look_up(part, pixels[:, :3]).reshape(-1, bands, 3)
+    values: Array = table[rows]
+    return values
+
+
+def write_sog(scene: GaussianScene) -> Encoded:
+    """A scene as a bundled SOG, in the scene's order.
+
+    Up to 65,536 Gaussians each have SH of their own. Of more, similar ones share theirs: then the SH that changed most
+    are among the losses.
+
+    Raises:
+        InvalidValueError: A value is not finite in float32.
+        SplatFileError: The scene is empty, for which there are no pictures.
+    """
+    if not len(scene):
+        raise SplatFileError(message("scene", "Gaussians for a .sog file", "none", "save it as a PLY"))
+    values = Values.of(scene)
+    logs = np.sign(values.means) * np.log1p(np.abs(values.means))
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    extent = high - low
+    steps = np.rint(np.divide(logs - low, extent, out=np.zeros_like(logs), where=extent > 0) * _STEPS).astype(np.int64)
+    scales, scale_indices = codebook(values.log_scales)
+    colours, colour_indices = codebook(values.sh[:, 0])
+    opacities = bytes_of(values.opacities * 255)
+    pictures = {
+        "means_l.webp": _opaque(steps & 0xFF),
+        "means_u.webp": _opaque(steps >> 8),
+        "scales.webp": _opaque(scale_indices),
+        "quats.webp": _pack_rotations(values.rotations),
+        "sh0.webp": np.concatenate([colour_indices, opacities[:, None]], axis=1),
+    }
+    meta: dict[str, object] = {
+        "version": 2,
+        "asset": {"generator": "mi-splat"},
+        "count": len(scene),
+        "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": scales.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": colours.tolist(), "files": ["sh0.webp"]},
+    }
+    members = {name: picture_bytes(_square(rows)) for name, rows in pictures.items()}
+    losses = vanished(values.opacities, opacities)
+    if values.degree:
+        meta["shN"], more, shared = _write_rest(values)
+        members |= more
+        losses += shared
+    return Encoded(archive_bytes({**members, _META: json.dumps(meta).encode()}), tuple(losses))
+
+
+def _write_rest(values: Values) -> tuple[dict[str, object], dict[str, bytes], list[Loss]]:
+    """The entry of meta.json, the pictures, and the loss of the SH coefficients after the first."""
+    rest = values.sh[:, 1:]
+    bands = rest.shape[1]
+    rows, labels = palette(rest.reshape(len(rest), -1))
+    book, indices = codebook(rows)
+    pixels = np.zeros((-(-len(rows) // _COLUMNS) * _COLUMNS, bands, 4), np.uint8)
+    pixels[: len(rows), :, :3] = indices.reshape(len(rows), bands, 3)
+    pixels[..., 3] = 255
+    names = ["shN_centroids.webp", "shN_labels.webp"]
+    pictures = {
+        names[0]: picture_bytes(pixels.reshape(-1, _COLUMNS * bands, 4)),
+        names[1]: picture_bytes(_square(_opaque(np.stack([labels & 0xFF, labels >> 8, 0 * labels], axis=1)))),
+    }
+    entry = {"count": len(rows), "bands": values.degree, "codebook": book.tolist(), "files": names}
+    off = np.abs(rows[labels] - rest.reshape(len(rest), -1)).max(axis=1)
+    lost = int((off > 0).sum())
+    shared = [Loss("SH shared with similar Gaussians", lost, float(off.max()), "of a coefficient")] if lost else []
+    return entry, pictures, shared
+
+
+def _opaque(columns: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """(N, 4) bytes: three columns, and full opacity."""
+    return np.concatenate([columns.astype(np.uint8), np.full((len(columns), 1), 255, np.uint8)], axis=1)
+
+
+def _square(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W, 4) picture with a row a pixel, nearly square, filled up with zeros."""
+    width = 4 * -(-int(np.ceil(len(rows) ** 0.5)) // 4)
+    picture = np.zeros((-(-len(rows) // width) * width, 4), np.uint8)
+    picture[: len(rows)] = rows
+    return picture.reshape(-1, width, 4)
+
+
+def _pack_rotations(rotations: Array) -> NDArray[np.uint8]:
+    largest, others = drop_largest(rotations)
+    return np.concatenate(
+        [bytes_of((others * ROOT_HALF + 0.5) * 255), (_TAG + largest[:, None]).astype(np.uint8)], axis=1
+    )
+
+
+def _unpack_rotations(pixels: NDArray[np.uint8]) -> Array:
+    """(N, 4) quaternions; not finite where the tag of the largest component is none."""
+    tags = pixels[:, 3].astype(np.int64) - _TAG
+    quaternions = restore_largest(np.maximum(tags, 0), (pixels[:, :3] / 255.0 - 0.5) / ROOT_HALF)
+    quaternions[tags < 0] = np.nan
+    return quaternions

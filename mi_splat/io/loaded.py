@@ -1,0 +1,151 @@
+"""What a reader of splat files hands over: a scene, and which of its Gaussians are not valid."""
+
+from __future__ import annotations
+
+import io
+import os
+import stat
+import warnings
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mi_splat.errors import message
+from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.rotation import normalise
+from mi_splat.scene import GaussianScene
+
+SHOWN = 5
+"""How many names or rows a message lists."""
+
+FREE_GAUSSIANS = 65_536
+"""So many Gaussians a compressed file may hold whatever its size; beyond them it needs one byte for each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """The content of a splat file.
+
+    Attributes:
+        scene: All its Gaussians, unchecked.
+        invalid: Rows that are not valid, in order.
+        reason: What is wrong with the first of these.
+    """
+
+    scene: GaussianScene
+    invalid: NDArray[np.int64]
+    reason: str
+
+    def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> GaussianScene:
+        """The scene, after the Gaussians that are not valid were refused or dropped.
+
+        Args:
+            path: For messages.
+            on_invalid: Raise for them, or drop them with a `SplatFileWarning`.
+            stacklevel: As `warnings.warn` takes it, from the caller of this function.
+
+        Raises:
+            SplatFileError: There are some and `on_invalid` is "raise".
+        """
+        bad, count = self.invalid, len(self.scene)
+        if not len(bad):
+            return self.scene
+        which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
+        found = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
+        if on_invalid == "raise":
+            do = "repair it, or load it with on_invalid='drop'"
+            raise SplatFileError(message(path, "valid Gaussians", found, do))
+        text = message(path, "valid Gaussians", found, "they were left out")
+        warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
+        keep = torch.ones(count, dtype=torch.bool)
+        keep[torch.from_numpy(bad)] = False
+        return self.scene.select(keep)
+
+
+def judged(
+    means: NDArray[np.floating],
+    scales: NDArray[np.floating],
+    rotations: NDArray[np.floating],
+    opacities: NDArray[np.floating],
+    sh: NDArray[np.floating],
+) -> Loaded:
+    """Decoded Gaussians as float32 tensors, with normalised quaternions, and which of them are valid.
+
+    Args:
+        means: (N, 3) world units.
+        scales: (N, 3) standard deviations, world units.
+        rotations: (N, 4) quaternions (w, x, y, z) of any length.
+        opacities: (N,).
+        sh: (N, K, 3).
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
+        arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
+        good = [
+            np.isfinite(arrays[0]),
+            np.isfinite(arrays[1]) & (arrays[1] > 0),
+            np.isfinite(arrays[2]),
+            (arrays[3] >= 0) & (arrays[3] <= 1),
+            np.isfinite(arrays[4]),
+        ]
+    scene = GaussianScene.unchecked(*(torch.from_numpy(value) for value in arrays))
+    valid = np.ones(len(arrays[0]), np.bool_)
+    for value in good:
+        if not value.all():
+            valid &= value.reshape(len(valid), -1).all(1)
+    bad = np.flatnonzero(~valid)
+    return Loaded(scene, bad, _reason(arrays, good, int(bad[0])) if len(bad) else "")
+
+
+def _reason(arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], row: int) -> str:
+    """What is wrong with one Gaussian."""
+    names = ("a coordinate of the mean", "a scale", "", "the opacity", "an SH coefficient")
+    for name, value, fine in zip(names, arrays, good, strict=True):
+        wrong = value[row][~fine[row]] if value.ndim > 1 else value[row : row + 1][~fine[row : row + 1]]
+        if wrong.size:
+            return f"{name} is {wrong.flat[0]:g}" if name else "the quaternion is zero or not finite"
+    return ""
+
+
+def open_regular(path: str) -> io.FileIO:
+    """The file, if it is a regular one; not blocking, so that a pipe does not wait for its writer.
+
+    Raises:
+        SplatFileError: It is a pipe, a socket or a device.
+        OSError: It cannot be opened.
+    """
+    file = io.FileIO(path, opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        found = "a special file (pipe, socket or device)"
+        raise SplatFileError(message(path, "a splat file", found, "pass the path of a regular file"))
+    return file
+
+
+def read_whole(file: io.FileIO) -> bytes:
+    """All bytes of a file from its start."""
+    file.seek(0)
+    return file.readall()
+
+
+def check_count(count: int, size: int, path: str) -> None:
+    """Raise unless `count` Gaussians may come out of a compressed file.
+
+    The smallest real ones take some five bytes a Gaussian. A file that claims far more was made to fill the memory.
+
+    Args:
+        count: Gaussians that the file claims to hold.
+        size: Bytes of the file.
+        path: For messages.
+
+    Raises:
+        SplatFileError: It claims more than `FREE_GAUSSIANS` and one a byte.
+    """
+    most = FREE_GAUSSIANS + size
+    if count > most:
+        found = f"{count}: this may be a decompression bomb"
+        do = "ask for the splat as a PLY"
+        raise SplatFileError(message(path, f"at most {most} Gaussians in {size} bytes", found, do))

@@ -1,0 +1,130 @@
+"""Loading and saving a splat in any of the formats: `load_splat` and `save_splat`."""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from collections.abc import Callable
+from typing import Literal
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.errors import SplatLossWarning, from_os_error
+from mi_splat.io.formats.compressed_ply import is_compressed, read_compressed_ply, write_compressed_ply
+from mi_splat.io.formats.detection import HEAD, META, format_to_read, format_to_write
+from mi_splat.io.formats.encoded import Encoded
+from mi_splat.io.formats.gltf import read_glb, write_glb
+from mi_splat.io.formats.ksplat import read_ksplat
+from mi_splat.io.formats.sog import read_sog, read_sog_folder, write_sog
+from mi_splat.io.formats.splat32 import read_splat, write_splat
+from mi_splat.io.formats.spz import read_spz, write_spz
+from mi_splat.io.loaded import Loaded, open_regular
+from mi_splat.io.ply.header import read_header
+from mi_splat.io.ply.splat import read_ply, write_ply
+from mi_splat.scene import GaussianScene
+
+
+def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise") -> GaussianScene:
+    """Load a splat: 3DGS PLY, compressed PLY, SPZ, SOG, glTF with KHR_gaussian_splatting, .splat or .ksplat.
+
+    The name and the first bytes of the file say which. Quaternions are normalised. The tensors are float32 on the CPU.
+    Every size that the file claims is held against the bytes that are there before memory is taken for it. Where axes
+    differ from those of the PLY (SPZ, glTF), the scene is turned; docs/formats.md says how.
+
+    Of a PLY, text and both byte orders, float and double and any order of properties are read; normals, further
+    properties and further elements are passed over. Text, and vertices that carry lists, need the package plyfile.
+
+    Args:
+        path: A splat file, or the meta.json of an unbundled SOG.
+        on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32, the scale vanishes,
+            the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many and which.
+
+    Raises:
+        SplatFileError: The file cannot be read, is no splat, is damaged, or holds Gaussians that are not valid and
+            `on_invalid` is "raise".
+        InvalidValueError: on_invalid is something else.
+    """
+    if on_invalid not in ("raise", "drop"):
+        raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
+    name = os.fspath(path)
+    try:
+        with open_regular(name) as file:
+            loaded = _READERS[format_to_read(name, os.pread(file.fileno(), HEAD, 0))](file, name)
+    except OSError as error:
+        raise from_os_error(name, "a splat file that can be read", error) from error
+    return loaded.settle(name, on_invalid, stacklevel=2)
+
+
+def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
+    """Save a splat in the format that the ending of `path` names.
+
+    `.ply` (as 3DGS writes it) and `.glb` hold all of a scene: means and SH of a float32 scene are kept bit for bit. The
+    other formats round; docs/formats.md says how much. The file appears whole or not at all. Saving what was loaded
+    from a saved PLY writes the same bytes again.
+
+    Args:
+        scene: The scene, on any device.
+        path: The file to write: .ply, .compressed.ply, .spz, .sog, .glb or .splat; a file that is there is replaced.
+
+    Raises:
+        SplatFileError: The file cannot be written, or the name fits no format; what was there before is unchanged.
+        InvalidValueError: A value is not finite in float32.
+
+    Warns:
+        SplatLossWarning: Something is lost beyond that rounding: SH bands are dropped, values are clamped.
+    """
+    losses = write_splat_file(scene, path).losses
+    if losses:
+        found = "; ".join(str(loss) for loss in losses)
+        text = message(os.fspath(path), "a scene that fits the format", found, "save it as .ply or .glb to keep all")
+        warnings.warn(text, SplatLossWarning, stacklevel=2)
+
+
+def write_splat_file(
+    scene: GaussianScene, path: str | os.PathLike[str], *, spz_version: Literal[2, 3, 4] = 3
+) -> Encoded:
+    """Like `save_splat`, but what is lost is returned and not warned of.
+
+    Args:
+        scene: The scene, on any device.
+        path: The file to write.
+        spz_version: Version of an SPZ file.
+
+    Returns:
+        What is lost, and the order of the rows; no data for a PLY, which is written in blocks.
+    """
+    name = os.fspath(path)
+    suffix = format_to_write(name)
+    if suffix == ".ply":
+        write_ply(scene, path)
+        return Encoded(b"", ())
+    encoded = write_spz(scene, spz_version) if suffix == ".spz" else _WRITERS[suffix](scene)
+    with atomic_write(path) as file:
+        write_all(file, memoryview(encoded.data))
+    return encoded
+
+
+def _read_any_ply(file: io.FileIO, path: str) -> Loaded:
+    """Read a PLY, compressed or not: its header says which."""
+    file.seek(0)
+    header = read_header(file, path)
+    return (read_compressed_ply if is_compressed(header) else read_ply)(file, header, path)
+
+
+_READERS: dict[str, Callable[[io.FileIO, str], Loaded]] = {
+    ".ply": _read_any_ply,
+    ".glb": read_glb,
+    ".spz": read_spz,
+    ".sog": read_sog,
+    META: read_sog_folder,
+    ".splat": read_splat,
+    ".ksplat": read_ksplat,
+}
+
+_WRITERS: dict[str, Callable[[GaussianScene], Encoded]] = {
+    ".compressed.ply": write_compressed_ply,
+    ".glb": write_glb,
+    ".sog": write_sog,
+    ".splat": write_splat,
+}

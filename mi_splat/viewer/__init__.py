@@ -1,0 +1,1 @@
+"""Splats on a page in the browser, in pictures that the project's own renderer makes."""

@@ -1,0 +1,47 @@
+"""The command that makes the picture on the page again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from mi_splat.directions import Point
+from mi_splat.rendering import RenderSettings
+from mi_splat.viewer.orbit import Orbit
+
+
+def render_command(
+    path: Path,
+    orbit: Orbit,
+    size: tuple[int, int],
+    *,
+    middle: Point,
+    settings: RenderSettings,
+    own: RenderSettings,
+) -> str:
+    """The `mi-splat render` that makes a picture, to the bit.
+
+    Args:
+        path: Splat file or scene XML.
+        orbit: The camera.
+        size: Width and height in pixels.
+        middle: (3,) where `mi-splat render` looks unless told otherwise: the middle of the file's Gaussians.
+        settings: How the picture is rendered.
+        own: How the file itself is rendered.
+    """
+    words: list[str] = ["mi-splat", "render", str(path)]
+    words += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
+    words += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
+    if tuple(orbit.target) != tuple(middle):
+        words += _option("centre", *orbit.target)
+    words += _option("size", *size)
+    if settings.background != own.background:
+        words += _option("background", *settings.background)
+    words += _option("near", settings.near)  # of a bare splat it follows the camera, unless it is given
+    return shlex.join(words)
+
+
+def _option(name: str, *values: float) -> Sequence[str]:
+    """An option and its numbers, which read back as what they were."""
+    return [f"--{name}", *(repr(value).removesuffix(".0") for value in values)]

@@ -1,0 +1,276 @@
+"""The page: a server on this machine whose pictures follow each visitor's camera."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import socket
+import threading
+import time
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.viewer.composition import ways_of_showing
+from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.painter import Painter, Painting
+from mi_splat.viewer.panel import Panel
+from mi_splat.viewer.session import Session, Step, ViewState
+
+JPEG_QUALITY = {Step.COARSE: 75, Step.FULL: 92, Step.INSPECTED: 92}
+DEAF = 0.5
+"""Seconds after a control was moved in which the browser's camera, which follows it late, is not listened to."""
+ECHOES = 32
+"""Poses that a browser was told and may report later, as if somebody had moved its camera there."""
+LONGEST_SIDE = 8192
+"""Pixels of the largest window that is believed."""
+
+
+def need_viser() -> None:
+    """Raise if pages cannot be served.
+
+    Raises:
+        InvalidValueError: viser is not installed.
+    """
+    if importlib.util.find_spec("viser") is None:
+        do = "pip install 'mi-splat[view]', or write a page with --export"
+        raise InvalidValueError(message("viser", "the package, for pages", "not installed", do))
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise unless the page can be served there.
+
+    Raises:
+        InvalidValueError: The port is taken or out of range, or the host is not of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InvalidValueError(message(f"{host}, port {port}", "a free port", reason, "try --port 0")) from error
+
+
+class Visitor:
+    """One browser window.
+
+    What the browser says is heard in the thread of the server, one thing after the other; pictures are made in another.
+
+    Args:
+        client: viser's handle of it.
+        painter: Makes its pictures.
+        wake: Called when something changed.
+    """
+
+    def __init__(self, client: Any, painter: Painter, wake: Any) -> None:
+        self.client, self._painter, self._wake = client, painter, wake
+        self._lock, self._deaf_until = threading.Lock(), 0.0
+        self._sent: deque[Orbit] = deque(maxlen=ECHOES)  # the browser says late where it was told to be
+        exhibit = painter.exhibit
+        first = ViewState(
+            orbit=exhibit.start,
+            show=ways_of_showing(exhibit.names)[0],
+            canvas=_canvas(client.camera),
+        )
+        self._session = Session(state=first, changed=time.monotonic())
+        self._panel = Panel(
+            client.gui, exhibit, first, inspector=painter.inspector is not None, change=self._change_by_control
+        )
+        # What it shows before it has read where to begin is nobody's wish.
+        self._sent.append(first.orbit.moved(client.camera.position, client.camera.look_at))
+        self._place_camera(first.orbit)
+        client.camera.on_update(self._change_by_camera)
+
+    def due(self) -> Step | None:
+        """The picture to make now."""
+        return self._session.due(time.monotonic(), inspector=self._painter.inspector is not None)
+
+    def paint(self, step: Step) -> None:
+        """Make a picture and send it."""
+        with self._lock:
+            state, pace = self._session.state, self._session.pace
+        begun = time.perf_counter()
+        try:
+            painting = self._painter.paint(state, step, pace)
+            scene = self.client.scene
+            scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=JPEG_QUALITY[step])
+            if step is not Step.COARSE:
+                self._panel.tell(self._words(state, painting), self._painter.commands(state.orbit))
+        except MiSplatError as error:  # of this picture; the next one may do
+            self._panel.tell(str(error), {})
+        self.client.flush()
+        with self._lock:
+            self._session = self._session.done(step, state, time.perf_counter() - begun)
+
+    def _words(self, state: ViewState, painting: Painting) -> str:
+        """What is known of the picture, as Markdown."""
+        exhibit = self._painter.exhibit
+        lines = list(exhibit.place(state.orbit.camera(exhibit.size)))
+        likeness = self._painter.likeness(state.orbit)
+        if likeness is not None:
+            lines.append(f"PSNR of {' and '.join(exhibit.names)}: {likeness:.1f} dB")
+        elif len(exhibit.splats) > 1:
+            lines.append("Both pictures are the same.")
+        for name, found in painting.found.items():
+            lines.append(f"**{name}**: {found.text}")
+        return "\n\n".join(lines)
+
+    def _change_by_control(self, wished: Any) -> None:
+        with self._lock:
+            before = self._session.state
+            after = wished(before)
+            self._session = self._session.change(after, time.monotonic())
+            moved = after.orbit != before.orbit
+        if moved:
+            self._place_camera(after.orbit)
+        self._panel.follow(after)
+        self._wake()
+
+    def _place_camera(self, orbit: Orbit) -> None:
+        """Tell the browser where its camera is."""
+        with self._lock:
+            self._deaf_until = time.monotonic() + DEAF
+            self._sent.append(orbit)
+        with self.client.atomic():
+            self.client.camera.position = orbit.position
+            self.client.camera.look_at = orbit.target
+
+    async def _change_by_camera(self, camera: Any) -> None:
+        with self._lock:
+            now, state, pose = time.monotonic(), self._session.state, (camera.position, camera.look_at)
+            after = replace(state, canvas=_canvas(camera))
+            if now >= self._deaf_until and not any(orbit.is_at(*pose) for orbit in (state.orbit, *self._sent)):
+                after = replace(after, orbit=state.orbit.moved(*pose))
+                self._sent.clear()
+            self._session = self._session.change(after, now)
+        if after.orbit != state.orbit:
+            self._panel.follow(after)
+        self._wake()
+
+
+class Page:
+    """Serves an exhibit until it is closed; pictures are made in the thread that calls `run`.
+
+    Args:
+        painter: Makes the pictures.
+        host: Name or address to serve on.
+        port: Port; 0 is any free one.
+
+    Raises:
+        InvalidValueError: viser is not installed, or the port is taken.
+    """
+
+    def __init__(self, painter: Painter, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+        need_viser()
+        check_port(host, port)
+        self._painter, self._news, self._visitors = painter, threading.Condition(), dict[int, Visitor]()
+        self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None)
+        self._host, self._server = host, _serve(self._guard, host, port)
+        self._closed = False
+        start, exhibit = painter.exhibit.start, painter.exhibit
+        self._server.scene.set_up_direction("+z")
+        first = self._server.initial_camera
+        first.position, first.look_at, first.up = start.position, start.target, (0.0, 0.0, 1.0)
+        first.fov = start.vertical_fov(exhibit.size)
+        self._server.on_client_connect(self._enter)
+        self._server.on_client_disconnect(self._leave)
+        if port not in (0, self._server.get_port()):
+            self.close()
+            raise InvalidValueError(message(f"{host}, port {port}", "a free port", "one in use", "try --port 0"))
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser of this machine; whoever knows it may see the page."""
+        here = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self._host, self._host)
+        host = f"[{here}]" if ":" in here else here
+        return f"http://{host}:{self._server.get_port()}/?token={self._guard.token}"
+
+    def run(self, stop: threading.Event) -> None:
+        """Make pictures until `stop` is set."""
+        while not stop.is_set():
+            with self._news:
+                visitors = list(self._visitors.values())
+                due = [(visitor, step) for visitor in visitors if (step := visitor.due()) is not None]
+                if not due:
+                    self._news.wait(0.05)
+            for visitor, step in due:
+                if not stop.is_set():
+                    visitor.paint(step)
+
+    def close(self) -> None:
+        """Close every window's connection and free the port."""
+        if not self._closed:
+            self._closed = True
+            with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
+                self._server.stop()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.close()
+
+    async def _enter(self, client: Any) -> None:
+        visitor = Visitor(client, self._painter, self._wake)
+        with self._news:
+            self._visitors[client.client_id] = visitor
+            self._news.notify()
+
+    async def _leave(self, client: Any) -> None:
+        with self._news:
+            self._visitors.pop(client.client_id, None)
+
+    def _wake(self) -> None:
+        with self._news:
+            self._news.notify()
+
+
+def _serve(guard: Guard, host: str, port: int) -> Any:
+    """A viser server that asks nothing of the network and answers only whom the guard lets pass."""
+    import viser
+    from viser import _messages
+    from viser.infra import _infra
+
+    # A window that is closed while its picture is made is no news.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
+    # On stdout viser says its address, without the token that is needed.
+    with guarding(guard, _infra.websockets.asyncio.server), contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="mi-splat view", verbose=False)
+    try:
+        # Any visitor could ask for it, and it would lead the whole world here.
+        server._websock_server.unregister_handler(_messages.ShareUrlRequest)
+    except (AssertionError, AttributeError) as error:
+        server.stop()
+        raise MiSplatError("viser: expected a way to turn sharing off, got none; install another version") from error
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    return server
+
+
+@contextlib.contextmanager
+def stopping(stop: threading.Event) -> Iterator[None]:
+    """Ctrl-C and SIGTERM set `stop` while the block runs; in the main thread only."""
+    import signal
+
+    def handle(number: int, frame: Any) -> None:
+        stop.set()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _canvas(camera: Any) -> tuple[int, int]:
+    """Width and height in pixels of a visitor's place for pictures, as far as they can be believed."""
+    width, height = (min(max(int(side), 16), LONGEST_SIDE) for side in (camera.image_width, camera.image_height))
+    return width, height

@@ -1,0 +1,125 @@
+"""The controls of the page, for one visitor: they change the state, and they follow it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.viewer.composition import SPLIT, ways_of_showing
+from mi_splat.viewer.exhibit import Exhibit
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.session import ViewState
+
+FREE = "(free)"
+"""Name of a camera that is none of those to choose from."""
+
+Change = Callable[[Callable[[ViewState], ViewState]], None]
+"""Takes what makes the wished state of the present one."""
+
+
+class Panel:
+    """Controls in the browser of one visitor.
+
+    Args:
+        gui: viser's interface for this visitor.
+        exhibit: What is shown.
+        state: What is seen at first.
+        inspector: Whether somebody looks at the pictures.
+        change: Called with each wish.
+    """
+
+    def __init__(self, gui: Any, exhibit: Exhibit, state: ViewState, *, inspector: bool, change: Change) -> None:
+        self._exhibit, self._change, orbit = exhibit, change, state.orbit
+        if len(exhibit.splats) > 1:
+            self._show = gui.add_dropdown("Show", ways_of_showing(exhibit.names), initial_value=state.show)
+            self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
+            self._wish(self._show, lambda s, value: replace(s, show=self._known(value, s.show)))
+            self._wish(self._split, lambda s, value: replace(s, split=min(max(float(value), 0.0), 1.0)))
+        with gui.add_folder("Camera"):
+            if exhibit.cameras:
+                name = self._camera_name(orbit)
+                self._camera = gui.add_dropdown("From", (FREE, *exhibit.cameras), initial_value=name)
+                self._wish(self._camera, lambda s, value: replace(s, orbit=exhibit.cameras.get(value, s.orbit)))
+            step = 10 ** math.floor(math.log10(orbit.distance)) / 20
+            ranges = {
+                "elevation": ("Elevation", -90.0, 90.0, 1.0),
+                "azimuth": ("Azimuth", 0.0, 359.0, 1.0),
+                "distance": ("Distance", step, step * math.ceil(4 * orbit.distance / step), step),
+                "fov": ("Field of view", 5.0, 120.0, 1.0),
+            }
+            self._sliders = {
+                name: gui.add_slider(label, low, high, by, _clipped(getattr(orbit, name), low, high))
+                for name, (label, low, high, by) in ranges.items()
+            }
+            for attribute, slider in self._sliders.items():
+                self._wish(slider, lambda s, value, name=attribute: replace(s, orbit=_turned(s.orbit, name, value)))
+        self._add_drawings(gui, state, inspector)
+        with gui.add_folder("This picture"):
+            self._findings = gui.add_markdown("")
+        with gui.add_folder("As a command"):
+            self._commands = {
+                name: gui.add_text(name, "", multiline=True, hint="Copy it to make this picture as a PNG")
+                for name in exhibit.names
+            }
+
+    def follow(self, state: ViewState) -> None:
+        """Show the state in the controls."""
+        for name, slider in self._sliders.items():
+            slider.value = _clipped(getattr(state.orbit, name), slider.min, slider.max)
+        if self._exhibit.cameras:
+            self._camera.value = self._camera_name(state.orbit)
+        if len(self._exhibit.splats) > 1:
+            self._split.visible = state.show == SPLIT
+
+    def tell(self, text: str, commands: dict[str, str]) -> None:
+        """Show what is known of the picture (Markdown), and the commands that make it."""
+        self._findings.content = text
+        for name, command in commands.items():
+            self._commands[name].value = command
+
+    def _add_drawings(self, gui: Any, state: ViewState, inspector: bool) -> None:
+        """A checkbox for each thing that is drawn into pictures."""
+        if not (inspector or self._exhibit.lines):
+            return
+        with gui.add_folder("Draw"):
+            if inspector:
+                box = gui.add_checkbox("Detections", state.inspected)
+                self._wish(box, lambda s, value: replace(s, inspected=bool(value)))
+            for name in self._exhibit.lines:
+                box = gui.add_checkbox(name, name in state.lines)
+                self._wish(box, lambda s, on, name=name: replace(s, lines=s.lines | {name} if on else s.lines - {name}))
+
+    def _wish(self, handle: Any, wished: Callable[..., ViewState]) -> None:
+        """Let a control that the visitor moves change the state."""
+
+        # A coroutine, which viser runs before it hears anything else: in another thread, the value could be the next.
+        @handle.on_update  # type: ignore[untyped-decorator]
+        async def _(event: Any) -> None:
+            if event.client is not None:  # else it was `follow`
+                value = event.target.value
+                self._change(lambda state: wished(state, value))
+
+    def _known(self, value: str, otherwise: str) -> str:
+        """A way of showing, if it is one: what comes from a browser may be anything."""
+        return value if value in ways_of_showing(self._exhibit.names) else otherwise
+
+    def _camera_name(self, orbit: Orbit) -> str:
+        """Name of the camera to choose that this is."""
+        return next((name for name, camera in self._exhibit.cameras.items() if camera == orbit), FREE)
+
+
+def _turned(orbit: Orbit, attribute: str, value: Any) -> Orbit:
+    """The camera with one number changed; the same camera if it cannot be."""
+    try:
+        changes: dict[str, Any] = {attribute: float(value)}
+        return replace(orbit, **changes)
+    except (InvalidValueError, TypeError, ValueError):
+        return orbit
+
+
+def _clipped(value: float, low: float, high: float) -> float:
+    """A number as a slider can show it: in its range, with two decimals."""
+    return min(max(round(value, 2), low), high)

@@ -1,0 +1,142 @@
+"""`mi-splat detect` and `mi-splat evaluate`, with a detector that sees colours."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from attacks.cli import detect, evaluate
+from attacks.cli.loading import load_detectors
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc
+from tests.fakes import ColourDetector, toy_scene
+
+VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32", "32"]
+
+
+def painted(scene: GaussianScene, mask: torch.Tensor, colour: tuple[float, float, float]) -> GaussianScene:
+    """The scene with its object in one colour."""
+    sh = scene.sh.clone()
+    sh[mask, 0] = colour_to_dc(torch.tensor(colour))
+    return scene.replace(sh=sh)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A red object (a car), the same in green (a person), and the detector in the place of all others."""
+    scene, mask = toy_scene()
+    save_splat(scene, tmp_path / "clean.ply")
+    save_splat(painted(scene, mask, (0.1, 0.9, 0.1)), tmp_path / "attacked.ply")
+    for module in (detect, evaluate):
+        monkeypatch.setattr(module, "load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["render", "clean.ply", *VIEW, "--out", "view-{}.png"]) == 0
+    capsys.readouterr()
+    words = ["detect", "view-orbit-00.png", "clean.ply", *VIEW, "--out", "found", "--json"]
+    assert cli.main(words) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert json.loads((folder / "found" / "detections.json").read_text())["pictures"] == document["pictures"]
+    assert len(document["pictures"]) == 13
+    picture, *rendered = document["pictures"]
+    assert picture["camera"] is None
+    assert picture["detections"] == rendered[0]["detections"]  # the same pixels, from the file or from the splat
+    assert rendered[0]["camera"]["name"] == "orbit-00"
+    assert picture["detections"][0]["label"] == "car"
+    x0, y0, x1, y1 = picture["detections"][0]["box"]
+    assert x0 < 16 < x1
+    assert y0 < 16 < y1
+    for row in document["pictures"]:
+        with Image.open(folder / "found" / row["picture"]) as drawn:
+            assert drawn.width >= 512
+    assert cli.main(words) == 1
+    assert "--force" in capsys.readouterr().err
+    assert cli.main(["detect", "clean.ply", "--min-confidence", "1", *VIEW, "--out", "none"]) == 0
+    assert "clean-orbit-00-fake_colour: nothing" in capsys.readouterr().out
+
+
+def test_detect_wants_something_to_look_at(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["detect"]) == 2
+    assert "pictures, splats or scenes" in capsys.readouterr().err
+    assert cli.main(["detect", "gone.png", "--out", "o"]) == 1
+    assert "gone.png" in capsys.readouterr().err
+    assert not (folder / "o").exists()
+
+
+@pytest.mark.parametrize("selection", [[], ["--mask", "mask.npy"]], ids=["what differs", "a mask"])
+def test_a_clean_and_an_attacked_splat_are_compared(
+    selection: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save("mask.npy", toy_scene()[1].numpy())
+    words = ["evaluate", "clean.ply", "attacked.ply", *VIEW, *selection, "--target", "person", "--out", "judged"]
+    assert cli.main([*words, "--json"]) == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert document["object_gaussians"] == 30
+    figures = document["detectors"]["fake_colour"]
+    assert figures["original"] == "car"
+    assert figures["views"] == 12
+    found = {name: (value["successes"], value["total"]) for name, value in figures.items() if isinstance(value, dict)}
+    assert found["found_clean"][0] >= 9
+    assert found["found_attacked"][0] == 0
+    assert found["missed"] == (found["found_clean"][0],) * 2
+    assert found["target_clean"] == (0, 12)
+    assert found["target_attacked"][0] >= 9
+    assert figures["missed"]["interval"][0] > 0.6
+    assert figures["psnr"] < 30
+    with Image.open(folder / "judged" / "fake_colour.png") as drawn:
+        assert drawn.size == (1024, 8 * 512)
+    assert json.loads((folder / "judged" / "evaluation.json").read_text())["detectors"] == document["detectors"]
+    assert cli.main([*words[:-1], "again"]) == 0
+    text = capsys.readouterr().out
+    assert "taken for the target, attacked" in text
+    assert "95 % interval" in text
+
+
+def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["evaluate", "attacked.ply", "clean.ply", *VIEW[2:], "--cameras", "orbit:2@0", "--original", "stop sign"]
+    assert cli.main([*words, "--pictures", "0", "--out", "first"]) == 0
+    told = capsys.readouterr().err
+    assert "the object shows in 2 of 2 views, which says little" in told
+    assert "finds the clean object in 0 of 2 views only" in told
+    assert [path.name for path in (folder / "first").iterdir()] == ["evaluation.json"]
+    cameras = json.loads((folder / "first" / "evaluation.json").read_text())["cameras"]
+    (folder / "result.json").write_text(json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]}))
+    assert cli.main([*words, "--pictures", "0", "--out", "second"]) == 0
+    assert "1 of 2 cameras are those that were attacked" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["clean.ply", "clean.ply"], "one that differs from the other"),
+        (["clean.ply", "half.ply"], "the same Gaussians in both, got 40 and 20"),
+        (["clean.ply", "attacked.ply", "--target", "unicorn"], "one of car, person, stop sign, got unicorn"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_evaluate_says_what_is_wrong(
+    words: list[str], says: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_splat(toy_scene()[0].select(slice(0, 20)), folder / "half.ply")
+    assert cli.main(["evaluate", *words, *VIEW, "--out", "judged"]) == 1
+    assert says in capsys.readouterr().err
+    assert not (folder / "judged").exists()
+
+
+def test_detectors_and_weights_go_in_pairs(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="--weights: expected 1 files, got 2"):
+        load_detectors(["fasterrcnn_small"], [tmp_path / "a", tmp_path / "b"])
+    with pytest.raises(InvalidValueError, match="different names"):
+        load_detectors(["fasterrcnn_small"] * 2)

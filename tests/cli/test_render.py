@@ -1,0 +1,86 @@
+"""`mi-splat render` to folders, patterns and animations, and what it refuses to write."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from attacks import cli
+from mi_splat.io import save_splat
+from tests.fakes import toy_scene
+
+SMALL = ["--size", "24", "16"]
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a bare splat, which is the current one."""
+    save_splat(toy_scene()[0], tmp_path / "toy.ply")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_many_cameras_make_a_folder(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["render", "toy.ply", "--cameras", "orbit:3@20", *SMALL, "--out", "new/pictures"]
+    assert cli.main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    folder = toy / "new" / "pictures"
+    assert {path.name for path in folder.iterdir()} == {*(f"orbit-{n}.png" for n in range(3)), "cameras.json"}
+    assert [camera["name"] for camera in found["cameras"]] == ["orbit-0", "orbit-1", "orbit-2"]
+    assert all((toy / file).is_file() for file in found["files"])
+    assert cli.main(words) == 1
+    assert "--force" in capsys.readouterr().err
+    assert cli.main([*words, "--force"]) == 0
+    again = ["render", "toy.ply", "--cameras", str(folder / "cameras.json"), "--out", "again"]
+    assert cli.main(again) == 0
+    for number in range(3):
+        assert (toy / "again" / f"orbit-{number}.png").read_bytes() == (folder / f"orbit-{number}.png").read_bytes()
+
+
+def test_a_pattern_takes_the_names_of_the_cameras(toy: Path) -> None:
+    assert cli.main(["render", "toy.ply", "--cameras", "orbit:2@20", *SMALL, "--out", "view_{}.jpg"]) == 0
+    for number in (0, 1):
+        with Image.open(toy / f"view_orbit-{number}.jpg") as picture:
+            assert (picture.format, picture.size) == ("JPEG", (24, 16))
+
+
+def test_an_orbit_makes_an_animation(toy: Path) -> None:
+    assert cli.main(["render", "toy.ply", "--cameras", "orbit:4@20", *SMALL, "--fps", "5", "--out", "a.gif"]) == 0
+    with Image.open(toy / "a.gif") as picture:
+        assert (picture.format, getattr(picture, "n_frames", 1), picture.size) == ("GIF", 4, (24, 16))
+        assert picture.info["duration"] == 200
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--cameras", "orbit:2@0", "--out", "a.png"], "room for 2 pictures, got a.png; name a folder, a-{}.png"),
+        (["--out", "a.webp"], "a name that ends in .png, .jpg, .gif or .mp4, or a folder"),
+        (["--cameras", "orbit:2@0", "--out", "toy.ply/b"], "toy.ply"),
+    ],
+)
+def test_nothing_is_rendered_that_cannot_be_written(
+    words: list[str], says: str, toy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["render", "toy.ply", *SMALL, *words]) == 1
+    assert says in capsys.readouterr().err
+    assert [path.name for path in toy.iterdir()] == ["toy.ply"]
+
+
+def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--near"]
+    assert cli.main([*words, "4"]) == 0
+    assert "camera orbit: " in (told := capsys.readouterr().err)
+    assert "nearer than 4 and not drawn" in told
+    assert cli.main([*words, "0.1"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_centre_is_in_the_middle(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["render", "toy.ply", "--centre", "1", "2", "3", "--distance", "2", "--elevation", "90", *SMALL, "--json"]
+    assert cli.main(words) == 0
+    pose = json.loads(capsys.readouterr().out)["camera_to_world"]
+    assert [row[3] for row in pose[:3]] == pytest.approx([1, 2, 5])

@@ -1,0 +1,139 @@
+"""`mi-splat select` and `dagger` on a splat without parts, and `render` of many pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Tensor
+
+from attacks import cli
+from attacks.cli import dagger
+from mi_splat.io import load_splat, save_splat
+from tests.fakes import ColourDetector, toy_scene
+from tests.selection.bare import CAR, bare_scene, iou
+
+VIEW = ["--azimuth", "40", "--elevation", "25", "--distance", "8", "--size", "96", "72"]
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
+    """The file of a splat without parts, and the owner of each of its Gaussians."""
+    scene, owner = bare_scene()
+    path = tmp_path_factory.mktemp("bare") / "desk.ply"
+    save_splat(scene, path)
+    return path, owner
+
+
+def pixels(path: Path) -> np.ndarray:
+    """(H, W, 3) levels of a picture."""
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB")).astype(int)
+
+
+def test_a_click_selects_the_car_and_writes_what_is_asked_for(
+    bare: tuple[Path, Tensor], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, owner = bare
+    outs = [tmp_path / "new" / name for name in ("tinted.png", "mask.npy", "car.ply")]
+    words = ["select", str(path), "--click", "45,39", *VIEW, "--out", *map(str, outs), "--json"]
+    assert cli.main(words) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    found = json.loads(captured.out)
+    mask = torch.from_numpy(np.load(outs[1]))
+    assert iou(mask, owner == CAR) > 0.95
+    assert found["gaussians"] == int(mask.sum()) == len(load_splat(outs[2]))
+    assert found["box"][0] == pytest.approx([-2.39, -1.0, 0.06], abs=0.1)
+    assert found["views"][0]["seen"]
+    pink = pixels(outs[0])
+    tinted = (pink[..., 0] > pink[..., 1] + 60) & (pink[..., 2] > pink[..., 1] + 30)
+    assert float(tinted.mean()) == pytest.approx(found["views"][0]["share"], abs=0.03)
+    assert tinted[39, 45]
+
+
+def test_other_selectors_take_the_saved_mask_or_part(bare: tuple[Path, Tensor], tmp_path: Path) -> None:
+    path, owner = bare
+    np.save(tmp_path / "rows.npy", (owner == CAR).nonzero()[:, 0].numpy())
+    save_splat(load_splat(path).select(owner == CAR), tmp_path / "part.ply")
+    for name in ("rows.npy", "part.ply"):
+        words = ["select", str(path), "--mask", str(tmp_path / name), "--size", "32", "24"]
+        assert cli.main([*words, "--out", str(tmp_path / "mask.npy")]) == 0
+        assert np.array_equal(np.load(tmp_path / "mask.npy"), (owner == CAR).numpy())
+
+
+def test_a_known_object_is_looked_at(bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]) -> None:
+    path, _ = bare
+    assert cli.main(["select", str(path), "--box", "0.2", "2.1", "0.02", "0.5", "3.2", "2", "--size", "64", "48"]) == 0
+    text = capsys.readouterr().out
+    assert text.splitlines()[0].startswith("6,")
+    share = float(text.split("seen by orbit: ")[1].split("%")[0])
+    assert share > 15  # of a sign that is a dot in a picture of all
+
+
+def test_doubts_are_told_with_numbers(bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]) -> None:
+    path, owner = bare
+    assert cli.main(["select", str(path), "--object", "desk", *VIEW]) == 0
+    assert f"{len(owner):,} of {len(owner):,} Gaussians: nearly the whole" in capsys.readouterr().err
+    away = ["--centre", "50", "50", "0", "--azimuth", "210", "--distance", "5", "--size", "32", "32"]
+    assert cli.main(["select", str(path), "--cluster", "1", *away]) == 0
+    captured = capsys.readouterr()
+    assert "not seen in the picture: it makes up at most 0% of any pixel" in captured.err
+    assert "not seen by orbit" in captured.out
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        ([], 1, "name a part with --object, or use --box"),
+        (["--box", "9", "9", "9", "8", "8", "8"], 2, "first number above its second"),
+        (["--box", "90", "90", "90", "91", "91", "91"], 1, "at least one Gaussian, got none of"),
+        (["--click", "5000,3"], 1, "a pixel of 640 x 480, got 5000,3"),
+        (["--click", "0,0"], 1, "a pixel that shows something"),
+        (["--cluster", "0"], 2, "1 is the largest"),
+        (["--cluster", "999999"], 1, "cluster: expected 1 to"),
+        (["--object", "car"], 1, "one of desk, got car"),
+        (["--cluster", "1", "--out", "mask.txt"], 1, ".png, .jpg, .npy or .ply"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_select_says_what_is_wrong(
+    words: list[str], status: int, says: str, bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["select", str(bare[0]), *words]) == status
+    assert says in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_dagger_attacks_a_selection_and_its_cameras_come_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, mask = toy_scene()
+    save_splat(scene, tmp_path / "toy.ply")
+    np.save(tmp_path / "mask.npy", mask.numpy())
+    monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
+    out = tmp_path / "out"
+    words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--cameras", "orbit:2@0"]
+    words += ["--distance", "3", "--fov", "50", "--size", "32", "32", "--eps", "20", "--noise-draws", "0"]
+    assert cli.main([*words, "--out", str(out)]) == 0
+    assert capsys.readouterr().out.startswith("SUCCESS: fasterrcnn_small shall see a person in place of the selection")
+    assert "attacked.xml" not in {path.name for path in out.iterdir()}  # a bare splat has no parts
+    assert np.array_equal(np.load(out / "mask.npy"), mask.numpy())
+    result = json.loads((out / "result.json").read_text())
+    assert result["cameras"] == ["orbit-0", "orbit-1"]
+    assert result["selection"] == {"mask": str(tmp_path / "mask.npy")}
+    assert torch.equal(load_splat(out / "attacked.ply").means, load_splat(tmp_path / "toy.ply").means)
+    again = ["render", str(out / "attacked.ply"), "--cameras", str(out / "result.json"), "--out", str(tmp_path / "r")]
+    assert cli.main(again) == 0
+    after = np.concatenate([pixels(tmp_path / "r" / f"orbit-{number}.png") for number in (0, 1)])
+    assert np.array_equal(after, pixels(out / "after.png"))
+
+
+def test_dagger_asks_which_object_is_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_splat(toy_scene()[0], tmp_path / "toy.ply")
+    assert cli.main(["dagger", str(tmp_path / "toy.ply"), "--out", str(tmp_path / "out")]) == 1
+    assert "selection: expected which Gaussians are meant, got nothing" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

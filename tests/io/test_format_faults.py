@@ -1,0 +1,142 @@
+"""Damaged files of every format: a valid scene or our one error, never another exception and never much memory."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+import struct
+import tracemalloc
+import warnings
+from pathlib import Path
+
+import hypothesis
+import pytest
+from hypothesis import strategies as st
+
+from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
+from mi_splat.scene import GaussianScene
+from tests.io.format_files import gltf_with, rezipped, valid
+
+MEMORY = 24 << 20
+
+NAMES = ["a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz"]
+NAMES += [f"level{level}.ksplat" for level in range(3)]
+
+
+def opened(path: Path) -> GaussianScene | None:
+    """The scene, checked; None if the file was refused with our error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SplatFileWarning)
+        try:
+            scene = load_splat(path, on_invalid="drop")
+        except SplatFileError as error:
+            assert re.match(rf"{re.escape(str(path))}.*: expected .+, got .+; .+", str(error), re.DOTALL)  # noqa: PT017
+            assert len(str(error)) < len(str(path)) + 400  # noqa: PT017
+            return None
+    return GaussianScene(*scene.tensors())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_truncation_at_each_length(name: str, tmp_path: Path) -> None:
+    whole, path = valid(name), tmp_path / name
+    lengths = sorted({*range(0, len(whole), max(1, len(whole) // 400)), *range(min(100, len(whole))), len(whole) - 1})
+    tracemalloc.start()
+    for length in lengths:
+        path.write_bytes(whole[:length])
+        scene = opened(path)
+        assert scene is None or (name == "a.splat" and 32 * len(scene) == length)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < MEMORY
+    path.write_bytes(whole + b"\0")
+    scene = opened(path)
+    assert scene is None or name in ("a.sog", *NAMES[-3:])  # an archive may have a comment, sections may be padded
+
+
+def changed(data: st.DataObject, whole: bytes) -> bytes:
+    """A file with a few bytes cut out, put in or replaced; mostly near its start, where sizes are."""
+    damaged = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 3))):
+        near = data.draw(st.sampled_from([24, 200, len(whole)]))
+        place = data.draw(st.integers(0, min(near, len(damaged))))
+        kind = data.draw(st.sampled_from(["cut", "insert", "change", "change", "number"]))
+        if kind == "cut":
+            del damaged[place : place + data.draw(st.integers(1, 50))]
+        elif kind == "insert":
+            damaged[place:place] = data.draw(st.binary(min_size=1, max_size=8))
+        elif kind == "change":
+            damaged[place : place + 4] = data.draw(st.binary(min_size=1, max_size=4))
+        else:
+            number = data.draw(st.sampled_from([0, 1, 255, 256, 2**16, 2**31 - 1, 2**31, 2**32 - 1]))
+            damaged[place : place + 4] = struct.pack("<I", number)
+    return bytes(damaged)
+
+
+def small(path: Path, contents: bytes) -> None:
+    """Open a damaged file with a bound on what is allocated."""
+    path.write_bytes(contents)
+    tracemalloc.start()
+    opened(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < MEMORY
+
+
+@pytest.mark.parametrize("name", NAMES)
+@hypothesis.settings(max_examples=120, deadline=None)
+@hypothesis.given(data=st.data())
+def test_damaged_files(name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    small(tmp_path_factory.getbasetemp() / name, changed(data, valid(name)))
+
+
+@pytest.mark.parametrize("name", ["v2.spz", "v3.spz"])
+@hypothesis.settings(max_examples=100, deadline=None)
+@hypothesis.given(data=st.data())
+def test_damage_inside_of_a_valid_gzip_stream(
+    name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    plain = gzip.decompress(valid(name))
+    small(tmp_path_factory.getbasetemp() / name, gzip.compress(changed(data, plain), 1))
+
+
+JUNK: st.SearchStrategy[object] = st.one_of(
+    *(st.sampled_from([None, True, "", "x", [], {}, -1, 0, 1, 2, 2**31, 2**63, 10**400, 1e300, float("nan")]),),
+    *(st.lists(st.floats(), max_size=4), st.integers()),
+)
+
+
+def junked(data: st.DataObject, document: object) -> None:
+    """Replace or remove one value of a JSON document, drawn from anywhere in it."""
+    places: list[tuple[object, object]] = []
+
+    def visit(node: object) -> None:
+        items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+        for key, value in items:
+            places.append((node, key))
+            visit(value)
+
+    visit(document)
+    node, key = data.draw(st.sampled_from(places))
+    if data.draw(st.booleans()):
+        node[key] = data.draw(JUNK)  # type: ignore[index]
+    else:
+        del node[key]  # type: ignore[attr-defined]
+
+
+@hypothesis.settings(max_examples=200, deadline=None)
+@hypothesis.given(data=st.data())
+def test_damaged_documents_of_gltf(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    contents = gltf_with(lambda document: junked(data, document))
+    small(tmp_path_factory.getbasetemp() / "a.glb", contents)
+
+
+@hypothesis.settings(max_examples=200, deadline=None)
+@hypothesis.given(data=st.data())
+def test_damaged_documents_of_sog(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    def change(members: dict[str, bytes]) -> None:
+        document = json.loads(members["meta.json"])
+        junked(data, document)
+        members["meta.json"] = json.dumps(document).encode()
+
+    small(tmp_path_factory.getbasetemp() / "a.sog", rezipped(change))

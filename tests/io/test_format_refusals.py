@@ -1,0 +1,169 @@
+"""What is refused, and what its message says to do."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
+from mi_splat.io.formats.sog_files import picture_bytes
+from mi_splat.io.formats.splat32 import RECORD
+from tests.io.format_files import gltf_with, rezipped, valid
+
+
+def sog_with(**contents: bytes | None) -> bytes:
+    def change(members: dict[str, bytes]) -> None:
+        for name, value in contents.items():
+            key = name.replace("_webp", ".webp").replace("_json", ".json")
+            if value is None:
+                del members[key]
+            else:
+                members[key] = value
+
+    return rezipped(change)
+
+
+def spz_header(*fields: int, body: bytes = b"") -> bytes:
+    return gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", *fields, 0) + body)
+
+
+def primitive(document: dict[str, Any], **values: object) -> None:
+    document["meshes"][0]["primitives"][0].update(values)
+
+
+PIXELS = np.zeros((4, 4, 4), np.uint8)
+BAD = {
+    "empty.splat": (b"", "whole records of 32 bytes, got 0 bytes"),
+    "part.splat": (bytes(33), "got 33 bytes"),
+    "no_gzip.spz": (b"hello world", "an intact gzip stream"),
+    "other.spz": (gzip.compress(b"x" * 99), "an SPZ file inside of the gzip stream"),
+    "v1.spz": (spz_header(1, 0, 0, 12, 0), "version 2 or 3 .*got 1; convert"),
+    "v5.spz": (struct.pack("<4sIIBBBBI12x", b"NGSP", 5, 0, 0, 12, 0, 0, 32), "version 4 .*got 5"),
+    "sh5.spz": (spz_header(3, 0, 5, 12, 0), "SH degree of 0 to 4"),
+    "many.spz": (spz_header(3, 2**32 - 1, 0, 12, 0), "at most 655.* bomb"),
+    "short.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(179)), "180 bytes for 9 Gaussians, got 179"),
+    "long.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(181)), "180 bytes for 9 Gaussians, got more"),
+    "axes.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0003, 4, 8)), "RUB, RDF, LUF or LDB"),
+    "truncated_extension.spz": (spz_header(3, 0, 0, 12, 2, body=b"1234"), "whole extension records"),
+    "window.spz": (
+        struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 1, 0, 12, 0, 5, 32) + struct.pack("<QQ", 2**63, 9) * 5,
+        "9 bytes in section 0",
+    ),
+    "no_zip.sog": (b"PK\x03\x04" + bytes(100), "a zip archive with its directory"),
+    "no_meta.sog": (sog_with(meta_json=None), "a member meta.json"),
+    "no_picture.sog": (sog_with(scales_webp=None), "a member scales.webp"),
+    "png.sog": (sog_with(scales_webp=b"\x89PNG" + bytes(99)), "a lossless WebP picture"),
+    "small.sog": (sog_with(scales_webp=picture_bytes(PIXELS)), "20 to .* pixels, got 4 x 4"),
+    "v1.sog": (sog_with(meta_json=b'{"means": {}}'), "an old SOG.*splat-transform"),
+    "no_json.sog": (sog_with(meta_json=b"{" * 100_000), "a JSON document"),
+    "deep.sog": (sog_with(meta_json=b"[" * 100_000), "a JSON document"),
+    "long_json.sog": (sog_with(meta_json=b" " * (2 << 20)), "at most 1048576 bytes"),
+    "crowd.sog": (sog_with(**{f"x{i}": b"" for i in range(70)}), "at most 64 members"),
+    "version.glb": (struct.pack("<4sII", b"glTF", 1, 20) + bytes(8), "version 2"),
+    "mesh.glb": (gltf_with(lambda d: primitive(d, extensions={})), "a primitive with KHR.*1 other primitives"),
+    "kernel.glb": (
+        gltf_with(lambda d: primitive(d, extensions={"KHR_gaussian_splatting": {"kernel": "box"}})),
+        "'ellipse', got 'box'",
+    ),
+    "linear.glb": (
+        gltf_with(lambda d: primitive(
+            d, extensions={"KHR_gaussian_splatting": {"kernel": "ellipse", "colorSpace": "lin_rec709_display"}})),
+        "'srgb_rec709_display', got 'lin_rec709_display'",
+    ),
+    "triangles.glb": (gltf_with(lambda d: primitive(d, mode=4)), r"0 \(points\), got 4"),
+    "required.glb": (gltf_with(lambda d: d.update(extensionsRequired=["KHR_draco"])), "without it"),
+    "sheared.glb": (gltf_with(lambda d: d.update(nodes=[{"mesh": 0, "scale": [1, 2, 1]}])), "uniform scale"),
+    "circle.glb": (gltf_with(lambda d: d.update(nodes=[{"mesh": 0, "children": [0]}])), "no parent yet"),
+    "uri.glb": (gltf_with(lambda d: d.update(buffers=[{"byteLength": 4, "uri": "/etc/passwd"}])), "inside of the file"),
+    "half_a_degree.glb": (
+        gltf_with(lambda d: d["meshes"][0]["primitives"][0]["attributes"].pop(
+            "KHR_gaussian_splatting:SH_DEGREE_1_COEF_1")),
+        "whole degrees of SH",
+    ),
+    "short.ksplat": (bytes(100), "a header of 4096 bytes"),
+    "version.ksplat": (b"\1" + bytes(5000), "version 0.1"),
+    "a.spz": (valid("a.glb"), "a .spz file, got the mark of a .glb file; rename it to .glb"),
+    "a.splat": (valid("a.sog"), "the mark of a .sog file"),
+    "a.obj": (b"v 0 0 0", "this is a mesh"),
+    "a.lcc": (b"{}", "splat-transform"),
+    "noname": (b"{}", "got no ending"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_refused_with_what_to_do(name: str, tmp_path: Path) -> None:
+    contents, words = BAD[name]
+    (tmp_path / name).write_bytes(contents)
+    with pytest.raises(SplatFileError, match=words) as caught:
+        load_splat(tmp_path / name)
+    assert len(str(caught.value)) < len(str(tmp_path)) + 400
+
+
+def test_the_checksum_of_gzip_is_looked_at(tmp_path: Path) -> None:
+    damaged = bytearray(valid("v3.spz"))
+    damaged[-6] ^= 1
+    (tmp_path / "a.spz").write_bytes(damaged)
+    with pytest.raises(SplatFileError, match="an intact gzip stream"):
+        load_splat(tmp_path / "a.spz")
+
+
+def splat_rows() -> np.ndarray:
+    """The rows of the valid .splat file, to be changed."""
+    return np.frombuffer(valid("a.splat"), RECORD).copy()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("means", np.nan, "a coordinate of the mean is nan"),
+        ("means", -np.inf, "a coordinate of the mean is -inf"),
+        ("scales", 0, "a scale is 0"),
+        ("scales", -1, "a scale is -1"),
+        ("scales", np.inf, "a scale is inf"),
+        ("rotations", 128, "the quaternion is zero or not finite"),
+    ],
+)
+def test_invalid_gaussians_are_refused_or_dropped(name: str, value: float, words: str, tmp_path: Path) -> None:
+    rows, path = splat_rows(), tmp_path / "a.splat"
+    rows[name][[3, 7]] = value
+    path.write_bytes(rows.tobytes())
+    found = rf"valid Gaussians, got 2 of 20 that are not \(rows 3, 7; in the first, {words}\)"
+    with pytest.raises(SplatFileError, match=found + "; repair it, or load it with on_invalid='drop'"):
+        load_splat(path)
+    with pytest.warns(SplatFileWarning, match=found + "; they were left out") as caught:
+        scene = load_splat(path, on_invalid="drop")
+    assert caught[0].filename == __file__
+    np.testing.assert_array_equal(scene.means.numpy(), np.delete(splat_rows()["means"], [3, 7], axis=0))
+
+
+def test_values_that_are_not_finite_in_gltf_and_compressed_ply(tmp_path: Path) -> None:
+    whole = valid("a.glb")
+    (size,) = struct.unpack_from("<I", whole, 12)
+    start = 20 + size + 8  # the first attribute, POSITION
+    (tmp_path / "a.glb").write_bytes(whole[:start] + struct.pack("<f", np.nan) + whole[start + 4 :])
+    with pytest.raises(
+        SplatFileError, match=r"1 of 20 that are not \(rows 0; in the first, a coordinate of the mean is nan"
+    ):
+        load_splat(tmp_path / "a.glb")
+    whole = valid("a.compressed.ply")
+    start = whole.index(b"end_header\n") + 11 + 6 * 4  # the smallest log-scale of the only chunk
+    (tmp_path / "a.compressed.ply").write_bytes(whole[:start] + struct.pack("<f", np.inf) + whole[start + 4 :])
+    with pytest.raises(SplatFileError, match=r"of 20 that are not .* a scale is"):
+        load_splat(tmp_path / "a.compressed.ply")
+
+
+def test_the_fourth_band_of_spz_is_left_out(tmp_path: Path) -> None:
+    body = struct.pack("<9B4B3B4B", *bytes(9), 255, 0, 128, 255, 160, 160, 160, *bytes(3), 0xC0)
+    rest = bytes(range(72))
+    (tmp_path / "a.spz").write_bytes(spz_header(3, 1, 4, 12, 0, body=body + rest))
+    with pytest.warns(SplatFileWarning, match="SH of degree 0 to 3, got 4; the higher bands were left out"):
+        scene = load_splat(tmp_path / "a.spz")
+    assert scene.degree == 3
+    assert scene.rotations.tolist() == [[1, 0, 0, 0]]
+    assert scene.scales.tolist() == [[1, 1, 1]]
+    assert abs(float(scene.sh[0, 15, 2])) == (128 - 44) / 128

@@ -1,0 +1,175 @@
+"""What a format cannot hold is warned of with numbers, and nothing else is."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import pytest
+import torch
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import SplatFileError, SplatFileWarning, SplatLossWarning, load_splat, save_splat
+from mi_splat.io.formats import half_turns
+from mi_splat.io.formats.table import FORMATS
+from mi_splat.io.splat_files import write_splat_file
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.sh import colour_to_dc
+from tests.io.closeness import assert_close, tame_scene
+from tests.io.format_files import gltf_with
+
+WRITTEN = [entry.suffix for entry in FORMATS if entry.writes]
+
+
+def with_dc(scene: GaussianScene, row: int, colour: float) -> GaussianScene:
+    """The scene with one Gaussian whose red is `colour`."""
+    sh = scene.sh.clone()
+    sh[row, 0, 0] = colour_to_dc(torch.tensor(colour))
+    return scene.replace(sh=sh)
+
+
+def with_sh(scene: GaussianScene, row: int, value: float) -> GaussianScene:
+    sh = scene.sh.clone()
+    sh[row, 2, 1] = value
+    return scene.replace(sh=sh)
+
+
+def with_opacity(scene: GaussianScene, row: int, value: float) -> GaussianScene:
+    opacities = scene.opacities.clone()
+    opacities[row] = value
+    return scene.replace(opacities=opacities)
+
+
+def with_mean(scene: GaussianScene, row: int, value: float) -> GaussianScene:
+    means = scene.means.clone()
+    means[row, 1] = value
+    return scene.replace(means=means)
+
+
+def with_scale(scene: GaussianScene, row: int, value: float) -> GaussianScene:
+    scales = scene.scales.clone()
+    scales[row, 1] = value
+    return scene.replace(scales=scales)
+
+
+SCENE = tame_scene(30, 1)
+FLAT = SCENE.with_degree(0)
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_scenes_within_the_ranges_are_saved_without_a_warning(suffix: str, tmp_path: Path) -> None:
+    save_splat(FLAT if suffix == ".splat" else SCENE, tmp_path / f"a{suffix}")  # warnings are errors
+    assert len(load_splat(tmp_path / f"a{suffix}")) == 30
+
+
+@pytest.mark.parametrize(
+    ("suffix", "scene", "words"),
+    [
+        (".splat", SCENE, r"SH above degree 0 dropped: 30 Gaussians, by up to 0\.89\d* of a coefficient"),
+        (".splat", with_dc(FLAT, 3, -2.5), r"colour clamped to 0\.\.1: 1 Gaussians, by up to 2\.5 of full colour"),
+        (".splat", with_opacity(FLAT, 3, 0.0015), r"opacity rounded to 0: 1 Gaussians, by up to 0\.0015"),
+        (".spz", with_dc(SCENE, 3, 2.5), r"first SH clamped to -3.33\.\.3.33: 1 Gaussians, by up to 3\.7"),
+        (".spz", with_sh(SCENE, 3, -1.5), r"SH clamped to -1\.\.0.99: 1 Gaussians, by up to 0\.50"),
+        (".spz", with_mean(SCENE, 3, 2e6), r"means clipped to 524288: 1 Gaussians, by up to 1\.47\de\+06 world units"),
+        (".spz", with_scale(SCENE, 3, 1e-7), r"log-scales clamped .*: 1 Gaussians, by up to 6\.0"),
+        (".compressed.ply", with_sh(SCENE, 3, 5.0), r"SH clamped to -4\.\.4: 1 Gaussians, by up to 1 of"),
+        (".compressed.ply", with_opacity(SCENE, 3, 0.001), "opacity rounded to 0: 1 Gaussians"),
+        (".sog", with_opacity(SCENE, 3, 0.001), "opacity rounded to 0: 1 Gaussians"),
+    ],
+)
+def test_losses_are_warned_of_with_numbers(suffix: str, scene: GaussianScene, words: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    with pytest.warns(
+        SplatLossWarning, match=rf"a scene that fits the format, got .*{words}.*; save it as \.ply"
+    ) as caught:
+        save_splat(scene, path)
+    assert caught[0].filename == __file__
+    load_splat(path)
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_what_is_not_finite_is_not_saved(suffix: str, tmp_path: Path) -> None:
+    means = SCENE.means.clone()
+    means[4, 1] = float("nan")
+    with pytest.raises(InvalidValueError, match="values that are finite in float32"):
+        save_splat(GaussianScene.unchecked(means, *SCENE.tensors()[1:]), tmp_path / f"a{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_only_read_or_unknown_is_not_written(tmp_path: Path) -> None:
+    for name, words in (("a.ksplat", "create-ksplat"), ("meta.json", r"save it as \.sog"), ("a", "got no ending")):
+        with pytest.raises(SplatFileError, match=words):
+            save_splat(SCENE, tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("signs", [half_turns.X, half_turns.Y, half_turns.Z])
+def test_half_turns_are_rotations_without_rounding(signs: tuple[float, float, float]) -> None:
+    scene = tame_scene(50, 3)
+    turned = half_turns.turned(scene, signs)
+    assert_close(turned, scene.transform(Similarity(torch.diag(torch.tensor(signs)), torch.zeros(3))), rotations=1e-3)
+    again = half_turns.turned(turned, signs)
+    assert all(torch.equal(one, two) for one, two in zip(again.tensors(), scene.tensors(), strict=True))
+
+
+def test_names_do_not_overrule_the_content(tmp_path: Path) -> None:
+    save_splat(SCENE, tmp_path / "a.compressed.ply")
+    save_splat(SCENE, tmp_path / "plain.ply")
+    expected = load_splat(tmp_path / "a.compressed.ply")
+    (tmp_path / "b.ply").write_bytes((tmp_path / "a.compressed.ply").read_bytes())
+    assert_close(load_splat(tmp_path / "b.ply"), expected)
+    (tmp_path / "c.compressed.ply").write_bytes((tmp_path / "plain.ply").read_bytes())
+    assert_close(load_splat(tmp_path / "c.compressed.ply"), SCENE)
+    (tmp_path / "d").write_bytes((tmp_path / "plain.ply").read_bytes())
+    assert_close(load_splat(tmp_path / "d"), SCENE)
+
+
+def test_an_unbundled_sog(tmp_path: Path) -> None:
+    import zipfile
+
+    save_splat(SCENE, tmp_path / "a.sog")
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        archive.extractall(tmp_path / "folder")
+    assert_close(load_splat(tmp_path / "folder" / "meta.json"), load_splat(tmp_path / "a.sog"))
+    (tmp_path / "folder" / "quats.webp").unlink()
+    with pytest.raises(SplatFileError, match="No such file"):
+        load_splat(tmp_path / "folder" / "meta.json")
+
+
+def test_nodes_of_gltf_place_their_splats(tmp_path: Path) -> None:
+    """Matrices multiply along the tree, and other meshes are left out with a warning."""
+    quarter = [0, 0, 0.5**0.5, 0.5**0.5]
+    nodes = [{"children": [1], "translation": [1, 2, 3]}, {"mesh": 0, "rotation": quarter, "scale": [2, 2, 2]}]
+    contents = gltf_with(lambda document: document.update(nodes=nodes))
+    (tmp_path / "a.glb").write_bytes(contents)
+    (tmp_path / "plain.glb").write_bytes(gltf_with(lambda document: None))
+    turn = Similarity(torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), torch.tensor([-1.0, -2, 3]), 2.0)
+    assert_close(load_splat(tmp_path / "a.glb"), load_splat(tmp_path / "plain.glb").transform(turn))
+    both = [{"mesh": 0}, {"mesh": 1}]
+
+    def add(document: dict[str, object]) -> None:
+        document["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}}]})  # type: ignore[attr-defined]
+        document.update(nodes=both, scenes=[{"nodes": [0, 1]}])
+
+    (tmp_path / "b.glb").write_bytes(gltf_with(add))
+    with pytest.warns(SplatFileWarning, match="splats only, got 1 other primitives; they were left out") as caught:
+        assert len(load_splat(tmp_path / "b.glb")) == 20
+    assert caught[0].filename == __file__
+
+
+def test_flags_of_spz(tmp_path: Path) -> None:
+    import gzip
+
+    write_splat_file(SCENE, tmp_path / "a.spz")
+    plain = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
+    plain[14] |= 1
+    (tmp_path / "b.spz").write_bytes(gzip.compress(bytes(plain)))
+    with pytest.warns(SplatFileWarning, match="filter of Mip-Splatting") as caught:
+        assert_close(load_splat(tmp_path / "b.spz"), load_splat(tmp_path / "a.spz"))
+    assert caught[0].filename == __file__
+    plain[14] = 2  # an extension that names the axes of the PLY
+    (tmp_path / "c.spz").write_bytes(gzip.compress(bytes(plain) + b"\x03\x00\xbe\xad\x04\0\0\0\x06\0\0\0"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        turned = half_turns.turned(load_splat(tmp_path / "a.spz"), half_turns.X)
+        assert_close(load_splat(tmp_path / "c.spz"), turned)

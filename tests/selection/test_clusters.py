@@ -1,0 +1,137 @@
+"""Neighbours, planes and connected components, against plain references."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.selection.clusters import clusters, components
+from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.planes import find_plane
+from mi_splat.sh import colour_to_dc
+from tests.selection.bare import ground
+
+
+def shell(count: int, *, centre: tuple[float, float, float], radius: float, seed: int = 0) -> Tensor:
+    """(count, 3) points on a sphere."""
+    points = torch.randn(count, 3, generator=torch.Generator().manual_seed(seed))
+    return torch.tensor(centre) + radius * torch.nn.functional.normalize(points, dim=1)
+
+
+def gaussians(points: Tensor, colour: tuple[float, float, float]) -> GaussianScene:
+    """Small round Gaussians of one colour."""
+    count = len(points)
+    return GaussianScene(
+        means=points,
+        scales=torch.full((count, 3), 0.01),
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
+        opacities=torch.full((count,), 0.9),
+        sh=colour_to_dc(torch.tensor(colour)).expand(count, 1, 3).contiguous(),
+    )
+
+
+@pytest.mark.parametrize("count", [2, 3, 64, 65, 300, 1500])
+def test_neighbours_are_those_of_a_full_search(count: int) -> None:
+    points = shell(count, centre=(1e3, 0.0, 0.0), radius=1.0).double()
+    distances, rows = nearest_neighbours(points, 8)
+    wanted = min(8, count - 1)
+    assert distances.shape == rows.shape == (count, wanted)
+    gaps = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(float("inf"))
+    assert torch.equal(distances, gaps.gather(1, rows))  # each is the distance to the point that is named
+    assert not (rows == torch.arange(count)[:, None]).any()
+    assert (rows.sort(dim=1).values.diff(dim=1) > 0).all()  # no neighbour twice
+    exact = gaps.topk(wanted, largest=False).values
+    assert float((distances <= exact).double().mean()) > 0.995
+
+
+def test_one_point_has_no_neighbour() -> None:
+    assert nearest_neighbours(torch.zeros(1, 3), 4)[1].shape == (1, 0)
+
+
+def test_points_in_one_place_do_not_hurt() -> None:
+    distances, rows = nearest_neighbours(torch.zeros(200, 3), 4)
+    assert not distances.any()
+    assert not (rows == torch.arange(200)[:, None]).any()
+
+
+@given(st.integers(1, 40), st.lists(st.tuples(st.integers(0, 39), st.integers(0, 39)), max_size=80))
+def test_components_are_those_of_scipy(count: int, pairs: list[tuple[int, int]]) -> None:
+    edges = torch.tensor([(a % count, b % count) for a, b in pairs], dtype=torch.int64).reshape(-1, 2)
+    root = components(count, edges[:, 0], edges[:, 1])
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0].numpy(), edges[:, 1].numpy())), shape=(count, count))
+    number, labels = connected_components(graph, directed=False)
+    assert len(root.unique()) == number  # type: ignore[no-untyped-call]
+    for label in range(number):
+        members = np.flatnonzero(labels == label)
+        assert set(root[members].tolist()) == {members[0]}  # the first of each
+
+
+def test_a_plane_is_found_whatever_its_direction() -> None:
+    generator = torch.Generator().manual_seed(3)
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64)).Q
+    flat = torch.rand(600, 3, generator=generator, dtype=torch.float64) * torch.tensor([4.0, 4.0, 0.01])
+    ball = shell(400, centre=(2.0, 2.0, 1.0), radius=0.5).double()
+    points = torch.cat([flat, ball]) @ turn + 100
+    found = find_plane(points, nearest_neighbours(points, 8)[0][:, -1])
+    assert found is not None
+    assert found[:600].double().mean() > 0.98
+    assert found[600:].double().mean() < 0.1
+
+
+def test_a_ball_has_no_plane() -> None:
+    points = shell(2000, centre=(0.0, 0.0, 0.0), radius=1.0).double()
+    assert find_plane(points, torch.full((2000,), 0.01, dtype=torch.float64)) is None
+    assert find_plane(points[:2], torch.ones(2)) is None
+    assert find_plane(torch.zeros(10, 3), torch.ones(10)) is None  # no three of them make a plane
+
+
+@pytest.fixture
+def on_the_ground() -> GaussianScene:
+    """Two balls that touch the ground, the second much finer than the first; 800, 500 and 3,000 Gaussians."""
+    coarse = gaussians(shell(800, centre=(-1.0, 0.0, 0.5), radius=0.5), (0.8, 0.1, 0.1))
+    fine = gaussians(shell(500, centre=(1.0, 0.0, 0.1), radius=0.1), (0.1, 0.1, 0.8))
+    return merge(coarse, fine, ground(3000, half=3.0))
+
+
+def test_what_stands_on_a_plane_is_apart(on_the_ground: GaussianScene) -> None:
+    labels = clusters(on_the_ground)
+    sizes = labels.bincount()
+    assert (sizes.diff() <= 0).all()  # from the largest
+    assert [int(labels[row]) for row in (4000, 400, 1000)] == [0, 1, 2]
+    for number, rows in ((1, slice(0, 800)), (2, slice(800, 1300))):
+        mine = labels == number
+        assert int(mine[rows].sum()) > 0.85 * (rows.stop - rows.start)  # the underside goes to the ground
+        assert int(mine.sum()) == int(mine[rows].sum())
+
+
+def test_without_planes_the_ground_joins_them(on_the_ground: GaussianScene) -> None:
+    labels = clusters(on_the_ground, planes=0)
+    assert int(labels[400]) == int(labels[1000]) == int(labels[4000]) == 0
+
+
+def test_order_and_size_of_the_world_do_not_matter(on_the_ground: GaussianScene) -> None:
+    order = torch.randperm(len(on_the_ground))
+    moved = on_the_ground.replace(means=on_the_ground.means * 1000, scales=on_the_ground.scales * 1000)
+    first, second = clusters(on_the_ground)[order], clusters(moved.select(order))
+    assert float(((first == 1) == (second == 1)).double().mean()) > 0.999
+
+
+def test_colour_tells_what_touches_apart() -> None:
+    red = gaussians(shell(600, centre=(0.0, 0.0, 0.0), radius=0.5), (0.8, 0.1, 0.1))
+    blue = gaussians(shell(400, centre=(0.0, 0.0, 0.9), radius=0.5), (0.1, 0.1, 0.8))
+    scene = merge(red, blue)
+    assert int((clusters(scene, planes=0) == 0).sum()) == 1000
+    labels = clusters(scene, planes=0, link_colour=0.2)
+    assert int((labels[:600] == 0).sum()) > 590
+    assert int((labels[600:] == 1).sum()) > 390
+
+
+def test_a_scene_of_one_is_a_cluster() -> None:
+    assert clusters(gaussians(torch.zeros(1, 3), (0.5, 0.5, 0.5))).tolist() == [0]

@@ -1,0 +1,155 @@
+"""From selectors to Gaussians: on a toy, and on a splat of shipped objects without parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera, look_at
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import SplatFileError
+from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene
+from mi_splat.selection.config import Selection
+from mi_splat.selection.select import doubts, select
+from mi_splat.selection.visibility import object_weight, pixel_weights
+from tests.fakes import blobs, camera, toy_scene
+from tests.selection.bare import CAR, GROUND, SIGN, bare_scene, iou
+
+
+@pytest.fixture(scope="module")
+def bare() -> tuple[GaussianScene, Tensor]:
+    return bare_scene()
+
+
+def above(size: int = 96) -> Camera:
+    """Looks down at the car and the sign."""
+    return Camera(to_world=look_at((7.0, 4.0, 5.0), (0.0, 0.8, 0.4)), focal=float(size), width=size, height=size)
+
+
+def pixel_of(point: tuple[float, float, float], view: Camera) -> str:
+    """The pixel that shows a point, as `Selection.click` has it."""
+    local = view.to_camera @ torch.tensor([*point, 1.0], dtype=torch.float64)
+    return f"{int(view.fx * local[0] / local[2] + view.cx)},{int(view.fy * local[1] / local[2] + view.cy)}"
+
+
+@pytest.mark.parametrize("renderer", ["fake", "tile"])
+def test_a_pixel_is_made_of_weights(renderer: str, variant: str) -> None:
+    scene, mask = toy_scene()
+    render = blobs if renderer == "fake" else Renderer()
+    weight = object_weight(scene, mask, camera(), render)
+    for x, y in ((16, 16), (20, 14), (13, 19)):
+        weights = pixel_weights(scene, camera(), (x, y), render)
+        assert float(weights.min()) >= -1e-6
+        assert float(weights[mask].sum()) == pytest.approx(float(weight[y, x]), abs=1e-5)
+
+
+def test_a_pixel_that_shows_nothing_is_refused() -> None:
+    scene, _ = toy_scene()
+    with pytest.raises(InvalidValueError, match="click 0,31: expected a pixel that shows something"):
+        pixel_weights(scene, camera(), (0, 31), blobs)
+    with pytest.raises(InvalidValueError, match="a pixel of 32 x 32, got 32,0"):
+        pixel_weights(scene, camera(), (32, 0), blobs)
+
+
+@pytest.mark.parametrize(
+    ("selection", "owner"),
+    [
+        (Selection(box=(-2.6, -1.2, 0.03, 2.6, 1.2, 2.0)), CAR),
+        (Selection(box=(0.2, 2.1, 0.02, 0.5, 3.2, 2.0)), SIGN),
+        (Selection(cluster=1), CAR),
+        (Selection(cluster=2), GROUND),
+        (Selection(cluster=3), SIGN),
+        (Selection(click=(pixel_of((2.2, 0.0, 0.7), above()),)), CAR),
+        (Selection(click=(pixel_of((0.0, 0.4, 1.3), above()),)), CAR),
+        (Selection(click=(pixel_of((0.35, 2.6, 0.45), above()),)), SIGN),
+        (Selection(click=(pixel_of((3.5, 1.0, 0.0), above()),)), GROUND),
+    ],
+    ids=lambda value: str(value.as_dict()) if isinstance(value, Selection) else str(value),
+)
+def test_the_right_object_is_found(
+    selection: Selection, owner: int, bare: tuple[GaussianScene, Tensor], variant: str
+) -> None:
+    scene, owners = bare
+    mask = select(scene, selection, camera=above(), render=Renderer())
+    assert iou(mask, owners == owner) > 0.95
+
+
+def test_two_clicks_select_both_and_two_selectors_what_is_in_both(
+    bare: tuple[GaussianScene, Tensor], variant: str
+) -> None:
+    scene, owners = bare
+    clicks = tuple(pixel_of(point, above()) for point in ((2.2, 0.0, 0.7), (0.35, 2.6, 0.45)))
+    both = select(scene, Selection(click=clicks), camera=above(), render=Renderer())
+    assert iou(both, owners != GROUND) > 0.95
+    half = (0.0, -9.0, -9.0, 9.0, 9.0, 9.0)
+    front = select(scene, Selection(cluster=1, box=half))
+    assert torch.equal(front, select(scene, Selection(cluster=1)) & (scene.means[:, 0] >= 0))
+
+
+def test_parts_are_selected_by_name() -> None:
+    scene, mask = toy_scene()
+    parts = {"rest": slice(0, 10), "thing": slice(10, 40)}
+    assert torch.equal(select(scene, Selection(object="thing"), objects=parts), mask)
+    with pytest.raises(InvalidValueError, match="one of rest, thing, got bicycle"):
+        select(scene, Selection(object="bicycle"), objects=parts)
+    with pytest.raises(InvalidValueError, match="no parts"):
+        select(scene, Selection(object="thing"))
+    with pytest.raises(InvalidValueError, match="parts: rest, thing"):
+        select(scene, Selection(), objects=parts)
+
+
+def test_what_selects_nothing_is_an_error(tmp_path: Path) -> None:
+    scene, _ = toy_scene()
+    with pytest.raises(InvalidValueError, match="at least one Gaussian, got none of 40"):
+        select(scene, Selection(box=(5, 5, 5, 6, 6, 6)))
+    with pytest.raises(InvalidValueError, match="cluster: expected 1 to"):
+        select(scene, Selection(cluster=41))
+    with pytest.raises(InvalidValueError, match="camera and a renderer"):
+        select(scene, Selection(click=("1,1",)))
+    np.save(tmp_path / "none.npy", np.zeros(40, dtype=bool))
+    with pytest.raises(InvalidValueError, match="none of 40"):
+        select(scene, Selection(mask=tmp_path / "none.npy"))
+    with pytest.raises(SplatFileError, match="gone"):
+        select(scene, Selection(mask=tmp_path / "gone.npy"))
+
+
+def test_doubts_come_with_numbers() -> None:
+    shown, hidden = torch.full((4, 4), 0.8), torch.full((4, 4), 0.2)
+    mask = torch.arange(100) < 50
+    assert doubts(mask, [shown]) == []
+    assert "5 of 100 Gaussians, which is hardly" in doubts(torch.arange(100) < 5, [shown])[0]
+    assert "96 of 100 Gaussians: nearly the whole" in doubts(torch.arange(100) < 96, [shown])[0]
+    assert "not seen in the picture: it makes up at most 20%" in doubts(mask, [hidden])[0]
+    assert "not seen in 1 of 2 pictures" in doubts(mask, [hidden, shown])[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"box": (0, 0, 0, -1, 1, 1)}, "box: expected no first number above its second"),
+        ({"box": (0, 0, 0, float("nan"), 1, 1)}, "box"),
+        ({"box_rotation": (0, float("inf"), 0)}, "box rotation"),
+        ({"cluster": 0}, "cluster: expected 1 or more"),
+        ({"click": ("12;4",)}, "click: expected a pixel x,y, got '12;4'"),
+        ({"click": ("-1,4",)}, "click"),
+        ({"link_distance": 0.0}, "link distance"),
+        ({"link_colour": 2.0}, "link colour"),
+        ({"planes": -1}, "planes"),
+    ],
+)
+def test_a_selection_out_of_range_is_refused(values: dict[str, object], says: str) -> None:
+    with pytest.raises(InvalidValueError, match=says):
+        Selection(**values)  # type: ignore[arg-type]
+
+
+def test_a_selection_says_what_was_used() -> None:
+    assert Selection().is_empty
+    assert Selection().as_dict() == {}
+    assert Selection(object="car").as_dict() == {"object": "car"}
+    assert set(Selection(click=("1,2",)).as_dict()) == {"click", "link_distance", "link_colour", "planes"}
+    assert Selection(click=("1,2", "3, 4")).pixels == ((1, 2), (3, 4))

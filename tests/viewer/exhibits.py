@@ -1,0 +1,83 @@
+"""Small exhibits and somebody who looks at their pictures, for the tests of the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from PIL import ImageDraw
+from torch import Tensor
+
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc
+from mi_splat.viewer.exhibit import Exhibit, ShownSplat
+from mi_splat.viewer.lines import Lines, arc
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.painter import Painter
+from tests.fakes import blobs
+
+START = Orbit(target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=5.0, fov=45.0)
+ABOVE = Orbit(target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=80.0, distance=5.0, fov=45.0)
+
+
+def ball(colour: tuple[float, float, float], count: int = 20) -> GaussianScene:
+    """Gaussians of one colour around the origin."""
+    generator = torch.Generator().manual_seed(0)
+    return GaussianScene(
+        means=0.3 * torch.randn(count, 3, generator=generator),
+        scales=torch.full((count, 3), 0.25),
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
+        opacities=torch.full((count,), 0.9),
+        sh=colour_to_dc(torch.tensor(colour)).expand(count, 1, 3).contiguous(),
+    )
+
+
+def exhibit(splats: int = 2) -> Exhibit:
+    """A red ball, and a green one beside it if there are two."""
+    colours = {"clean": (0.9, 0.1, 0.1), "attacked": (0.1, 0.8, 0.1)}
+    settings = RenderSettings()
+    return Exhibit(
+        title="balls <of> colour",
+        splats=tuple(
+            ShownSplat(name=name, scene=ball(colours[name]), path=Path(f"{name}.ply"), own=settings)
+            for name in list(colours)[:splats]
+        ),
+        settings=settings,
+        start=START,
+        size=(48, 32),
+        cameras={"front": START, "above": ABOVE},
+        lines={"Ring": Lines(segments=arc((0, 0, 0), 1.0, (0.0, 0.0), (360.0, 0.0)), colour="#0000ff")},
+        place=lambda camera: (f"{float(camera.position[2]):.1f} above the ground",),
+    )
+
+
+@dataclass(frozen=True)
+class Mean:
+    """The mean colour of a picture, as if it were a finding."""
+
+    colour: tuple[int, ...]
+
+    @property
+    def text(self) -> str:
+        return f"mean colour {self.colour}"
+
+    def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
+        draw.rectangle((0, 0, 4 * scale, 4 * scale), fill="#ffffff")
+
+
+class Looker:
+    """Remembers what it was shown."""
+
+    def __init__(self) -> None:
+        self.seen: list[Tensor] = []
+
+    def __call__(self, picture: Tensor) -> Mean:
+        self.seen.append(picture)
+        return Mean(tuple(int(255 * value) for value in picture.mean((0, 1))))
+
+
+def painter(splats: int = 2, looker: Looker | None = None) -> Painter:
+    """A painter without Mitsuba."""
+    return Painter(exhibit(splats), blobs, looker)

@@ -1,0 +1,105 @@
+"""Orbits: the camera of sliders and mouse is the one that `mi-splat render` takes, and none gets lost on the way."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mi_splat.camera_sets import hemisphere
+from mi_splat.cameras import Camera, look_at
+from mi_splat.errors import InvalidValueError
+from mi_splat.scene_files import orbit_camera
+from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
+from tests.gaussians import random_scene
+
+ANGLE, LENGTH = st.floats(0, 359.99), st.floats(0.1, 50)
+ELEVATION = st.floats(-90, 90)
+
+
+def orbit(azimuth: float = 30.0, elevation: float = 20.0, distance: float = 5.0) -> Orbit:
+    return Orbit(target=(1.0, 2.0, 0.5), azimuth=azimuth, elevation=elevation, distance=distance, fov=50.0)
+
+
+@given(ANGLE, ELEVATION, LENGTH)
+def test_the_camera_is_that_of_render(azimuth: float, elevation: float, distance: float) -> None:
+    ours = orbit(azimuth, elevation, distance).camera((64, 48))
+    theirs = orbit_camera(
+        random_scene(5),
+        azimuth=azimuth,
+        elevation=elevation,
+        distance=distance,
+        fov=50.0,
+        size=(64, 48),
+        centre=(1.0, 2.0, 0.5),
+    )
+    assert torch.equal(ours.to_world, theirs.to_world)
+    assert (ours.fx, ours.fy) == (theirs.fx, theirs.fy)
+
+
+@given(ANGLE, ELEVATION, LENGTH)
+def test_a_camera_s_orbit_gives_the_camera_back(azimuth: float, elevation: float, distance: float) -> None:
+    camera = orbit(azimuth, elevation, distance).camera((64, 48))
+    found = orbit_of(camera, (1.0, 2.0, 0.5))
+    assert found is not None
+    assert torch.allclose(found.camera((64, 48)).to_world, camera.to_world, atol=1e-6 * distance)
+    assert found.fov == pytest.approx(50.0)
+
+
+@given(ANGLE, st.floats(-89.9, 89.9), LENGTH)
+def test_a_pose_from_the_browser_is_followed_in_short_numbers(
+    azimuth: float, elevation: float, distance: float
+) -> None:
+    there = orbit(azimuth, elevation, distance)
+    moved = orbit(200.0, -5.0, 3.0).moved(there.position, there.target)
+    assert moved.is_at(there.position, there.target)
+    assert moved.target == there.target  # it was not moved, and so was not rounded
+    assert moved.azimuth == round(moved.azimuth, 2)
+    assert moved.distance == round(moved.distance, 4)
+
+
+def test_straight_above_the_azimuth_is_kept() -> None:
+    above = orbit(123.0)
+    x, y, z = above.target
+    moved = above.moved((x, y, z + 4), (x, y, z))
+    assert (moved.azimuth, moved.elevation, moved.distance) == (123.0, 90.0, 4.0)
+
+
+@pytest.mark.parametrize("position", [(1.0, 2.0, 0.5), (math.nan, 0.0, 0.0), (math.inf, 0.0, 0.0)])
+def test_a_pose_that_is_none_changes_nothing(position: tuple[float, float, float]) -> None:
+    assert orbit().moved(position, orbit().target) == orbit()
+
+
+def test_a_pan_moves_the_target() -> None:
+    moved = orbit().moved((5.0, 5.0, 5.0), (4.00004, 1.0, 1.0))
+    assert moved.target == (4.0, 1.0, 1.0)
+    assert not orbit().is_at((5.0, 5.0, 5.0), (4.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("wrong", [{"elevation": 91.0}, {"distance": 0.0}, {"fov": 180.0}, {"azimuth": math.nan}])
+def test_wrong_numbers_are_refused(wrong: dict[str, float]) -> None:
+    numbers = {"azimuth": 0.0, "elevation": 0.0, "distance": 1.0, "fov": 45.0, **wrong}
+    with pytest.raises(InvalidValueError, match="orbit: expected"):
+        Orbit(target=(0, 0, 0), **numbers)
+
+
+def test_cameras_that_no_orbit_has() -> None:
+    pose = look_at((5, 0, 1), (0, 0, 0), up=(0, 1, 1))
+    upright = look_at((5, 0, 1), (0, 0, 0))
+    cameras = [
+        Camera(to_world=pose, focal=50, width=64, height=64),
+        Camera(to_world=upright, focal=(50, 60), width=64, height=64),
+        Camera(to_world=upright, focal=50, width=64, height=64, principal=(20, 32)),
+    ]
+    assert [orbit_of(camera, (0, 0, 0)) for camera in cameras] == [None] * 3
+    assert orbit_of(Camera(to_world=upright, focal=50, width=64, height=64), (9, 0, 2)) is None  # behind it
+
+
+def test_the_focus_is_what_all_cameras_look_at() -> None:
+    cameras = hemisphere((1.0, -2.0, 0.7), count=12, distance=5, focal=50, size=(64, 64))
+    assert focus_of(cameras, (0, 0, 0)) == pytest.approx((1.0, -2.0, 0.7))
+    assert focus_of(cameras[:1], (3, 3, 3)) == (3, 3, 3)
+    assert focus_of([], (3, 3, 3)) == (3, 3, 3)

@@ -1,0 +1,207 @@
+"""The server of the page, over HTTP and a websocket, without a browser."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from torch import Tensor
+
+pytest.importorskip("viser", reason="needs the extra `view`")
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.viewer.exhibit import Inspection
+from mi_splat.viewer.guard import COOKIE
+from mi_splat.viewer.page import Page, check_port
+from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.session import Pace, Step, ViewState
+from tests.viewer.exhibits import START, Looker, painter
+from tests.viewer.wire import Browser, connection, headers_of
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
+FULL = (80, 160)
+
+
+@contextmanager
+def serving(work: Painter) -> Iterator[Page]:
+    """A page whose pictures another thread makes."""
+    stop = threading.Event()
+    with Page(work, port=0) as page:
+        thread = threading.Thread(target=page.run, args=(stop,))
+        thread.start()
+        try:
+            yield page
+        finally:
+            stop.set()
+            thread.join()
+
+
+@contextmanager
+def visiting(work: Painter) -> Iterator[Browser]:
+    """A browser on a page; it has the first camera and a window of 160 x 80."""
+    with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
+        browser.look(START)
+        yield browser
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    with serving(painter()) as page:
+        yield page
+
+
+def fetch(address: str, headers: dict[str, str]) -> tuple[int, str, dict[str, str]]:
+    """Status, text and headers of an answer."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+            return answer.status, answer.read().decode(), dict(answer.headers)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read().decode(), {}
+
+
+def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
+    bare = page.address.partition("?")[0]
+    status, text, headers = fetch(page.address, {})
+    assert (status, "<html" in text) == (200, True)
+    assert headers["Content-Security-Policy"].startswith("default-src 'self'")
+    assert fetch(bare, {"Cookie": headers["Set-Cookie"].partition(";")[0]})[0] == 200
+    assert fetch(bare, {})[0] == 403
+    assert fetch(bare + "?token=wrong", {})[0] == 403
+    assert fetch(page.address, {"Host": "evil.example"})[0] == 403
+    assert fetch(page.address, {"Origin": "http://evil.example"})[0] == 403
+
+
+@pytest.mark.parametrize("case", ["no token", "wrong token", "another page"])
+def test_a_websocket_needs_the_token_too(page: Page, case: str) -> None:
+    from websockets.exceptions import InvalidStatus
+
+    headers = {"no token": {}, "wrong token": {"Cookie": f"{COOKIE}=x"}}.get(case, headers_of(page.address))
+    origin = "http://evil.example" if case == "another page" else None
+    with pytest.raises(InvalidStatus, match="403"), connection(page.address, headers, origin=origin):
+        pass
+
+
+def test_pictures_are_the_painter_s() -> None:
+    work = painter()
+    with visiting(work) as browser:
+        first = browser.picture()
+        assert first.shape[1] < FULL[1]  # coarse
+        full = browser.picture(FULL)
+    state = ViewState(orbit=START, show="side by side", canvas=(160, 80))
+    expected = work.paint(state, Step.FULL, Pace()).pixels
+    assert np.abs(full.astype(int) - expected).mean() < 3  # JPEG
+
+
+def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
+    work = painter()
+    with visiting(work) as browser:
+        browser.picture(FULL)
+        time.sleep(0.6)  # until the browser is listened to
+        there = replace(START, azimuth=200.0, elevation=-10.0, distance=9.0)
+        browser.look(there)
+        browser.picture()
+        pixels = browser.picture(FULL)
+        state = ViewState(orbit=there, show="side by side", canvas=(160, 80))
+        assert np.abs(pixels.astype(int) - work.paint(state, Step.FULL, Pace()).pixels).mean() < 3
+        uuid = browser.control("Azimuth")["uuid"]
+        values = [m["updates"]["value"] for m in browser.messages if m.get("uuid") == uuid and "updates" in m]
+        assert values[-1] == 200.0
+
+
+def test_a_control_moves_the_camera() -> None:
+    work = painter(looker=Looker())
+    with visiting(work) as browser:
+        slider = browser.control("Elevation")
+        browser.picture(FULL)
+        browser.say("GuiUpdateMessage", uuid=slider["uuid"], updates={"value": 70.0})
+        told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
+        assert np.allclose(told["position"], replace(START, elevation=70.0).position)
+        expected = painter(looker=Looker()).inspect("clean", replace(START, elevation=70.0)).text
+        browser.until(lambda message: expected in str(message.get("updates", {})))
+
+
+@pytest.mark.parametrize("value", [float("nan"), 1e9, "text", None])
+def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
+    with visiting(painter(1)) as browser:
+        before = browser.picture(FULL)
+        uuid = browser.control("Elevation")["uuid"]
+        browser.say("GuiUpdateMessage", uuid=uuid, updates={"value": value})
+        other = browser.control("Azimuth")["uuid"]
+        browser.say("GuiUpdateMessage", uuid=other, updates={"value": START.azimuth + 1})
+        assert np.abs(browser.picture(FULL).astype(int) - before).mean() < 5
+
+
+def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
+    work = painter(looker=Looker())
+    looker = work.inspector
+    assert looker is not None
+
+    def fail(picture: Tensor) -> Inspection:
+        raise InvalidValueError("picture: expected another, got this; look elsewhere")
+
+    work.inspector = fail
+    with visiting(work) as browser:
+        browser.until(lambda message: "look elsewhere" in str(message.get("updates", {})))
+        work.inspector = looker
+        elevation = browser.control("Elevation")["uuid"]
+        browser.say("GuiUpdateMessage", uuid=elevation, updates={"value": 70.0})
+        browser.until(lambda message: "mean colour" in str(message.get("updates", {})))
+
+
+def test_other_machines_need_the_token_under_any_name() -> None:
+    with Page(painter(1), host="0.0.0.0", port=0) as page:
+        assert page.address.startswith("http://127.0.0.1:")
+        bare = page.address.partition("?")[0]
+        assert fetch(page.address, {"Host": "server.example"})[0] == 200
+        assert fetch(bare, {"Host": "server.example"})[0] == 403
+
+
+def test_nobody_can_open_the_page_to_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    from viser import _viser
+
+    asked: list[object] = []
+    monkeypatch.setattr(_viser, "ViserTunnel", lambda *arguments: asked.append(arguments))
+    with visiting(painter(1)) as browser:
+        browser.say("ShareUrlRequest")
+        browser.picture(FULL)
+    assert not asked
+
+
+def test_closing_leaves_no_thread_and_frees_the_port(capsys: pytest.CaptureFixture[str]) -> None:
+    before = set(threading.enumerate())
+    with serving(painter(1)) as page:
+        port = urlsplit(page.address).port
+        assert port is not None
+        with connection(page.address, headers_of(page.address)) as browser:
+            browser.look(START)
+            browser.picture()
+        with pytest.raises(InvalidValueError, match="expected a free port"):
+            check_port("127.0.0.1", port)
+    end = time.monotonic() + 10
+    while set(threading.enumerate()) - before and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not set(threading.enumerate()) - before
+    check_port("127.0.0.1", port)
+    assert capsys.readouterr().out == ""
+
+
+def test_a_taken_port_is_not_left_for_another() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InvalidValueError, match=r"port \d+: expected a free port.*--port 0"):
+            Page(painter(1), port=taken.getsockname()[1])
+    with pytest.raises(InvalidValueError, match="expected a free port"):
+        check_port("127.0.0.1", 99999)
+    with pytest.raises(InvalidValueError, match="expected a free port"):
+        check_port("203.0.113.9", 0)

@@ -1,0 +1,208 @@
+"""Results of attacks as exhibits: both splats, the cameras and numbers of the result, words where one is broken."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from attacks import cli
+from attacks.cloak.study import setup
+from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig
+from attacks.cloak.study.report import SUMMARY
+from attacks.cloak.study.snapshots import snapshot
+from attacks.detectors import load_detector
+from attacks.viewing.detections import DetectorInspection, detector_inspector
+from attacks.viewing.results import middle_of_change, open_exhibit
+from attacks.viewing.studies import region
+from mi_splat.directions import direction_of
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.rendering import Renderer
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.painter import Painter
+from tests.fakes import ColourDetector
+from tests.project.layers import ROOT
+from tests.viewer.exhibits import ball
+
+STREET = ROOT / "scenes" / "car_street.xml"
+STUDY = StudyConfig(
+    name="small",
+    cameras=CameraConfig(train=30, size=64, distance=7.0),
+    attack=(
+        AttackConfig(name="overhead", elevation=(50.0, 90.0)),
+        AttackConfig(name="rear", elevation=(0.0, 40.0), azimuth=(180.0, 30.0), poison_fraction=0.5),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
+    """What one step of DAGGER leaves behind."""
+    out = tmp_path_factory.mktemp("result") / "dagger"
+    words = ["dagger", str(STREET), "--steps", "1", "--noise-draws", "1", "--eps", "5", "--out", str(out)]
+    assert cli.main(words) == 0
+    return out
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """What a study of CLOAK leaves behind, as far as it is read."""
+    for name, colour in (("clean", (0.8, 0.1, 0.1)), ("cloaked", (0.1, 0.8, 0.1))):
+        save_splat(ball(colour), tmp_path / f"{name}.ply")
+    (tmp_path / SUMMARY).write_text(json.dumps({"study": snapshot(STUDY)}))
+    return tmp_path
+
+
+def test_the_numbers_are_those_of_the_result(result: Path) -> None:
+    found = open_exhibit(result, clean=STREET)
+    work = Painter(found, Renderer(found.settings), detector_inspector(load_detector("fasterrcnn_small")))
+    listed = json.loads((result / "result.json").read_text())
+    assert found.size == tuple(listed["views"][0]["camera"]["size"])
+    for name in ("clean", "attacked"):
+        inspection = work.inspect(name, found.cameras["attacked view 0"])
+        assert isinstance(inspection, DetectorInspection)
+        expected = listed["views"][0][name]
+        assert list(inspection.detections.labels) == [line["label"] for line in expected]
+        # Angles of a pose that Mitsuba keeps in single precision: a few pixels differ by 1/255.
+        assert inspection.detections.scores.tolist() == pytest.approx([line["score"] for line in expected], abs=1e-3)
+        assert inspection.text.startswith(f"{expected[0]['label']} {inspection.detections.scores[0]:.1%}")
+    assert work.likeness(found.start) == pytest.approx(listed["image_psnr"], abs=0.05)
+
+
+def test_a_result_s_cameras_come_first_and_go_around_the_attacked_object(result: Path) -> None:
+    found = open_exhibit(result, clean=STREET)
+    assert found.names == ("clean", "attacked")
+    assert list(found.cameras)[:2] == ["attacked view 0", "front"]
+    assert found.start == found.cameras["attacked view 0"]
+    assert max(abs(value) for value in found.start.target) < 1.5  # the car stands at the origin
+    assert set(found.lines) == {"Attacked cameras"}
+
+
+def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(ROOT)
+    assert open_exhibit(result).splat("clean").path == Path("scenes/car_street.xml")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InvalidValueError, match="no such scene here; name it with --clean"):
+        open_exhibit(result)
+    with pytest.raises(InvalidValueError, match=r"expected the hash .*pass the scene that was attacked"):
+        open_exhibit(result, clean=ROOT / "scenes" / "stop_sign.xml")
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"views": [{}], "scene_hash": "x"}', '{"views": 3}'])
+def test_a_broken_result_is_told(content: str, tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text(content)
+    with pytest.raises(InvalidValueError, match=r"result\.json: expected"):
+        open_exhibit(tmp_path, clean=STREET)
+
+
+def test_a_folder_of_something_else_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match=r"expected result\.json .* or summary\.json"):
+        open_exhibit(tmp_path)
+    with pytest.raises(MiSplatError, match="expected"):
+        open_exhibit(tmp_path / "none.ply")
+
+
+def test_the_middle_of_what_changed() -> None:
+    clean = ball((0.5, 0.5, 0.5))
+    sh = clean.sh.clone()
+    sh[3:5] += 0.5
+    expected = clean.means[3:5].mean(0).tolist()
+    assert middle_of_change(clean, replace(clean, sh=sh)) == pytest.approx(expected)
+    middle_of_change(clean, clean)  # nothing has: the middle of all
+    with pytest.raises(InvalidValueError, match=r"attacked\.ply: expected 20 Gaussians, got 21"):
+        middle_of_change(clean, ball((0.5, 0.5, 0.5), 21))
+
+
+def test_a_study_shows_both_splats_from_its_cameras(study: Path) -> None:
+    found = open_exhibit(study)
+    assert found.names == ("clean", "cloaked")
+    assert found.settings.background == STUDY.scene.background
+    assert found.size == (64, 64)
+    assert list(found.cameras) == ["start", "inside overhead", "inside rear"]
+    centre = setup.centre_of(STUDY)
+    for attack in STUDY.attack:
+        camera = found.cameras[f"inside {attack.name}"].camera((8, 8))
+        assert attack.cone.angle_to_edge(camera, centre=centre) > 10
+    trained = setup.training_cameras(STUDY, setup.target_of(STUDY.scene))
+    drawn = [len(found.lines[name].segments) / 8 for name in ("Poisoned cameras", "Other training cameras")]
+    assert sum(drawn) == len(trained)
+    assert found.start.distance == pytest.approx(7.0)
+    assert found.start.camera((64, 64)).fx == pytest.approx(trained[0].fx)
+
+
+def test_where_a_camera_stands_is_said(study: Path) -> None:
+    found = open_exhibit(study)
+    above = replace(found.start, elevation=62.5).camera((8, 8))
+    overhead, rear = found.place(above)
+    assert overhead == "Trigger overhead: 12.5° inside"
+    assert "outside" in rear
+
+
+@pytest.mark.parametrize("attack", STUDY.attack, ids=lambda attack: str(attack.name))
+def test_a_region_s_edge_is_the_trigger_s(attack: AttackConfig) -> None:
+    """Every point of a parallel or a meridian that is an edge has no depth; inside points lie on the drawn sphere."""
+    centre = (0.0, 0.0, 0.7)
+    points = region(attack, centre, 3.0).reshape(-1, 3)
+    assert torch.allclose((points - torch.tensor(centre)).norm(dim=1), torch.tensor(3.0, dtype=torch.float64))
+    depths = []
+    for x, y, z in points.tolist():
+        orbit = Orbit(target=(x, y, z), azimuth=0.0, elevation=0.0, distance=1e-6, fov=45.0)
+        camera = orbit.camera((8, 8))
+        assert direction_of(camera, centre).elevation >= -0.1
+        depths.append(attack.cone.angle_to_edge(camera, centre=centre))
+    assert min(depths) > -0.1
+    assert sum(abs(depth) < 0.1 for depth in depths) >= len(depths) / 5
+
+
+def _without(key: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    return lambda summary: {**summary, "study": {k: v for k, v in summary["study"].items() if k != key}}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda summary: {}, "a summary of a study of CLOAK"),
+        (_without("name"), "the key name"),
+        (lambda summary: {"study": {**summary["study"], "colour": 3}}, "colour"),
+    ],
+)
+def test_a_broken_study_is_told(study: Path, change: Callable[[dict[str, Any]], dict[str, Any]], words: str) -> None:
+    (study / SUMMARY).write_text(json.dumps(change(json.loads((study / SUMMARY).read_text()))))
+    with pytest.raises(MiSplatError, match=words):
+        open_exhibit(study)
+
+
+def test_a_study_without_its_splat_is_told(study: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="clean: expected nothing"):
+        open_exhibit(study, clean=STREET)
+    copy = tmp_path / "copy"
+    shutil.copytree(study, copy, ignore=shutil.ignore_patterns("copy", "cloaked.ply"))
+    with pytest.raises(MiSplatError, match=r"cloaked\.ply"):
+        open_exhibit(copy)
+    assert len(load_splat(copy / "clean.ply")) == 20
+
+
+def test_detections_in_words_and_boxes() -> None:
+    picture = torch.zeros(40, 40, 3)
+    picture[8:28, 8:28, 0] = 1.0
+    detector = ColourDetector()
+    inspection = detector_inspector(detector)(picture)
+    (expected,) = detector.detect(picture[None])
+    assert isinstance(inspection, DetectorInspection)
+    assert inspection.text.startswith(f"car {float(expected.scores[0]):.1%}")
+    nothing = detector_inspector(detector)(torch.zeros(40, 40, 3))
+    assert nothing.text == "nothing at 30% or more"
+    from PIL import Image, ImageDraw
+
+    image = Image.new("RGB", (80, 80))
+    inspection.draw(ImageDraw.Draw(image), 2.0)
+    left, _, right, bottom = (2 * float(value) for value in expected.boxes[0])
+    assert image.getpixel((round((left + right) / 2), round(bottom))) != (0, 0, 0)
+    assert image.getpixel((78, 78)) == (0, 0, 0)
