@@ -47,6 +47,8 @@ python_maximum_signature_line_length = 90
 toc_object_entries_show_parents = "hide"
 add_module_names = False
 
+smartquotes = False  # two hyphens are an option, not a dash
+
 html_theme = "sphinx_book_theme"
 html_title = "mi-splat"
 html_static_path = ["static"]
@@ -55,6 +57,7 @@ html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
 html_theme_options = {
+    "navbar_persistent": [],  # one search field is enough
     "show_navbar_depth": 1,
     "show_toc_level": 2,
     "use_download_button": False,
