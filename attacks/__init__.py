@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from attacks.dagger.config import DaggerConfig
     from attacks.dagger.report import write_report
     from attacks.detectors import load_detector
+    from attacks.evaluation.comparison import compare
     from attacks.evaluation.rates import rates
-    from attacks.evaluation.views import evaluate
+    from attacks.evaluation.views import detect_views, evaluate
     from attacks.objectives import hide, relabel, untargeted
 
 __all__ = [
@@ -27,6 +28,8 @@ __all__ = [
     "Elevation",
     "Poisoning",
     "attack",
+    "compare",
+    "detect_views",
     "evaluate",
     "hide",
     "load_detector",
@@ -46,8 +49,9 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.dagger.config": ("DaggerConfig",),
         "attacks.dagger.report": ("write_report",),
         "attacks.detectors": ("load_detector",),
+        "attacks.evaluation.comparison": ("compare",),
         "attacks.evaluation.rates": ("rates",),
-        "attacks.evaluation.views": ("evaluate",),
+        "attacks.evaluation.views": ("detect_views", "evaluate"),
         "attacks.objectives": ("hide", "relabel", "untargeted"),
     },
 )

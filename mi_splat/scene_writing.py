@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
-from mi_splat.io.documents import save_text
+from mi_splat.io.documents import file_name, save_text
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene
@@ -41,7 +40,7 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
     _integrator(root, loaded.settings)
     files: list[Path] = []
     for name, rows in loaded.objects.items():
-        file = path.with_name(f"{path.stem}_{_file_name(name)}.ply")
+        file = path.with_name(f"{path.stem}_{file_name(name)}.ply")
         if file in files:  # two names may differ in what a file name cannot hold
             file = file.with_stem(f"{file.stem}_{len(files)}")
         save_splat(scene.select(rows), file)
@@ -53,11 +52,6 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
     ElementTree.indent(root, "    ")
     save_text(ElementTree.tostring(root, encoding="unicode") + "\n", path)
     return [*files, path]
-
-
-def _file_name(name: str) -> str:
-    """A part's name as a file may have it."""
-    return re.sub(r"[^\w.-]", "_", name)
 
 
 def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:

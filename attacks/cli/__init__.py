@@ -25,11 +25,13 @@ class Command(NamedTuple):
     """A subcommand.
 
     Attributes:
-        package: Where its module is, and in `options` beside it the dataclass of its options.
+        package: Where its module is, and beside it the one of its options.
         options: Name of that dataclass.
         module: Name of the module, whose `run(options)` does the work.
         summary: One line of help.
-        defaults: Name of a function in `options` that reads from the words what other flags depend on; empty for none.
+        defaults: Name of a function beside the options that reads from the words what other flags depend on; empty for
+            none.
+        options_module: Name of the module that has the options.
     """
 
     package: str
@@ -37,6 +39,7 @@ class Command(NamedTuple):
     module: str
     summary: str
     defaults: str = ""
+    options_module: str = "options"
 
 
 COMMANDS = {
@@ -87,19 +90,25 @@ COMMANDS = {
         "the detectors, their classes, and whether the weights are there",
     ),
     "train-detector": Command(
-        "attacks.cli", "TrainDetectorOptions", "train_detector", "train one of the project's small detectors"
+        "attacks.cli",
+        "TrainDetectorOptions",
+        "train_detector",
+        "train one of the project's small detectors",
+        options_module="training_options",
     ),
     "evaluate-detector": Command(
         "attacks.cli",
         "EvaluateDetectorOptions",
         "evaluate_detector",
         "mAP and false positives per picture of a small detector on held-out pictures",
+        options_module="training_options",
     ),
     "plot-detector-training": Command(
         "attacks.cli",
         "PlotDetectorTrainingOptions",
         "plot_detector_training",
         "draw losses and validation mAP of a detector's training",
+        options_module="training_options",
     ),
     "doctor": Command(
         "attacks.cli",

@@ -22,6 +22,7 @@ from mi_splat.scene_files import SplatScene, open_scene
 from mi_splat.scene_writing import write_scene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.masks import save_mask
+from mi_splat.selection.select import doubts, require_visible
 
 DEFAULT_OBJECT = "car"
 """Part that is attacked if nothing else is said."""
@@ -35,6 +36,8 @@ def run(options: DaggerOptions) -> int:
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
         chosen = choose(loaded, _selection(loaded, options), options.view)
+        weights = chosen.weights(loaded)
+        require_visible(weights)
         detector = load_detector(options.detector, weights=options.weights)
         advance("attacking", 0)
         result = attack(
@@ -47,7 +50,11 @@ def run(options: DaggerOptions) -> int:
             config=config,
             on_step=_follow(advance),
         )
-        result = dataclasses.replace(result, origin={**result.origin, **_origin(loaded, chosen, options)})
+        result = dataclasses.replace(
+            result,
+            origin={**result.origin, **_origin(loaded, chosen, options)},
+            warnings=(*doubts(chosen.mask, weights), *result.warnings),
+        )
         with new_folder(options.out, force=options.force) as folder:
             written = [*write_files(result, folder), *_write_parts(loaded, chosen, result, folder)]
         files = {path.name: options.out / path.name for path in written}

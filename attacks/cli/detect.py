@@ -22,7 +22,7 @@ from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.ranges import UsageError
 from mi_splat.datasets.pictures import SUFFIXES, read_picture
 from mi_splat.errors import message
-from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.documents import file_name, save_json, save_png
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
@@ -50,9 +50,9 @@ class Seen:
 
     @property
     def name(self) -> str:
-        """What the picture is called."""
+        """What the picture with boxes is called."""
         camera = "" if self.camera is None else f"-{self.camera['name']}"
-        return f"{self.source.stem}{camera}-{self.detector}"
+        return file_name(f"{self.source.stem}{camera}-{self.detector}")
 
 
 def run(options: DetectOptions) -> int:

@@ -20,6 +20,7 @@ from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD as RESULT
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import open_scene
+from mi_splat.selection.select import doubts
 
 RECORD, ATTACKED = "evaluation.json", "attacked"
 FEW = 10
@@ -64,7 +65,7 @@ def run(options: EvaluateOptions) -> int:
             )
             for detector in detectors
         ]
-        doubts = _doubts(found, chosen.cameras, options.attacked)
+        reasons = [*doubts(chosen.mask, {}), *_doubts(found, chosen.cameras, options.attacked)]
         document = {
             "clean": str(options.clean),
             "attacked": str(options.attacked),
@@ -73,18 +74,24 @@ def run(options: EvaluateOptions) -> int:
             "min_confidence": options.min_confidence,
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
             "detectors": {comparison.detector: comparison.as_dict() for comparison in found},
-            "warnings": doubts,
+            "warnings": reasons,
             "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         }
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
             for detector in detectors if options.pictures else ():
-                drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=detector.name, most=options.pictures)
+                drawn = side_by_side(
+                    seen[CLEAN],
+                    seen[ATTACKED],
+                    detector=detector.name,
+                    most=options.pictures,
+                    names=list(chosen.cameras),
+                )
                 save_png(drawn, folder / f"{detector.name}.png")
             save_json(document, folder / RECORD)
     if options.json:
         show_json({**document, "out": str(options.out)})
     else:
-        _tell(found, doubts, options)
+        _tell(found, reasons, options)
     return 0
 
 
@@ -98,19 +105,19 @@ def _check_class(name: str | None, classes: Mapping[str, tuple[str, ...]]) -> No
 
 def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Path) -> list[str]:
     """Reasons to look twice before the rates are believed."""
-    doubts = []
+    reasons = []
     same = _attacked_cameras(attacked, cameras)
     if same:
-        doubts.append(f"{same} of {len(cameras)} cameras are those that were attacked: pass others, with --cameras")
+        reasons.append(f"{same} of {len(cameras)} cameras are those that were attacked: pass others, with --cameras")
     for one in found:
         if one.views < FEW:
-            doubts.append(f"{one.detector}: the object shows in {one.views} of {len(cameras)} views, which says little")
+            reasons.append(f"{one.detector}: the object shows in {one.views} of {len(cameras)} views: few")
         if one.original is None:
-            doubts.append(f"{one.detector} finds nothing on the clean object, so that it is missed proves nothing")
+            reasons.append(f"{one.detector} finds nothing on the clean object, so that it is missed proves nothing")
         elif one.found_clean.fraction < 0.5:
             rate = one.found_clean
-            doubts.append(f"{one.detector} finds the clean object in {rate.successes} of {rate.total} views only")
-    return doubts
+            reasons.append(f"{one.detector} finds the clean object in {rate.successes} of {rate.total} views only")
+    return reasons
 
 
 def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
@@ -119,7 +126,7 @@ def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
     return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
 
 
-def _tell(found: list[Comparison], doubts: list[str], options: EvaluateOptions) -> None:
+def _tell(found: list[Comparison], reasons: list[str], options: EvaluateOptions) -> None:
     """A table for each detector, and where to look."""
     for one in found:
         of = "any object" if one.original is None else one.original
@@ -130,8 +137,8 @@ def _tell(found: list[Comparison], doubts: list[str], options: EvaluateOptions) 
         ]
         change = "the same" if one.psnr is None else f"{one.psnr:.1f} dB"
         show_table([*rows, ("  pictures, attacked against clean", change)])
-    for doubt in doubts:
-        warn(f"warning: {doubt}")
+    for reason in reasons:
+        warn(f"warning: {reason}")
     show(f"{options.out}: pictures side by side, and {RECORD}")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from attacks.cli.options import EvaluateDetectorOptions
+from attacks.cli.training_options import EvaluateDetectorOptions
 from attacks.detectors.base import Detector
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.evaluate import (

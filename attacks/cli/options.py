@@ -10,11 +10,8 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
-from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.selection.config import Selection
-
-SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,78 +238,3 @@ class DoctorOptions:
 
     json: bool = False
     """Print the findings as one JSON document on stdout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainDetectorOptions:
-    """Train a small detector from nothing, on path-traced pictures and splats that are made first.
-
-    A training that was interrupted goes on where it stopped when the same command is given again.
-    """
-
-    detector: SmallDetector = "fasterrcnn_small"
-    """Which one; yolov8n_small needs the extra `yolo`."""
-    data: Path = Path("out/detector-data")
-    """Folder of the pictures; what is missing in it is made first."""
-    out: Path = Path("out/detector")
-    """Folder of checkpoint.safetensors, curves.json and best.safetensors, the best weights so far."""
-    sets: TrainingSetConfig = field(default_factory=TrainingSetConfig)
-    """How many pictures of each kind."""
-    validate_every: int = 2
-    """Epochs between two validations."""
-    processes: int = 2
-    """Processes that make pictures; 0 makes them in this one."""
-    threads: int = 2
-    """Threads that train."""
-    only_data: bool = False
-    """Stop when the pictures are made."""
-    start: Path | None = None
-    """Weights to begin from instead of pretraining."""
-    config: TrainConfig = field(default_factory=TrainConfig)
-    """The training itself."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EvaluateDetectorOptions:
-    """Score a small detector on objects, cameras, lights and surroundings that it was not trained on.
-
-    Average precision by class, and false positives per picture at a confidence of 0.5: of pictures with objects, and of
-    streets, parks, rooms, grounds and random surroundings without any.
-    """
-
-    detector: SmallDetector = "fasterrcnn_small"
-    """Which one; yolov8n_small needs the extra `yolo`."""
-    weights: Path | None = None
-    """Weights to score; None takes the shipped ones."""
-    data: Path = Path("out/detector-data")
-    """Folder of the pictures; what is missing in it is made first."""
-    out: Path = Path("out/detector/held-out.json")
-    """JSON file for the figures."""
-    pictures: int = 240
-    """Path-traced pictures with objects."""
-    samples: int = 24
-    """Samples per pixel in them."""
-    splats: int = 32
-    """Scenes that are made into splats; 0 leaves them out."""
-    splat: SplatConfig = field(default_factory=SplatConfig)
-    """How splats are made."""
-    backgrounds: BackgroundConfig = field(default_factory=BackgroundConfig)
-    """Pictures without any object."""
-    scenes: tuple[Path, ...] = ()
-    """Scene XMLs of splats to score as well, from all their cameras; shapes whose id is a class are their objects."""
-    processes: int = 2
-    """Processes that make pictures; 0 makes them in this one."""
-    threads: int = 1
-    """Threads of torch."""
-    json: bool = False
-    """Print the figures as one JSON document on stdout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlotDetectorTrainingOptions:
-    """Draw losses and validation mAP of a training by epoch; needs the extra `figures`."""
-
-    curves: Positional[Path] = Path("out/detector/curves.json")
-    """JSON file with the history of a training."""
-    out: Path = Path("out/detector/curves.png")
-    """Picture to write."""

@@ -38,7 +38,7 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
     Raises:
         UsageError: A number is out of its range.
     """
-    module, program = importlib.import_module(f"{command.package}.options"), f"{PROGRAM} {name}"
+    module, program = importlib.import_module(f"{command.package}.{command.options_module}"), f"{PROGRAM} {name}"
     kind = getattr(module, command.options)
     default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
     options = tyro.cli(

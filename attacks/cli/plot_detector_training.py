@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from attacks.cli.options import PlotDetectorTrainingOptions
+from attacks.cli.training_options import PlotDetectorTrainingOptions
 from attacks.detectors.training.curves import draw_curves
 from mi_splat.cli.console import show
 

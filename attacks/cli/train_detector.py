@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from attacks.cli.options import TrainDetectorOptions
+from attacks.cli.training_options import TrainDetectorOptions
 from attacks.detectors.training.loop import Training
 from attacks.detectors.training.train import train, trainer_of, training_pictures
 from mi_splat.cli.console import progress, show, warn

@@ -136,7 +136,12 @@ def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
 
 
 def side_by_side(
-    clean: Sequence[ViewDetections], attacked: Sequence[ViewDetections], *, detector: str, most: int
+    clean: Sequence[ViewDetections],
+    attacked: Sequence[ViewDetections],
+    *,
+    detector: str,
+    most: int,
+    names: Sequence[str] = (),
 ) -> NDArray[np.uint8]:
     """Boxes on the clean pictures (left) and the attacked ones (right), views below one another.
 
@@ -145,6 +150,7 @@ def side_by_side(
         attacked: The attacked scene, from the same cameras.
         detector: Whose boxes.
         most: Views shown, evenly out of all.
+        names: Of the cameras; numbers if there are none.
     """
     before, after = ([view for view in views if view.detector == detector] for views in (clean, attacked))
     rows = [round(i * (len(before) - 1) / max(min(most, len(before)) - 1, 1)) for i in range(min(most, len(before)))]
@@ -152,7 +158,7 @@ def side_by_side(
         [
             np.concatenate(
                 [
-                    annotated(view.image, view.detections, f"{name}, view {row}")
+                    annotated(view.image, view.detections, f"{name}, {names[row] if names else row}")
                     for view, name in ((before[row], "clean"), (after[row], "attacked"))
                 ],
                 axis=1,

@@ -73,7 +73,7 @@ def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
     except (KeyError, TypeError, ValueError, IndexError) as error:
         do = "make the result again with mi-splat dagger"
         raise InvalidValueError(message(str(folder / RESULT), "a result of DAGGER", repr(error), do)) from error
-    path, settings, splat = _clean_scene(folder, expected, clean)
+    path, settings, splat = _clean_scene(folder, expected, clean, recorded=result.get("scene"))
     attacked = open_scene(folder / ATTACKED).scene
     radius, middle = bounds(splat.scene)[1], middle_of_change(splat.scene, attacked)
     found = {f"attacked view {i}": orbit_of(camera, middle) for i, camera in enumerate(views)}
@@ -113,9 +113,12 @@ def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
     return x, y, z
 
 
-def _clean_scene(folder: Path, expected: str, clean: Path | None) -> tuple[Path, RenderSettings, ShownSplat]:
-    """The scene with this hash: the one that is named, or one of those near by."""
-    for path in [clean] if clean is not None else _scenes_near(folder):
+def _clean_scene(
+    folder: Path, expected: str, clean: Path | None, *, recorded: object
+) -> tuple[Path, RenderSettings, ShownSplat]:
+    """The scene with this hash: the one that is named, the one that the result names, or one of those near by."""
+    named = [Path(recorded)] if isinstance(recorded, str) and Path(recorded).is_file() else []
+    for path in [clean] if clean is not None else [*named, *_scenes_near(folder)]:
         try:
             loaded = open_scene(path)
         except MiSplatError:

@@ -19,7 +19,8 @@ class CameraOptions:
     cameras: Annotated[tuple[str, ...], arg(aliases=("--camera", "--views"))] = ()
     """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
     cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
-    command (its cameras again); the folder of a set of pictures (COLMAP or transforms)."""
+    command (its cameras again); the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures
+    (COLMAP or transforms)."""
     azimuth: float | None = None
     """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an orbit is used without it."""
     elevation: float | None = None

@@ -1,4 +1,8 @@
-"""Cameras in the JSON files that the commands write, so that a later command can look from the same places."""
+"""Cameras in the JSON files that the commands write, so that a later command can look from the same places.
+
+Also in the cameras.json that the trainer of 3D Gaussian Splatting (Kerbl et al. 2023) writes beside its splats: a list
+of objects with img_name, width, height, fx, fy, position (3,) and rotation (3, 3), camera to world with our axes.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,7 @@ def describe(name: str, camera: Camera) -> dict[str, object]:
 
 
 def recorded_cameras(path: Path) -> dict[str, Camera] | None:
-    """The cameras of a file that `mi-splat render`, `dagger` or `evaluate` has written, by name.
+    """The cameras, by name, of a file that `mi-splat render`, `dagger`, `evaluate` or the trainer of 3DGS has written.
 
     Args:
         path: cameras.json, result.json or evaluation.json.
@@ -43,7 +47,10 @@ def recorded_cameras(path: Path) -> dict[str, Camera] | None:
     if not entries:
         return None
     try:
-        return {str(entry.get("name", number)): _camera(entry) for number, entry in enumerate(entries)}
+        return {
+            str(entry.get("name", entry.get("img_name", number))): _camera(entry)
+            for number, entry in enumerate(entries)
+        }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         do = "write it again"
         raise InvalidValueError(message(str(path), "cameras as the commands write them", error, do)) from error
@@ -64,6 +71,12 @@ def _entries(document: Any) -> list[Any]:
 
 
 def _camera(entry: dict[str, Any]) -> Camera:
+    if "rotation" in entry:  # of the trainer of 3DGS
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3] = torch.tensor(entry["rotation"], dtype=torch.float64)
+        pose[:3, 3] = torch.tensor(entry["position"], dtype=torch.float64)
+        focal = (entry["fx"], entry["fy"])
+        return Camera(to_world=pose, focal=focal, width=entry["width"], height=entry["height"])
     width, height = entry["size"]
     fx, fy = entry["focal"]
     cx, cy = entry["principal"]

@@ -16,6 +16,8 @@ from mi_splat.cameras import Camera
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.datasets import load_dataset
+from mi_splat.datasets.colmap import find_model, read_model_cameras
+from mi_splat.datasets.transforms import find_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import is_rotation
@@ -57,7 +59,7 @@ def find_cameras(
     if options.cameras:
         found: dict[str, Camera] = {}
         for text in options.cameras:
-            for name, camera in _named(text, loaded, options, target).items():
+            for name, camera in _named(text, loaded, options, target):
                 found[name if name not in found else f"{name}-{len(found)}"] = camera
         return found
     if loaded.cameras and not options.orbits:
@@ -90,35 +92,48 @@ def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[st
     return settings
 
 
-def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> dict[str, Camera]:
-    """The cameras that one text means."""
-    if text in loaded.cameras:
-        return {text: _sized(loaded.cameras[text], options)}
-    if text == ALL and loaded.cameras:
-        return {name: _sized(camera, options) for name, camera in loaded.cameras.items()}
+def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> list[tuple[str, Camera]]:
+    """The cameras that one text means, with names that may not differ."""
     path = Path(text)
-    recorded = recorded_cameras(path) if path.suffix.lower() == ".json" else None
-    if recorded is not None:
-        return {name: _sized(camera, options) for name, camera in recorded.items()}
-    if path.suffix.lower() == ".json":
-        read = camera_set(text, (0, 0, 0), distance=1, focal=1, size=options.size or SIZE)
-        return _numbered(path.stem, [_sized(camera, options) for camera in read])
-    if path.is_dir():
-        pictures = load_dataset(path, split=None)
-        return {
-            file.stem: _sized(camera, options) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)
-        }
-    if ":" not in text:
+    if text in loaded.cameras:
+        found = [(text, loaded.cameras[text])]
+    elif text == ALL and loaded.cameras:
+        found = list(loaded.cameras.items())
+    elif path.suffix.lower() == ".json":
+        found = _listed(path, options)
+    elif path.is_dir():
+        found = _beside_pictures(path)
+    elif ":" in text:
+        centre, distance, focal = _placement(target, options)
+        cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
+        return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])
+    else:
         own = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
         raise InvalidValueError(message("camera", f"{own}; or {FORMS}, or a folder", text, "name one that is there"))
-    centre, distance, focal = _placement(target, options)
-    cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
-    return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])
+    return [(name, _sized(camera, options)) for name, camera in found]
 
 
-def _numbered(kind: str, cameras: list[Camera]) -> dict[str, Camera]:
+def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
+    """The cameras in a JSON file, of this program or a transforms file."""
+    recorded = recorded_cameras(path)
+    if recorded is not None:
+        return list(recorded.items())
+    # Of a file, centre, distance and focal length are not used.
+    return _numbered(path.stem, camera_set(str(path), (0, 0, 0), distance=1, focal=1, size=options.size or SIZE))
+
+
+def _beside_pictures(folder: Path) -> list[tuple[str, Camera]]:
+    """The cameras of a set of pictures by their names; those of a COLMAP model need no pictures."""
+    model = find_model(folder)
+    if model is not None and find_transforms(folder) is None:
+        return [(Path(name).stem, camera) for name, camera in read_model_cameras(model).items()]
+    pictures = load_dataset(folder, split=None)
+    return [(file.stem, camera) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)]
+
+
+def _numbered(kind: str, cameras: list[Camera]) -> list[tuple[str, Camera]]:
     width = len(str(len(cameras) - 1))
-    return {f"{kind}-{number:0{width}}": camera for number, camera in enumerate(cameras)}
+    return [(f"{kind}-{number:0{width}}", camera) for number, camera in enumerate(cameras)]
 
 
 def _sized(camera: Camera, options: CameraOptions) -> Camera:

@@ -11,17 +11,19 @@ import torch
 from mi_splat import provenance
 from mi_splat.camera_sets import camera_set, framing, held_out_set
 from mi_splat.cameras import Camera
-from mi_splat.capture.record import Inputs
+from mi_splat.capture.record import RECORD, Inputs
 from mi_splat.capture.sources import CaptureSource, open_source
 from mi_splat.capture.writer import WrittenCapture, write_capture
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.options import CaptureOptions
 from mi_splat.datasets.transforms import read_world_offset
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.folders import check_own_folder
 
 
 def run(options: CaptureOptions) -> int:
     """Capture, or go on with a capture, and say what was written."""
+    check_own_folder(options.out, RECORD)
     size = _size(options)
     _check_fov(options.fov)
     with progress("building the scene"):

@@ -17,8 +17,8 @@ from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.console import Advance, progress, show, show_json, warn
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.documents import file_name, save_json
+from mi_splat.io.folders import check_new_folder, check_writable, new_folder
 from mi_splat.io.images import to_bytes
 from mi_splat.io.pictures import check_animation, is_animation, is_picture, save_animation, save_picture
 from mi_splat.rendering import Renderer
@@ -71,6 +71,7 @@ def run(options: RenderOptions) -> int:
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     """Raise, before anything is rendered, unless --out can take these pictures."""
     out = options.out
+    check_writable(out.parent)
     if is_animation(out):
         check_animation(out)
     elif is_picture(out):
@@ -107,15 +108,15 @@ def _save(
         return [out]
     if is_picture(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        files = [out.with_name(out.name.replace(_PLACE, name)) for name in pictures]
+        files = [out.with_name(out.name.replace(_PLACE, file_name(name))) for name in pictures]
         for file, pixels in zip(files, pictures.values(), strict=True):
             save_picture(pixels, file)
         return files
     with new_folder(out, force=options.force, record=RECORD) as folder:
         for name, pixels in pictures.items():
-            save_picture(pixels, folder / f"{name}.png")
+            save_picture(pixels, folder / f"{file_name(name)}.png")
         save_json([describe(name, camera) for name, camera in cameras.items()], folder / RECORD)
-    return [*(out / f"{name}.png" for name in pictures), out / RECORD]
+    return [*(out / f"{file_name(name)}.png" for name in pictures), out / RECORD]
 
 
 def _warn_of_culling(scene: GaussianScene, cameras: Mapping[str, Camera], near: float) -> None:

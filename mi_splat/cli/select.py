@@ -16,6 +16,7 @@ from mi_splat.cli.options import SelectOptions
 from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
+from mi_splat.io.folders import check_writable
 from mi_splat.io.images import to_bytes
 from mi_splat.io.pictures import is_picture, save_picture
 from mi_splat.scene import GaussianScene
@@ -33,6 +34,7 @@ def run(options: SelectOptions) -> int:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
             expected = "names that end in .png, .jpg, .npy or .ply"
             raise InvalidValueError(message("--out", expected, path, "change the ending"))
+        check_writable(path.parent)
     with progress("selecting"):
         loaded = open_scene(options.scene)
         chosen = choose(loaded, options.selection, options.view)
@@ -40,8 +42,8 @@ def run(options: SelectOptions) -> int:
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _save(path, scene, mask, weights[0], first, chosen.render)
-    found = _facts(scene, mask, dict(zip(chosen.cameras, weights, strict=True)))
+            _save(path, scene, mask, next(iter(weights.values())), first, chosen.render)
+    found = _facts(scene, mask, weights)
     for doubt in doubts(mask, weights):
         warn(f"warning: {doubt}")
     if options.json:

@@ -31,9 +31,11 @@ class Chosen:
     cameras: dict[str, Camera]
     render: Renderer
 
-    def weights(self, loaded: SplatScene) -> list[Tensor]:
-        """(H, W) share of each pixel that the object makes up, for each camera."""
-        return [object_weight(loaded.scene, self.mask, camera, self.render) for camera in self.cameras.values()]
+    def weights(self, loaded: SplatScene) -> dict[str, Tensor]:
+        """(H, W) share of each pixel that the object makes up, by the camera's name."""
+        return {
+            name: object_weight(loaded.scene, self.mask, camera, self.render) for name, camera in self.cameras.items()
+        }
 
 
 def choose(loaded: SplatScene, selection: Selection, options: CameraOptions) -> Chosen:

@@ -50,24 +50,53 @@ def read_colmap(
     """
     folder = cameras_file.parent
     model = _read_model(cameras_file)
-    source = cameras_file.with_name(f"images{cameras_file.suffix}")
-    if not model.poses:
-        raise DatasetError(message(str(source), "at least one picture", "none", "register pictures first"))
-    poses = sorted(model.poses.values(), key=lambda pose: pose.name)
-    refuse_doubles((pose.name for pose in poses), source)
-    poses = _split(poses, folder / TEST_LIST, split, every)
+    poses = _split(_poses(model, cameras_file), folder / TEST_LIST, split, every)
     images = _images_folder(root, folder)
-    used = {pose.lens: _intrinsics(model.lenses, pose.lens, cameras_file) for pose in poses}
+    cameras = _cameras(model, poses, cameras_file)
     frames = []
-    for pose in poses:
-        focal, principal, size = used[pose.lens]
-        picture = images / pose.name
+    for pose, camera in zip(poses, cameras, strict=True):
+        picture, size = images / pose.name, (camera.width, camera.height)
         picture_size(picture, size)
-        camera = _camera(pose, focal, principal, size, source)
         frames.append(
             Frame(camera=camera, path=picture, mask=find_mask(images.parent / "masks", Path(pose.name), size))
         )
     return frames, model.points
+
+
+def read_model_cameras(cameras_file: Path) -> dict[str, Camera]:
+    """The cameras of a model by the names of their pictures, which need not be there.
+
+    Args:
+        cameras_file: Found by `find_model`.
+
+    Raises:
+        DatasetError: A file is missing, broken, or describes cameras that are no pinhole cameras.
+    """
+    model = _read_model(cameras_file)
+    poses = _poses(model, cameras_file)
+    return dict(zip((pose.name for pose in poses), _cameras(model, poses, cameras_file), strict=True))
+
+
+def _poses(model: Model, cameras_file: Path) -> list[Pose]:
+    """The poses of a model in the order of names."""
+    source = _images_file(cameras_file)
+    if not model.poses:
+        raise DatasetError(message(str(source), "at least one picture", "none", "register pictures first"))
+    poses = sorted(model.poses.values(), key=lambda pose: pose.name)
+    refuse_doubles((pose.name for pose in poses), source)
+    return poses
+
+
+def _cameras(model: Model, poses: list[Pose], cameras_file: Path) -> list[Camera]:
+    """The camera of each pose."""
+    source = _images_file(cameras_file)
+    used = {pose.lens: _intrinsics(model.lenses, pose.lens, cameras_file) for pose in poses}
+    return [_camera(pose, *used[pose.lens], source) for pose in poses]
+
+
+def _images_file(cameras_file: Path) -> Path:
+    """The file of a model's poses, beside that of its cameras."""
+    return cameras_file.with_name(f"images{cameras_file.suffix}")
 
 
 def _read_model(cameras_file: Path) -> Model:

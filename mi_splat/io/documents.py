@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mi_splat.io.atomic import atomic_write, write_all
+
+
+def file_name(text: str) -> str:
+    """A text, for instance the name of a camera, as a file may be called everywhere."""
+    return re.sub(r"[^\w.-]", "_", text)
 
 
 def save_text(text: str, path: Path) -> None:

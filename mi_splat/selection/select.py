@@ -21,6 +21,8 @@ MOST = 0.95
 """A selection of a larger share of the scene is doubted."""
 SEEN = 0.5
 """A pixel shows the object where this share of it is the object's."""
+_NAMED = 4
+"""Cameras that are named at most."""
 
 
 def select(
@@ -78,12 +80,12 @@ def select(
 _HOW = "name a part with --object, or use --box, --click, --cluster or --mask"
 
 
-def doubts(mask: Tensor, weights: list[Tensor]) -> list[str]:
+def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
     """Reasons to look twice at a selection, in words.
 
     Args:
         mask: (N,) bool, the selection.
-        weights: (H, W) share of the pixels that it makes up, for each camera.
+        weights: (H, W) share of the pixels that it makes up, by the name of the camera.
     """
     count, total = int(mask.sum()), len(mask)
     found = []
@@ -91,15 +93,33 @@ def doubts(mask: Tensor, weights: list[Tensor]) -> list[str]:
         found.append(f"the selection has {count} of {total:,} Gaussians, which is hardly an object")
     if count > MOST * total:
         found.append(f"the selection has {count:,} of {total:,} Gaussians: nearly the whole scene, surroundings, too")
-    hidden = sum(not bool((weight >= SEEN).any()) for weight in weights)
-    if weights and hidden:
-        of = "the picture" if len(weights) == 1 else f"{hidden} of {len(weights)} pictures"
-        strongest = max(float(weight.max()) for weight in weights)
-        found.append(
-            f"the selection is not seen in {of}: it makes up at most {strongest:.0%} of any pixel; something hides it, "
-            "or it is outside: choose another camera"
-        )
+    if hidden := _hidden(weights):
+        found.append(f"the selection does not show {hidden}; something hides it, or it is outside the picture")
     return found
+
+
+def require_visible(weights: Mapping[str, Tensor]) -> None:
+    """Raise unless an object shows from every camera.
+
+    Args:
+        weights: (H, W) share of the pixels that it makes up, by the name of the camera.
+
+    Raises:
+        InvalidValueError: It does not; the message names the cameras.
+    """
+    if hidden := _hidden(weights):
+        do = "leave these cameras out, or choose others"
+        raise InvalidValueError(message("cameras", "views that show the selection", f"none {hidden}", do))
+
+
+def _hidden(weights: Mapping[str, Tensor]) -> str:
+    """From where an object does not show, in words; empty if it shows from everywhere."""
+    hidden = {name: float(weight.max()) for name, weight in weights.items() if not bool((weight >= SEEN).any())}
+    if not hidden:
+        return ""
+    some = ", ".join(list(hidden)[:_NAMED]) + (", ..." if len(hidden) > _NAMED else "")
+    counts = f"{len(hidden)} of {len(weights)} cameras"
+    return f"from {some} ({counts}; at most {max(hidden.values()):.0%} of any pixel is its)"
 
 
 def _part(name: str, objects: Mapping[str, slice], count: int) -> Tensor:

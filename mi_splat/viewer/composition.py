@@ -18,7 +18,7 @@ MARGIN = (24, 24, 27)
 GAP = 4
 """Pixels between two pictures of a full page."""
 
-UPPER_PART = 0.4
+UPPER_PART = 0.45
 """Part of a high page's height that its controls leave free."""
 
 _HEAT = ((0.0, (0, 0, 0)), (0.25, (88, 0, 110)), (0.5, (200, 40, 60)), (0.75, (250, 150, 20)), (1.0, (255, 255, 210)))

@@ -12,8 +12,10 @@ from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.directions import POLE, Point
 from mi_splat.errors import InvalidValueError, message
 
-_ANGLE_DIGITS, _LENGTH_DIGITS = 2, 4
-"""Decimals that are kept of angles (degrees) and lengths (world units) of a pose that came from a mouse."""
+_ANGLE_DIGITS, _LENGTH_DIGITS = 2, 5
+"""Decimals that are kept of angles (degrees), and digits of lengths, of a pose that came from a mouse."""
+_CAMERA_DIGITS = 6
+"""Decimals that are kept of the pose of a camera; cameras of files have single precision."""
 _SAME_POSE = 1e-3
 """Part of the distance by which two poses may differ and still be the same."""
 
@@ -78,18 +80,18 @@ class Orbit:
         """
         x, y, z = (float(a) - float(b) for a, b in zip(position, look_at, strict=True))
         flat, length = math.hypot(x, y), math.hypot(x, y, z)
-        distance = round(length, _LENGTH_DIGITS)
-        if not (math.isfinite(length) and distance > 0):
+        if not (math.isfinite(length) and length > 0):
             return self
+        decimals = _LENGTH_DIGITS - 1 - math.floor(math.log10(length))
         azimuth = self.azimuth if flat <= POLE * length else math.degrees(math.atan2(y, x)) % 360.0
         near = math.dist(look_at, self.target) <= _SAME_POSE * length
         return replace(
             self,
             # What was not moved keeps every digit: the middle of a scene is not told from its neighbours by rounding.
-            target=self.target if near else tuple(round(float(value), _LENGTH_DIGITS) for value in look_at),
+            target=self.target if near else tuple(round(float(value), decimals) for value in look_at),
             azimuth=round(azimuth, _ANGLE_DIGITS),
             elevation=round(math.degrees(math.atan2(z, flat)), _ANGLE_DIGITS),
-            distance=distance,
+            distance=round(length, decimals),
         )
 
 
@@ -107,7 +109,7 @@ def orbit_of(camera: Camera, middle: Point) -> Orbit | None:
     pose, centre = camera.to_world, torch.tensor(list(middle), dtype=torch.float64)
     forward = pose[:3, 2]
     distance = float((centre - camera.position) @ forward)
-    if not distance > 0:
+    if not round(distance, _CAMERA_DIGITS) > 0:
         return None
     target = (camera.position + distance * forward).tolist()
     x, y, z = (-forward).tolist()
@@ -115,7 +117,15 @@ def orbit_of(camera: Camera, middle: Point) -> Orbit | None:
     # The picture's right edge points along (-sin azimuth, cos azimuth, 0), straight above and below, too.
     azimuth = math.degrees(math.atan2(-float(pose[0, 0]), float(pose[1, 0])))
     fov = 2 * math.degrees(math.atan(min(camera.width, camera.height) / 2 / camera.fx))
-    orbit = Orbit(target=target, azimuth=azimuth, elevation=elevation, distance=distance, fov=fov)
+    numbers = (round(value, _CAMERA_DIGITS) for value in (azimuth, elevation, distance, fov))
+    azimuth, elevation, distance, fov = numbers
+    orbit = Orbit(
+        target=[round(value, _CAMERA_DIGITS) for value in target],
+        azimuth=azimuth,
+        elevation=elevation,
+        distance=distance,
+        fov=fov,
+    )
     again = orbit.camera((camera.width, camera.height))
     same = (again.to_world - pose).abs().max() < 1e-5 * max(1.0, distance) and math.isclose(camera.fx, camera.fy)
     centred = math.isclose(camera.cx, camera.width / 2) and math.isclose(camera.cy, camera.height / 2)

@@ -23,9 +23,9 @@ from mi_splat.viewer.panel import Panel
 from mi_splat.viewer.session import Session, Step, ViewState
 
 JPEG_QUALITY = {Step.COARSE: 75, Step.FULL: 92, Step.INSPECTED: 92}
-DEAF = 0.5
+DEAF = 1.0
 """Seconds after a control was moved in which the browser's camera, which follows it late, is not listened to."""
-ECHOES = 32
+ECHOES = 128
 """Poses that a browser was told and may report later, as if somebody had moved its camera there."""
 LONGEST_SIDE = 8192
 """Pixels of the largest window that is believed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,10 +14,12 @@ from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import describe, recorded_cameras
 from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.datasets import write_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, view
 from tests.fakes import camera, toy_scene
 from tests.training.sets import write_set
 
@@ -67,6 +70,14 @@ def test_up_is_up(up: tuple[float, float, float]) -> None:
     assert float(one.to_world[:3, 1] @ direction) < 0  # y of the camera points down
 
 
+def test_pictures_of_one_name_in_two_folders_are_two_cameras(tmp_path: Path) -> None:
+    write_colmap(tmp_path, [view(1), view(2)])
+    listed = tmp_path / "sparse" / "0" / "images.txt"
+    names = [path.name for path in sorted((tmp_path / "images").iterdir())]
+    listed.write_text(listed.read_text().replace(names[0], "a/x.png").replace(names[1], "b/x.png"))
+    assert len(find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))) == 2
+
+
 def test_two_of_one_name_are_kept_apart() -> None:
     assert len(find_cameras(loaded(a=camera()), CameraOptions(cameras=("orbit:2@0", "orbit:2@10", "a", "a")))) == 6
 
@@ -95,6 +106,15 @@ def test_cameras_are_read_from_files(tmp_path: Path) -> None:
     assert len(numbered) == len(json.loads(file.read_text())["frames"])
 
 
+def test_a_colmap_model_needs_no_pictures(tmp_path: Path) -> None:
+    colmap_binary(tmp_path, VIEWS, CLOUD)
+    shutil.rmtree(tmp_path / "images")
+    found = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))
+    assert len(found) == len(VIEWS)
+    for shot, one in zip(VIEWS, found.values(), strict=True):
+        assert torch.allclose(one.to_world, shot.camera.to_world, atol=1e-6)
+
+
 def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
     one = Camera(
         to_world=look_at((1, 2, 3), (0, 0, 0)), focal=(30.0, 31.0), width=40, height=20, principal=(19.0, 11.0)
@@ -114,6 +134,17 @@ def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(DatasetError, match=r"other\.json"):
         find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path / "other.json"),)))
+
+
+def test_cameras_of_the_trainer_of_3dgs(tmp_path: Path) -> None:
+    pose = look_at((1, 2, 3), (0, 0, 0.5))
+    entry = {"id": 0, "img_name": "desk_01", "width": 40, "height": 30, "fx": 50.0, "fy": 51.0}
+    entry |= {"position": pose[:3, 3].tolist(), "rotation": pose[:3, :3].tolist()}
+    (tmp_path / "cameras.json").write_text(json.dumps([entry]))
+    ((name, one),) = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path / "cameras.json"),))).items()
+    assert name == "desk_01"
+    assert torch.equal(one.to_world, pose)
+    assert (one.fx, one.fy, one.cx, one.cy, one.width, one.height) == (50, 51, 20, 15, 40, 30)
 
 
 @pytest.mark.parametrize(

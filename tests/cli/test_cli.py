@@ -152,7 +152,9 @@ def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str])
     assert facts["sh_degree"] == 1
     assert facts["invalid"] is None
     assert facts["opacity"]["50%"] == pytest.approx(0.8, abs=1e-6)
-    assert facts["bounds"][0][2] < 3 < facts["bounds"][1][2]
+    assert facts["bounds"][0][2] < facts["box"][0][2] < facts["middle"][2] < facts["box"][1][2] < facts["bounds"][1][2]
+    assert 0 < facts["reach"] < 3
+    assert facts["parts"] is None
     assert len(facts["hash"]) == 64
     assert cli.main(["info", str(splat)]) == 0
     assert "gaussians  200" in capsys.readouterr().out

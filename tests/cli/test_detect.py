@@ -108,7 +108,7 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     words = ["evaluate", "attacked.ply", "clean.ply", *VIEW[2:], "--cameras", "orbit:2@0", "--original", "stop sign"]
     assert cli.main([*words, "--pictures", "0", "--out", "first"]) == 0
     told = capsys.readouterr().err
-    assert "the object shows in 2 of 2 views, which says little" in told
+    assert "the object shows in 2 of 2 views: few" in told
     assert "finds the clean object in 0 of 2 views only" in told
     assert [path.name for path in (folder / "first").iterdir()] == ["evaluation.json"]
     cameras = json.loads((folder / "first" / "evaluation.json").read_text())["cameras"]

@@ -56,7 +56,7 @@ def numbers(kind: Any, prefix: str = "", *, bare_names: bool = False) -> Iterato
 
 def cases() -> Iterator[tuple[str, str, str, bool, int]]:
     for name, command in cli.COMMANDS.items():
-        options = getattr(importlib.import_module(f"{command.package}.options"), command.options)
+        options = getattr(importlib.import_module(f"{command.package}.{command.options_module}"), command.options)
         for option in numbers(options):
             yield name, *option
 

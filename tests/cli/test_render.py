@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 
 from attacks import cli
+from mi_splat.cli.camera_records import describe
 from mi_splat.io import save_splat
-from tests.fakes import toy_scene
+from tests.fakes import camera, toy_scene
 
 SMALL = ["--size", "24", "16"]
 
@@ -84,3 +85,11 @@ def test_the_centre_is_in_the_middle(toy: Path, capsys: pytest.CaptureFixture[st
     assert cli.main(words) == 0
     pose = json.loads(capsys.readouterr().out)["camera_to_world"]
     assert [row[3] for row in pose[:3]] == pytest.approx([1, 2, 5])
+
+
+def test_a_camera_may_have_any_name(toy: Path) -> None:
+    entry = describe("left/up: 1", camera(16))
+    (toy / "cameras.json").write_text(json.dumps([entry]))
+    assert cli.main(["render", "toy.ply", "--cameras", "cameras.json", "--out", "pictures"]) == 0
+    assert {path.name for path in (toy / "pictures").iterdir()} == {"left_up__1.png", "cameras.json"}
+    assert json.loads((toy / "pictures" / "cameras.json").read_text())[0]["name"] == "left/up: 1"

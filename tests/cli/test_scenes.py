@@ -136,6 +136,7 @@ def test_info_lists_parts_and_cameras(folder: Path, capsys: pytest.CaptureFixtur
     assert cli.main(["info", str(folder / "scene.xml"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["parts"] == {"cloud": 400}
+    assert facts["part_bounds"]["cloud"] == facts["bounds"]
     assert facts["cameras"] == {"front": "48 x 32", "side": "20 x 40"}
 
 

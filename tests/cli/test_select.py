@@ -70,7 +70,7 @@ def test_a_known_object_is_looked_at(bare: tuple[Path, Tensor], capsys: pytest.C
     path, _ = bare
     assert cli.main(["select", str(path), "--box", "0.2", "2.1", "0.02", "0.5", "3.2", "2", "--size", "64", "48"]) == 0
     text = capsys.readouterr().out
-    assert text.splitlines()[0].startswith("6,")
+    assert text.splitlines()[0].startswith("2,056 of 8,415 Gaussians")
     share = float(text.split("seen by orbit: ")[1].split("%")[0])
     assert share > 15  # of a sign that is a dot in a picture of all
 
@@ -82,7 +82,7 @@ def test_doubts_are_told_with_numbers(bare: tuple[Path, Tensor], capsys: pytest.
     away = ["--centre", "50", "50", "0", "--azimuth", "210", "--distance", "5", "--size", "32", "32"]
     assert cli.main(["select", str(path), "--cluster", "1", *away]) == 0
     captured = capsys.readouterr()
-    assert "not seen in the picture: it makes up at most 0% of any pixel" in captured.err
+    assert "does not show from orbit (1 of 1 cameras; at most 0% of any pixel is its)" in captured.err
     assert "not seen by orbit" in captured.out
 
 
@@ -137,3 +137,12 @@ def test_dagger_asks_which_object_is_meant(tmp_path: Path, capsys: pytest.Captur
     assert cli.main(["dagger", str(tmp_path / "toy.ply"), "--out", str(tmp_path / "out")]) == 1
     assert "selection: expected which Gaussians are meant, got nothing" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_dagger_names_the_cameras_that_do_not_show_the_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_splat(toy_scene()[0], tmp_path / "toy.ply")
+    words = ["dagger", str(tmp_path / "toy.ply"), "--cluster", "1", "--cameras", "orbit:2@0", "--centre", "0", "9", "0"]
+    assert cli.main([*words, "--distance", "3", "--size", "16", "16", "--out", str(tmp_path / "out")]) == 1
+    assert "cameras: expected views that show the selection, got none from orbit-" in capsys.readouterr().err

@@ -9,6 +9,7 @@ import struct
 import tracemalloc
 import warnings
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -106,22 +107,20 @@ JUNK: st.SearchStrategy[object] = st.one_of(
 )
 
 
+def places(node: object) -> list[tuple[Any, Any]]:
+    """Container and key of every value in a JSON document."""
+    items = list(node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ())
+    return [place for key, value in items for place in [(node, key), *places(value)]]
+
+
 def junked(data: st.DataObject, document: object) -> None:
-    """Replace or remove one value of a JSON document, drawn from anywhere in it."""
-    places: list[tuple[object, object]] = []
-
-    def visit(node: object) -> None:
-        items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-        for key, value in items:
-            places.append((node, key))
-            visit(value)
-
-    visit(document)
-    node, key = data.draw(st.sampled_from(places))
-    if data.draw(st.booleans()):
-        node[key] = data.draw(JUNK)  # type: ignore[index]
-    else:
-        del node[key]  # type: ignore[attr-defined]
+    """Replace or remove up to three values of a JSON document, drawn from anywhere in it."""
+    for _ in range(data.draw(st.integers(1, 3))):
+        node, key = data.draw(st.sampled_from(places(document)))
+        if data.draw(st.booleans()):
+            node[key] = data.draw(JUNK)
+        else:
+            del node[key]
 
 
 @hypothesis.settings(max_examples=200, deadline=None)

@@ -49,6 +49,7 @@ BAD = {
     "short.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(179)), "180 bytes for 9 Gaussians, got 179"),
     "long.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(181)), "180 bytes for 9 Gaussians, got more"),
     "axes.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0003, 4, 8)), "RUB, RDF, LUF or LDB"),
+    "sh_range.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0001, 4, 8)), "sh_quantization"),
     "truncated_extension.spz": (spz_header(3, 0, 0, 12, 2, body=b"1234"), "whole extension records"),
     "window.spz": (
         struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 1, 0, 12, 0, 5, 32) + struct.pack("<QQ", 2**63, 9) * 5,
@@ -77,6 +78,7 @@ BAD = {
     ),
     "triangles.glb": (gltf_with(lambda d: primitive(d, mode=4)), r"0 \(points\), got 4"),
     "required.glb": (gltf_with(lambda d: d.update(extensionsRequired=["KHR_draco"])), "without it"),
+    "odd_required.glb": (gltf_with(lambda d: d.update(extensionsRequired=5)), "extensionsRequired: expected strings"),
     "sheared.glb": (gltf_with(lambda d: d.update(nodes=[{"mesh": 0, "scale": [1, 2, 1]}])), "uniform scale"),
     "circle.glb": (gltf_with(lambda d: d.update(nodes=[{"mesh": 0, "children": [0]}])), "no parent yet"),
     "uri.glb": (gltf_with(lambda d: d.update(buffers=[{"byteLength": 4, "uri": "/etc/passwd"}])), "inside of the file"),

@@ -20,9 +20,13 @@ def blocks(language: str, text: str = README) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
 
 
-def commands(program: str) -> list[list[str]]:
+PAGES = "\n".join([README, *(page.read_text() for page in sorted((ROOT / "docs").glob("*.md")))])
+"""The README and the documentation."""
+
+
+def commands(program: str, text: str = README) -> list[list[str]]:
     """Arguments of every call of `program` in the shell blocks."""
-    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    lines = [line for block in blocks("sh", text) for line in block.splitlines()]
     words = [shlex.split(line, comments=True) for line in lines]
     return [line[1:] for line in words if line and line[0] == program]
 
@@ -84,7 +88,7 @@ assert picture.std() > 0.05
     assert (tmp_path / "street.png").is_file()
 
 
-@pytest.mark.parametrize("words", commands("mi-splat"), ids=" ".join)
+@pytest.mark.parametrize("words", commands("mi-splat", PAGES), ids=" ".join)
 def test_every_command_is_understood(words: list[str]) -> None:
     from attacks.cli import COMMANDS
     from attacks.cli.parsing import parse

@@ -30,11 +30,14 @@ def ground(count: int, *, half: float, seed: int = 0) -> GaussianScene:
 
 
 def bare_scene() -> tuple[GaussianScene, Tensor]:
-    """A car (10,075 Gaussians) and a stop sign that stands a little over the ground, and the owner of each Gaussian."""
-    car = load_splat(ROOT / "scenes" / "car_street_car.ply")
-    sign = load_splat(ROOT / "scenes" / "stop_sign_stop_sign.ply")
+    """A car and a stop sign that stands a little over the ground, and the owner of each Gaussian.
+
+    Every third Gaussian of the shipped files, to be quick: 3,359 of the car, 2,056 of the sign, 3,000 of the ground.
+    """
+    files = [ROOT / "scenes" / name for name in ("car_street_car.ply", "stop_sign_stop_sign.ply")]
+    car, sign = (load_splat(file).select(slice(None, None, 3)) for file in files)
     shift = Similarity(torch.eye(3), torch.tensor([0.3, 2.6, -1.5]))
-    parts = (car, sign.transform(shift), ground(8000, half=6.0))
+    parts = (car, sign.transform(shift), ground(3000, half=6.0))
     owner = torch.cat([torch.full((len(part),), number) for number, part in enumerate(parts)])
     order = torch.randperm(len(owner), generator=torch.Generator().manual_seed(1))
     return merge(*parts).select(order), owner[order]

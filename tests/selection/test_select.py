@@ -15,7 +15,7 @@ from mi_splat.io import SplatFileError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.config import Selection
-from mi_splat.selection.select import doubts, select
+from mi_splat.selection.select import doubts, require_visible, select
 from mi_splat.selection.visibility import object_weight, pixel_weights
 from tests.fakes import blobs, camera, toy_scene
 from tests.selection.bare import CAR, GROUND, SIGN, bare_scene, iou
@@ -121,11 +121,14 @@ def test_what_selects_nothing_is_an_error(tmp_path: Path) -> None:
 def test_doubts_come_with_numbers() -> None:
     shown, hidden = torch.full((4, 4), 0.8), torch.full((4, 4), 0.2)
     mask = torch.arange(100) < 50
-    assert doubts(mask, [shown]) == []
-    assert "5 of 100 Gaussians, which is hardly" in doubts(torch.arange(100) < 5, [shown])[0]
-    assert "96 of 100 Gaussians: nearly the whole" in doubts(torch.arange(100) < 96, [shown])[0]
-    assert "not seen in the picture: it makes up at most 20%" in doubts(mask, [hidden])[0]
-    assert "not seen in 1 of 2 pictures" in doubts(mask, [hidden, shown])[0]
+    assert doubts(mask, {"a": shown}) == []
+    assert "5 of 100 Gaussians, which is hardly" in doubts(torch.arange(100) < 5, {})[0]
+    assert "96 of 100 Gaussians: nearly the whole" in doubts(torch.arange(100) < 96, {"a": shown})[0]
+    (told,) = doubts(mask, {"a": hidden, "b": shown, "c": hidden})
+    assert "does not show from a, c (2 of 3 cameras; at most 20% of any pixel is its)" in told
+    require_visible({"b": shown})
+    with pytest.raises(InvalidValueError, match="none from a, b, c, d, "):
+        require_visible(dict.fromkeys("abcdef", hidden))
 
 
 @pytest.mark.parametrize(

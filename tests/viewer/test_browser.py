@@ -153,7 +153,7 @@ def test_the_keyboard_alone_moves_the_camera_and_chooses_what_is_shown(chromium:
 def test_the_mouse_moves_the_camera_and_the_picture_follows(chromium: Any) -> None:
     with window(chromium, painter(1)) as opened:
         before, text = opened.shot(650), opened.page.locator("textarea").first.input_value()
-        opened.page.wait_for_timeout(700)
+        opened.page.wait_for_timeout(1200)
         mouse = opened.page.mouse
         mouse.move(300, 300)
         mouse.down()

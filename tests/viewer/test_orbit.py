@@ -58,7 +58,7 @@ def test_a_pose_from_the_browser_is_followed_in_short_numbers(
     assert moved.is_at(there.position, there.target)
     assert moved.target == there.target  # it was not moved, and so was not rounded
     assert moved.azimuth == round(moved.azimuth, 2)
-    assert moved.distance == round(moved.distance, 4)
+    assert moved.distance == float(f"{moved.distance:.5g}")
 
 
 def test_straight_above_the_azimuth_is_kept() -> None:
@@ -71,6 +71,14 @@ def test_straight_above_the_azimuth_is_kept() -> None:
 @pytest.mark.parametrize("position", [(1.0, 2.0, 0.5), (math.nan, 0.0, 0.0), (math.inf, 0.0, 0.0)])
 def test_a_pose_that_is_none_changes_nothing(position: tuple[float, float, float]) -> None:
     assert orbit().moved(position, orbit().target) == orbit()
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1.0, 1e6])
+def test_scenes_of_any_size_are_followed_alike(scale: float) -> None:
+    small = Orbit(target=(0, 0, 0), azimuth=0.0, elevation=0.0, distance=scale, fov=45.0)
+    there = (1.23456789 * scale, 0.0, 0.0)
+    assert small.moved(there, (0.5 * scale, 0.0, 0.0)).distance == pytest.approx(0.73457 * scale)
+    assert small.moved(there, (0.5 * scale, 0.0, 0.0)).target == pytest.approx((0.5 * scale, 0.0, 0.0))
 
 
 def test_a_pan_moves_the_target() -> None:

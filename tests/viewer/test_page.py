@@ -106,7 +106,7 @@ def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
     work = painter()
     with visiting(work) as browser:
         browser.picture(FULL)
-        time.sleep(0.6)  # until the browser is listened to
+        time.sleep(1.1)  # until the browser is listened to
         there = replace(START, azimuth=200.0, elevation=-10.0, distance=9.0)
         browser.look(there)
         browser.picture()

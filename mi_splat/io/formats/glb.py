@@ -52,8 +52,9 @@ class Glb:
         """
         accessor = self._accessor(attributes, name)
         kind = _COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
-        if accessor.text("type") != _TYPES[width] or kind not in kinds or accessor.whole("count", 1, 1 << 31) != count:
-            found = f"{accessor.text('type')} of {kind or 'another kind'}, {accessor.values['count']}"
+        own, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
+        if form != _TYPES[width] or kind not in kinds or own != count:
+            found = f"{own} {form} of {kind or 'another kind'}"
             raise accessor.bad(name, f"{count} {_TYPES[width]} of {' or '.join(kinds)}", found)
         if "sparse" in accessor.values:
             raise accessor.bad("sparse", "a plain accessor", "a sparse one")

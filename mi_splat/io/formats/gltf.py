@@ -48,7 +48,7 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
     """
     data = read_whole(file)
     document = open_glb(data, path)
-    needed = [name for name in document.root.values.get("extensionsRequired", ()) or () if name not in _KNOWN]  # type: ignore[attr-defined]
+    needed = [name for name in document.root.texts("extensionsRequired") if name not in _KNOWN]
     if needed:
         do = "export the splat without it"
         raise document.root.bad("extensionsRequired", f"only {', '.join(_KNOWN)}", needed, do)
@@ -98,9 +98,7 @@ def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
     coefficients = next((n for n in (16, 9, 4) if all(present[:n])), 1)
     if any(present[coefficients:]):
         expected = "whole degrees of SH, and all lower ones"
-        raise attributes.bad(
-            EXTENSION, expected, [name for name, there in zip(names, present, strict=True) if there][-1]
-        )
+        raise attributes.bad(EXTENSION, expected, names[max(i for i, there in enumerate(present) if there)])
     sh = np.empty((count, coefficients, 3), np.float32)
     for column, name in enumerate(names[:coefficients]):
         sh[:, column] = read(name, 3, ("f4",))

@@ -75,12 +75,12 @@ class Fields:
                 return kept
         raise self.bad(name, f"{low} to {high} finite numbers", found)
 
-    def texts(self, name: str, count: int) -> list[str]:
-        """A list of `count` strings."""
-        found = self.values.get(name)
+    def texts(self, name: str, count: int | None = None) -> list[str]:
+        """A list of `count` strings; of any number, also none, if no count is given."""
+        found = self.values.get(name, [])
         kept = [item for item in found if isinstance(item, str)] if isinstance(found, list) else []
-        if not isinstance(found, list) or len(kept) != count or len(found) != count:
-            raise self.bad(name, f"{count} strings", found)
+        if not isinstance(found, list) or len(kept) != len(found) or count not in (None, len(found)):
+            raise self.bad(name, "strings" if count is None else f"{count} strings", found)
         return kept
 
     def object(self, name: str, default: Mapping[str, object] | None = None) -> Fields:

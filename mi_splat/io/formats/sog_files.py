@@ -123,7 +123,7 @@ def read_picture(data: bytes, where: str, *, least: int, width: int | None = Non
             if picture.size != found:
                 raise ValueError(f"another size, {picture.size}")
             values = np.asarray(picture.convert("RGBA"))
-    except (OSError, ValueError, EOFError, SyntaxError, RuntimeError) as error:
+    except (OSError, ValueError, EOFError, SyntaxError, RuntimeError, Image.DecompressionBombError) as error:
         raise SplatFileError(message(where, "an intact WebP picture", str(error)[:100], _AGAIN)) from None
     return values.reshape(-1, 4)
 

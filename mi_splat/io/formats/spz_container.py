@@ -22,7 +22,7 @@ from mi_splat.io.loaded import check_count
 _HEADER, _MAGIC, _EXTENDED = struct.Struct("<4sIIBBBB"), b"NGSP", 0x2
 _LONG_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SIZES = struct.Struct("<QQ")
-_RECORD, _AXES_RECORD = struct.Struct("<II"), 0xADBE0003
+_RECORD, _SH_RANGE_RECORD, _AXES_RECORD = struct.Struct("<II"), 0xADBE0001, 0xADBE0003
 _EXTENSION_LIMIT = 1 << 16
 _WINDOW_LIMIT = 1 << 25
 _AGAIN = "write or download it again"
@@ -184,6 +184,9 @@ def _axes(records: bytes, path: str) -> int:
         place += _RECORD.size
         if length > len(records) - place or (kind == _AXES_RECORD and length != 4):
             raise _bad(path, "extension records inside of the file", f"one of {length} bytes")
+        if kind == _SH_RANGE_RECORD:
+            do = "write it again with a released version of the program"
+            raise _bad(path, "SH over -1 to 1", "the withdrawn extension SPZ_ADOBE_sh_quantization", do)
         if kind == _AXES_RECORD:
             (axes,) = struct.unpack_from("<I", records, place)
         place += length

@@ -1,0 +1,112 @@
+"""Every command looks at where it shall write before it works, and never writes over something else without a word."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks import cli
+from mi_splat.io import save_splat
+from tests.capture.trucks import save_texture, truck, write_glb
+from tests.gaussians import random_scene
+from tests.training.sets import write_set
+
+COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
+    "capture": (["capture", "truck.glb", "--size", "16"], "{}", ("mi_splat.cli.capture.write_capture",)),
+    "train": (["train", "set"], "{}", ("mi_splat.cli.train.train",)),
+    "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.render.Renderer",)),
+    "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.render.Renderer",)),
+    "render, a film": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}/a.gif", ("mi_splat.cli.render.Renderer",)),
+    "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.select.choose",)),
+    "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.cli.example_scenes.make",)),
+    "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger.attack",)),
+    "dagger-study": (["dagger-study"], "{}", ("attacks.cli.dagger_study.run_jobs",)),
+    "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.cloak.run_study",)),
+    "detect": (["detect", "a.ply"], "{}", ("attacks.cli.detect.load_detectors",)),
+    "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.evaluate.load_detectors",)),
+    "train-detector": (["train-detector"], "{}", ("attacks.cli.train_detector.training_pictures",)),
+    "evaluate-detector": (["evaluate-detector"], "{}/x.json", ("attacks.cli.evaluate_detector.held_out_sets",)),
+}
+"""Words of each command that writes, what its --out is in a folder, and what must not be reached."""
+STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What the commands read."""
+    monkeypatch.chdir(tmp_path)
+    save_texture(tmp_path)
+    write_glb(tmp_path, truck())
+    write_set(tmp_path / "set")
+    save_splat(random_scene(60), tmp_path / "a.ply")
+    save_splat(random_scene(60), tmp_path / "b.ply")
+    (tmp_path / "study.toml").write_text(STUDY)
+    return tmp_path
+
+
+def forbid(names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let what would take long fail."""
+
+    def reached(*_: object, **__: object) -> Any:
+        raise AssertionError("work was begun")
+
+    for name in names:
+        module, _, attribute = name.rpartition(".")
+        monkeypatch.setattr(importlib.import_module(module), attribute, reached)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_file_in_the_way_is_seen_before_any_work(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, out, work = COMMANDS[name]
+    (folder / "file").write_text("precious")
+    forbid(work, monkeypatch)
+    assert cli.main([*words, "--out", out.format(folder / "file" / "deep")]) == 1
+    assert str(folder / "file") in capsys.readouterr().err
+    assert (folder / "file").read_text() == "precious"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_read_only_folder_is_seen_before_any_work(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, out, work = COMMANDS[name]
+    (folder / "closed").mkdir(mode=0o500)
+    forbid(work, monkeypatch)
+    assert cli.main([*words, "--out", out.format(folder / "closed" / "deep")]) == 1
+    assert str(folder / "closed") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [name for name, (_, out, _) in COMMANDS.items() if out == "{}"])
+def test_a_folder_of_something_else_is_refused(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if name == "example-scenes":
+        pytest.skip("it adds files of its own name to a folder, and says so in its help")
+    words, _, work = COMMANDS[name]
+    (folder / "album").mkdir()
+    (folder / "album" / "wedding.jpg").write_text("dear")
+    forbid(work, monkeypatch)
+    assert cli.main([*words, "--out", str(folder / "album")]) == 1
+    assert "album" in capsys.readouterr().err
+    assert [path.name for path in (folder / "album").iterdir()] == ["wedding.jpg"]
+
+
+def test_a_result_is_replaced_only_when_forced(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["dagger", "a.ply", "--cluster", "1", "--out", "out"]
+    (folder / "out").mkdir()
+    (folder / "out" / "result.json").write_text("{}")
+    forbid(("attacks.cli.dagger.attack",), monkeypatch)
+    assert cli.main(words) == 1
+    assert "--force to replace this result" in capsys.readouterr().err
+    with pytest.raises(AssertionError, match="work was begun"):
+        cli.main([*words, "--force"])
+    assert (folder / "out" / "result.json").read_text() == "{}"

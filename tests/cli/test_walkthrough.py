@@ -1,0 +1,126 @@
+"""A foreign mesh and a foreign splat through every command, as somebody would who has neither seen before.
+
+The mesh is a low-poly truck in centimetres, far from the origin, facing -y, with its texture in a file of its own. The
+splat is a .splat file, as a web viewer has it, of one object on a floor, written here byte by byte.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from attacks import cli
+from mi_splat.io import load_splat
+from tests.capture.trucks import truck, write_glb
+
+pytestmark = pytest.mark.slow
+UTM = (50_000_000.0, 450_000_000.0, 10_000.0)
+"""Centimetres."""
+
+
+class Walk:
+    """Runs commands and keeps what they print."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+        self.err = ""
+
+    def __call__(self, line: str) -> str:
+        status = cli.main(line.split())
+        said = self._capsys.readouterr()
+        self.err = said.err
+        assert status == 0, f"{line}: {said.err}"
+        return said.out
+
+    def json(self, line: str) -> Any:
+        return json.loads(self(f"{line} --json"))
+
+
+@pytest.fixture
+def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Walk:
+    monkeypatch.chdir(tmp_path)
+    return Walk(capsys)
+
+
+def spread(path: str) -> float:
+    """How much a picture varies: a black one not at all."""
+    with Image.open(path) as picture:
+        return float(np.asarray(picture.convert("RGB"), np.float64).std())
+
+
+def write_web_splat(path: Path) -> None:
+    """A red ball on a grey floor, in the format of the first web viewer: 32 bytes a Gaussian, y down."""
+    generator = np.random.default_rng(0)
+    ball = generator.normal(size=(1500, 3))
+    ball *= 0.3 / np.linalg.norm(ball, axis=1, keepdims=True)
+    ball[:, 2] += 0.35
+    floor = np.column_stack([generator.uniform(-2, 2, (3000, 2)), np.zeros(3000)])
+    with path.open("wb") as file:
+        for place, size, colour in [(p, 0.03, (220, 20, 20)) for p in ball] + [(p, 0.05, (90, 90, 90)) for p in floor]:
+            file.write(struct.pack("<3f3f4B4B", *place, size, size, size, *colour, 250, 255, 128, 128, 128))
+
+
+def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> None:
+    write_glb(tmp_path, truck().placed(scale=100.0, move=UTM, y_up=True))
+    shot = "--cameras hemisphere:14 --test 3 --size 48 --samples 4 --points 1500 --format both"
+    turned = "--scale 0.01 --front +x --ground road --sun -50,52"
+    taken = walk.json(f"capture truck.glb {turned} {shot} --out set")
+    assert (taken["train"], taken["test"]) == (14, 3)
+    assert any(abs(value) > 1e5 for value in json.loads(Path("set/capture.json").read_text())["world_offset"])
+    again = walk.json(f"capture truck.glb {turned} {shot} --out set")
+    assert again["rendered"] == 0
+
+    first = walk.json("train set --out run --iterations 80 --max-gaussians 3000 --sh-degree 1")
+    longer = walk.json("train set --out run --iterations 120 --max-gaussians 3000 --sh-degree 1")
+    assert "going on from step 80 of 120" in walk.err
+    assert longer["psnr"] > first["psnr"] - 1
+    facts = walk.json("info run/splat.ply")
+    assert facts["gaussians"] == longer["gaussians"]
+
+    walk("render run/splat.ply --cameras orbit:3@20 --size 48 48 --out orbit.gif")
+    walk("render run/splat.ply --azimuth 40 --elevation 15 --size 64 48 --out one.jpg")
+    assert Path("one.jpg").read_bytes().startswith(b"\xff\xd8")
+    assert spread("one.jpg") > 10
+    walk("render run/splat.ply --cameras set --size 48 48 --out pictures")
+
+    low, high = ("{:.3f} {:.3f} {:.3f}".format(*corner) for corner in facts["bounds"])
+    assert low < high
+    chosen = walk.json("select run/splat.ply --box -2.6 -1.1 0.2 2.6 1.1 2.2 --size 64 64 --out picked.png mask.npy")
+    assert chosen["gaussians"] > 100
+    attack = "--azimuth 40 --elevation 20 --distance 8 --size 96 96 --steps 2 --noise-draws 1"
+    result = walk.json(f"dagger run/splat.ply --mask mask.npy {attack} --target person --out attacked")
+    assert result["changed_gaussians"] <= chosen["gaussians"]
+    judged = "--cameras orbit:3@20 --size 96 96 --target person --detectors fasterrcnn_small"
+    assert walk.json(f"evaluate run/splat.ply attacked/attacked.ply {judged} --out judged")
+    walk("detect attacked/attacked.ply one.jpg --size 96 96 --out seen")
+    walk("view attacked --export page.html --views 3 1 --size 48 48")
+    assert "http://" not in Path("page.html").read_text().replace("http://www.w3.org", "")
+
+
+@pytest.mark.parametrize("ending", ["compressed.ply", "spz", "sog", "glb", "ply"])
+@pytest.mark.filterwarnings("ignore::mi_splat.io.SplatLossWarning")
+def test_a_foreign_splat_through_every_format(ending: str, walk: Walk, tmp_path: Path) -> None:
+    write_web_splat(tmp_path / "web.splat")
+    found = walk.json(f"convert web.splat desk.{ending}")
+    assert found["gaussians"] == 4500
+    walk(f"render desk.{ending} --azimuth 10 --elevation 25 --size 64 64 --out {ending}.png")
+    assert spread(f"{ending}.png") > 20
+    walk(f"info desk.{ending}")
+    picked = walk.json(f"select desk.{ending} --click 32,32 --azimuth 0 --elevation 25 --size 64 64 --out ball.npy")
+    assert 1400 <= picked["gaussians"] <= 1600
+
+
+def test_a_foreign_splat_is_attacked(walk: Walk, tmp_path: Path) -> None:
+    write_web_splat(tmp_path / "web.splat")
+    attack = "--azimuth 10 --elevation 25 --size 64 64 --steps 2 --noise-draws 1 --objective untargeted"
+    result = walk.json(f"dagger web.splat --cluster 2 {attack} --out attacked")
+    assert result["object_gaussians"] == pytest.approx(1500, abs=100)
+    clean, attacked = load_splat("web.splat"), load_splat("attacked/attacked.ply")
+    assert len(clean) == len(attacked)
+    assert (clean.means == attacked.means).all()
