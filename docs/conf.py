@@ -15,7 +15,7 @@ warnings.filterwarnings("ignore", category=RuntimeWarning, message="The AST-tran
 
 project = "mi-splat"
 author = "The mi-splat authors"
-copyright = "The mi-splat authors, Apache 2.0"  # noqa: A001  # the name that Sphinx wants
+copyright = "The mi-splat authors, Apache 2.0"
 version = release = installed("mi-splat")
 
 extensions = [

@@ -65,9 +65,10 @@ def argument_parser(name: str, command: Command) -> argparse.ArgumentParser:
     default = {"default": getattr(module, command.defaults)((), program=program)} if command.defaults else {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # tyro offers nothing else that knows the whole help
-        return tyro.extras.get_parser(
+        parser: argparse.ArgumentParser = tyro.extras.get_parser(  # type: ignore[assignment]  # a copy within tyro
             getattr(module, command.options), prog=program, config=(FlagCreatePairsOff,), registry=_REGISTRY, **default
         )
+    return parser
 
 
 def description(name: str, kind: type) -> str:

@@ -21,7 +21,8 @@ from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
 mpl.use("Agg")
 
-import matplotlib.pyplot as plt  # noqa: E402  # after the backend has been chosen
+import matplotlib.pyplot as plt
+from matplotlib.patches import Circle, Rectangle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,9 +43,9 @@ def axes_and_angles() -> Figure:
         axes.quiver(0, 0, 0, *end, color=colour, arrow_length_ratio=0.06)
         axes.text(*(1.07 * np.array(end)), name, color=colour)
     for column, colour, name in ((0, RED, "x, right"), (1, GREEN, "y, down"), (2, BLUE, "z, forward")):
-        end = eye + 0.8 * pose[:3, column]
+        tip = eye + 0.88 * pose[:3, column]
         axes.quiver(*eye, *(0.8 * pose[:3, column]), color=colour, arrow_length_ratio=0.15)
-        axes.text(*(end + 0.08 * pose[:3, column]), name, color=colour, fontsize=9)
+        axes.text(*tip, name, color=colour, fontsize=9)
     axes.plot(*zip((0, 0, 0), eye, strict=True), color=GREY, linestyle=":")
     foot = eye * (1, 1, 0)
     axes.plot(*zip((0, 0, 0), foot, strict=True), color=GREY, linewidth=0.8)
@@ -82,8 +83,10 @@ def pixels() -> Figure:
     axes.scatter(xs, ys, s=14, color=BLUE)
     axes.text(0.08, 0.3, "(0.5, 0.5)", color=BLUE, fontsize=8)
     (centre,), _ = project_points(torch.zeros(1, 3, dtype=torch.float64), camera)
-    axes.scatter(*centre.tolist(), marker="+", s=120, color=RED)
-    axes.text(float(centre[0]) + 0.08, float(centre[1]) - 0.12, f"({camera.cx:g}, {camera.cy:g})", color=RED, fontsize=8)
+    axes.scatter(float(centre[0]), float(centre[1]), marker="+", s=120, color=RED)
+    axes.text(
+        float(centre[0]) + 0.08, float(centre[1]) - 0.12, f"({camera.cx:g}, {camera.cy:g})", color=RED, fontsize=8
+    )
     axes.set(xlim=(-0.4, 4.4), ylim=(3.4, -0.4), xlabel="x, to the right", ylabel="y, downwards", aspect="equal")
     axes.set_xticks(range(5))
     axes.set_yticks(range(4))
@@ -158,17 +161,17 @@ def near_and_bounds() -> Figure:
     )
     middle, radius = bounds(scene)
     figure, axes = plt.subplots(figsize=(6.4, 4.2))
-    axes.scatter(*points[:, :2].T, s=4, color=GREY)
+    axes.scatter(points[:, 0], points[:, 1], s=4, color=GREY)
     ordered = points.sort(dim=0).values
     low, high = ordered[round(0.01 * 599)].tolist(), ordered[round(0.99 * 599)].tolist()
-    axes.add_patch(plt.Rectangle(low[:2], high[0] - low[0], high[1] - low[1], fill=False, color=BLUE))
+    axes.add_patch(Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1], fill=False, color=BLUE))
     axes.text(low[0] - 0.4, middle[1] - radius - 0.25, "box of the middle 98 % along each axis", color=BLUE, fontsize=8)
-    axes.add_patch(plt.Circle(middle[:2], radius, fill=False, color=BLUE, linestyle=":"))
+    axes.add_patch(Circle(middle[:2], radius, fill=False, color=BLUE, linestyle=":"))
     axes.text(middle[0] + 0.75 * radius, middle[1] + 0.8 * radius, f"radius {radius:.2f}", color=BLUE, fontsize=8)
     pose = orbit_pose(middle, azimuth=180, elevation=0, distance=2.6)
     camera = Camera(to_world=pose, focal=100.0, width=100, height=100)
     near, eye = near_plane(scene, [camera]), pose[:3, 3]
-    axes.scatter(*eye[:2].tolist(), color=RED, marker=">", s=60)
+    axes.scatter(float(eye[0]), float(eye[1]), color=RED, marker=">", s=60)
     axes.plot((eye[0] + near,) * 2, (eye[1] - 0.5, eye[1] + 0.5), color=RED)
     axes.text(float(eye[0]) - 0.3, float(eye[1]) + 0.6, f"near = {near:.2f}", color=RED, fontsize=8)
     axes.text(2.0, 2.6, "floaters do not count", color=GREY, fontsize=8)

@@ -1,7 +1,7 @@
 """What a forge shows and the site has to show otherwise: links out of docs/, and files elsewhere that are pages here.
 
-Pages link to other files of the repository by path, as a forge wants it. Some of these files are pages of the site, too:
-there a page of docs/reference is only a stub, and the site puts the file in its place.
+Pages link to other files of the repository by path, as a forge wants it. Some of these files are pages of the site,
+too: there a page of docs/reference is only a stub, and the site puts the file in its place.
 """
 
 from __future__ import annotations

@@ -50,16 +50,17 @@ def svg(boxes: list[tuple[str, str, str]], arrows: list[tuple[str, str]]) -> Ite
     row = {name: len(boxes) - 1 - index for index, (name, _, _) in enumerate(boxes)}
     total = len(boxes) * step
     yield (
-        f'<svg viewBox="0 0 {WIDTH + REACH} {total}" role="img" aria-label="Layers of the code, and which imports which"'
+        f'<svg viewBox="0 0 {WIDTH + REACH} {total}" role="img" aria-label="Layers of the code"'
         ' style="max-width: 42rem; width: 100%; color: var(--pst-color-text-base)">'
     )
     for name, title, modules in boxes:
         y = row[name] * step
         shown = ", ".join(modules.split("<br/>"))
         shown = shown if len(shown) < 70 else shown[:67] + "..."
-        yield f'<rect x="1" y="{y + 1}" width="{WIDTH - 2}" height="{HEIGHT}" rx="5" fill="none" stroke="currentColor"/>'
-        yield f'<text x="10" y="{y + 18}" font-size="14" font-weight="bold" fill="currentColor">{html.escape(title)}</text>'
-        yield f'<text x="10" y="{y + 35}" font-size="10.5" fill="currentColor">{html.escape(shown)}</text>'
+        box = f'x="1" y="{y + 1}" width="{WIDTH - 2}" height="{HEIGHT}" rx="5"'
+        yield f'<rect {box} fill="none" stroke="currentColor"/><g fill="currentColor">'
+        yield f'<text x="10" y="{y + 18}" font-size="14" font-weight="bold">{html.escape(title)}</text>'
+        yield f'<text x="10" y="{y + 35}" font-size="10.5">{html.escape(shown)}</text></g>'
     for low, high in arrows:
         start, end = row[low] * step + HEIGHT * 0.3, row[high] * step + HEIGHT * 0.75
         bulge = WIDTH + min(REACH, 18 * (row[low] - row[high]) + 16)
