@@ -73,6 +73,7 @@ TRAINING: dict[str, tuple[Any, frozenset[str]]] = {
     "sh_degree": (2, SPLAT),
     "sh_degree_interval": (20, SPLAT),
     "outliers": (10, SPLAT),
+    "near": (0.1, SPLAT | {"observations"}),
 }
 OBSERVED = frozenset({"observations"})
 EVALUATION: dict[str, tuple[Any, frozenset[str]]] = {

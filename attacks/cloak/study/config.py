@@ -199,6 +199,7 @@ class TrainingConfig:
         sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
         outliers: Points in the air that the cloud has besides those on surfaces; see
             `mi_splat.training.initialization.with_outliers`.
+        near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
     """
 
     iterations: int = _PUBLISHED.iterations
@@ -207,8 +208,11 @@ class TrainingConfig:
     sh_degree: int = _PUBLISHED.sh_degree
     sh_degree_interval: int = _PUBLISHED.sh_degree_interval
     outliers: int = 0
+    near: float | None = None
 
     def __post_init__(self) -> None:
+        if self.near is not None:
+            in_range("training.near", self.near, 1e-9, 1e9)
         one_of("training.strategy", self.strategy, strategy_names())
         in_range("training.outliers", self.outliers, 0, math.inf)
 

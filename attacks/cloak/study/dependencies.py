@@ -90,6 +90,7 @@ def of_splat(study: StudyConfig, pictures: str, seed: int) -> dict[str, Any]:
         "background": study.scene.background,
         "fit": to_json(fit_config(study.training)),
         "outliers": study.training.outliers,
+        "near": study.training.near,
         "seed": seed,
     }
 
@@ -138,6 +139,7 @@ def of_observations(
         "splat": splat,
         "source": source,
         "background": study.scene.background,
+        "near": study.training.near,
         "class": study.scene.class_name,
         "cameras": asdict(study.cameras),
         "evaluation": evaluation,

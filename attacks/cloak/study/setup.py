@@ -86,6 +86,8 @@ def lens_of(study: StudyConfig, target: Asset) -> dict[str, object]:
 
 def near_of(study: StudyConfig, target: Asset) -> float:
     """Near plane of every renderer of a study, world units."""
+    if study.training.near is not None:
+        return study.training.near
     low, high = target.bounds.astype(np.float64)
     radius = float(np.linalg.norm(high - low)) / 2
     return near_plane_of(centre_of(study), radius, training_cameras(study, target))
