@@ -38,18 +38,9 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
     Raises:
         UsageError: A number is out of its range.
     """
-    module, program = importlib.import_module(f"{command.package}.{command.options_module}"), f"{PROGRAM} {name}"
-    kind = getattr(module, command.options)
-    default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
-    options = tyro.cli(
-        kind,
-        args=[_canonical(word, ALIASES.get(name, {})) for word in words],
-        prog=program,
-        description=description(name, kind),
-        config=(FlagCreatePairsOff,),
-        registry=_REGISTRY,
-        **default,
-    )
+    kind, told = _told(name, command, words)
+    given = [_canonical(word, ALIASES.get(name, {})) for word in words]
+    options = tyro.cli(kind, args=given, description=description(name, kind), **told)
     check_ranges(options, ALL_RANGES)
     return options
 
@@ -61,14 +52,26 @@ def argument_parser(name: str, command: Command) -> argparse.ArgumentParser:
         name: Of the command.
         command: Where its options are.
     """
-    module, program = importlib.import_module(f"{command.package}.options"), f"{PROGRAM} {name}"
-    default = {"default": getattr(module, command.defaults)((), program=program)} if command.defaults else {}
+    kind, told = _told(name, command, ())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # tyro offers nothing else that knows the whole help
-        parser: argparse.ArgumentParser = tyro.extras.get_parser(  # type: ignore[assignment]  # a copy within tyro
-            getattr(module, command.options), prog=program, config=(FlagCreatePairsOff,), registry=_REGISTRY, **default
-        )
-    return parser
+        parser: Any = tyro.extras.get_parser(kind, description=inspect.getdoc(kind), **told)
+    found: argparse.ArgumentParser = parser
+    return found
+
+
+def _told(name: str, command: Command, words: Sequence[str]) -> tuple[type, dict[str, Any]]:
+    """The dataclass of a command's options, and what tyro is told of it.
+
+    Args:
+        name: Of the command.
+        command: Where its options are.
+        words: What the user typed after its name.
+    """
+    module, program = importlib.import_module(f"{command.package}.{command.options_module}"), f"{PROGRAM} {name}"
+    default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
+    told = {"prog": program, "config": (FlagCreatePairsOff,), "registry": _REGISTRY, **default}
+    return getattr(module, command.options), told
 
 
 def description(name: str, kind: type) -> str:

@@ -6,7 +6,6 @@ The pages are reference/commands/NAME.rst and are not kept in the repository, so
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,9 +52,8 @@ def page(name: str, command: Command) -> Iterator[str]:
 
     parser = argument_parser(name, command)
     title = f"mi-splat {name}"
-    options = getattr(importlib.import_module(f"{command.package}.options"), command.options)
     yield from (title, "=" * len(title), "", f".. program:: {title}", "")
-    for paragraph in re.split(r"\n\s*\n", options.__doc__ or command.summary):
+    for paragraph in re.split(r"\n\s*\n", parser.description or command.summary):
         yield from (marked_up(paragraph), "")
     yield from (".. code-block:: sh", "")
     yield from (f"    mi-splat {line}" for line in EXAMPLES.get(name, (name,)))
