@@ -67,7 +67,7 @@ def axes_and_angles() -> Figure:
     axes.set_box_aspect((3, 3, 2.2), zoom=1.25)
     axes.view_init(elev=18, azim=-52)
     axes.set_axis_off()
-    figure.subplots_adjust(0, 0, 1, 1)
+    figure.subplots_adjust(-0.15, -0.2, 1.05, 1.1)
     return figure
 
 
@@ -210,7 +210,9 @@ def main(folder: Path = IMAGES) -> None:
     """Draw all pictures into a folder."""
     for name, draw in FIGURES.items():
         figure = draw()
-        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
+        figure.savefig(
+            folder / f"{name}.png", dpi=DPI, bbox_inches="tight", pad_inches=0.06, metadata={"Software": None}
+        )
         plt.close(figure)
 
 

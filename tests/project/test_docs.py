@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import importlib.util
 import re
 import subprocess
@@ -87,6 +89,15 @@ def test_the_detector_of_the_how_to_works() -> None:
     done = run("-c", example)
     assert done.returncode == 0, done.stderr
     assert "stop sign" in done.stdout
+
+
+@pytest.mark.parametrize("path", pages(), ids=lambda path: path.name)
+def test_python_examples_import_what_there_is(path: Path) -> None:
+    for example in blocks("python", path.read_text()):
+        for node in ast.walk(ast.parse(example)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("mi_splat", "attacks"):
+                module = importlib.import_module(node.module or "")
+                assert not [alias.name for alias in node.names if not hasattr(module, alias.name)]
 
 
 @pytest.mark.slow
