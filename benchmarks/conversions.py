@@ -1,6 +1,6 @@
 """What is left of DAGGER after its splat was converted to each format: the paper's six pairs, as a Markdown table.
 
-    python benchmarks/conversions.py [--seeds 1]
+    python benchmarks/conversions.py [--seeds 1] [--picture FILE]
 
 Each attack (l2 ball of 5 over SH, 11 steps, the scene's first camera, turned and moved a little by the seed) is made
 twice: on SH of degree 3, and on a scene cut to the first coefficients before the attack. A format keeps an attack when
@@ -17,6 +17,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from attacks.dagger.attack import attack
@@ -24,7 +27,8 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import jittered
 from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
-from attacks.evaluation.views import detect_views, object_boxes
+from attacks.evaluation.drawing import annotated
+from attacks.evaluation.views import ViewDetections, detect_views, object_boxes
 from attacks.objectives import REPORTED, relabel
 from mi_splat.io import load_splat
 from mi_splat.io.formats.table import FORMATS
@@ -37,11 +41,8 @@ CONFIG = DaggerConfig(noise_draws=0, sh_degree=None)
 SUFFIXES = [entry.suffix for entry in FORMATS if entry.writes]
 
 
-def kept(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> dict[str, tuple[bool, float]] | None:
-    """For each format whether the target is still reported, and the PSNR of the pictures before and after in dB.
-
-    None if the attack itself fails.
-    """
+def views(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> dict[str, ViewDetections] | None:
+    """What the detector sees of the attacked splat from a file of each format; None if the attack itself fails."""
     name, thing, target = pair
     loaded, detector = read_scene(SCENES / f"{name}.xml"), load_detector("fasterrcnn_small")
     scene, rows, render = loaded.scene.with_degree(degree), loaded.objects[thing], Renderer(loaded.settings)
@@ -50,29 +51,49 @@ def kept(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> di
     found = attack(scene, rows, [camera], detector, relabel(target), render=render, config=config)
     if not found.success:
         return None
-    boxes = object_boxes(scene, rows, [camera], render=render)
-    seen, figures = {}, {}
+    boxes, seen = object_boxes(scene, rows, [camera], render=render), {}
     for suffix in SUFFIXES:
         write_splat_file(found.scene, folder / f"attacked{suffix}")
         again = load_splat(folder / f"attacked{suffix}")
         (seen[suffix],) = detect_views(again, [camera], [detector], render=render, boxes=boxes)
-        error = float((seen[suffix].image - seen[".ply"].image).pow(2).mean())
-        reported = seen[suffix].confidence(target) >= REPORTED
-        figures[suffix] = (reported, -10 * math.log10(max(error, 1e-10)))
+    return seen
+
+
+def kept(seen: dict[str, ViewDetections], target: str) -> dict[str, tuple[bool, float]]:
+    """For each format whether the target is still reported, and the PSNR beside the picture from the PLY in dB."""
+    figures = {}
+    for suffix, view in seen.items():
+        error = float((view.image - seen[".ply"].image).pow(2).mean())
+        figures[suffix] = (view.confidence(target) >= REPORTED, -10 * math.log10(max(error, 1e-10)))
     return figures
+
+
+def draw(path: Path, folder: Path) -> None:
+    """The first pair from three formats, beside each other."""
+    seen = views(PAIRS[0], 3, 0, folder)
+    assert seen is not None
+    parts = [annotated(seen[name].image, seen[name].detections, name) for name in (".ply", ".spz", ".splat")]
+    Image.fromarray(np.concatenate(parts, axis=1)).save(path, quality=88)
 
 
 def main() -> None:
     """Run all attacks and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=1)
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--picture", type=Path, help="only draw docs/images/formats.jpg, to this file")
+    options = parser.parse_args()
+    if options.picture is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            draw(options.picture, Path(folder))
+        return
     lines = [f"| the attack may change | {' | '.join(f'`{suffix}`' for suffix in SUFFIXES)} |"]
     lines.append("|" + "---|" * (1 + len(SUFFIXES)))
     with tempfile.TemporaryDirectory() as folder:
         for degree, words in ((3, "all SH, degree 3"), (0, "the first SH coefficients, on a scene that has no others")):
-            runs = [kept(pair, degree, seed, Path(folder)) for pair in PAIRS for seed in range(seeds)]
-            done = [run for run in runs if run is not None]
+            runs = [
+                (pair[2], views(pair, degree, seed, Path(folder))) for pair in PAIRS for seed in range(options.seeds)
+            ]
+            done = [kept(seen, target) for target, seen in runs if seen is not None]
             cells = []
             for suffix in SUFFIXES:
                 count = sum(run[suffix][0] for run in done)

@@ -53,10 +53,8 @@ def find_cameras(
         DatasetError: A file with cameras cannot be read.
     """
     target = loaded.scene if focus is None else focus
-    if options.cameras and options.azimuth is not None and options.elevation is not None:
-        got = f"both {' '.join(options.cameras)} and an orbit"
-        raise InvalidValueError(message("cameras", "--cameras, or --azimuth and --elevation", got, "leave one out"))
     if options.cameras:
+        _check_meaning(loaded, options)
         found: dict[str, Camera] = {}
         for text in options.cameras:
             for name, camera in _named(text, loaded, options, target):
@@ -92,6 +90,23 @@ def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[st
     return settings
 
 
+def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
+    """Raise if a flag would mean nothing beside --cameras."""
+    placed = not any(_is_set(text, loaded) for text in options.cameras)
+    given: dict[str, object] = {"--azimuth": options.azimuth, "--elevation": options.elevation}
+    given |= {"--distance": options.distance, "--centre": options.centre} if placed else {}
+    idle = [flag for flag, value in given.items() if value is not None]
+    if idle:
+        got = f"--cameras {' '.join(options.cameras)} and {', '.join(idle)}"
+        what = "cameras that have their places" if placed else "either a set of cameras or one on an orbit"
+        raise InvalidValueError(message("cameras", what, got, "leave one out"))
+
+
+def _is_set(text: str, loaded: SplatScene) -> bool:
+    """Whether a text means cameras around a centre, and not some that have their places."""
+    return ":" in text and text not in loaded.cameras and not text.lower().endswith(".json") and not Path(text).is_dir()
+
+
 def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> list[tuple[str, Camera]]:
     """The cameras that one text means, with names that may not differ."""
     path = Path(text)
@@ -103,7 +118,7 @@ def _named(text: str, loaded: SplatScene, options: CameraOptions, target: Gaussi
         found = _listed(path, options)
     elif path.is_dir():
         found = _beside_pictures(path)
-    elif ":" in text:
+    elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
         return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])

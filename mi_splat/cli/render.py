@@ -74,6 +74,9 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     check_writable(out.parent)
     if is_animation(out):
         check_animation(out)
+        sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
+        if len(sizes) > 1:
+            raise InvalidValueError(message("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size"))
     elif is_picture(out):
         if len(cameras) > 1 and _PLACE not in out.name:
             do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif or .mp4"

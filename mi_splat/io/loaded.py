@@ -81,16 +81,15 @@ def judged(
         opacities: (N,).
         sh: (N, K, 3).
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
-        arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
-        good = [
-            np.isfinite(arrays[0]),
-            np.isfinite(arrays[1]) & (arrays[1] > 0),
-            np.isfinite(arrays[2]),
-            (arrays[3] >= 0) & (arrays[3] <= 1),
-            np.isfinite(arrays[4]),
-        ]
+    arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
+    arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
+    good = [
+        np.isfinite(arrays[0]),
+        np.isfinite(arrays[1]) & (arrays[1] > 0),
+        np.isfinite(arrays[2]),
+        (arrays[3] >= 0) & (arrays[3] <= 1),
+        np.isfinite(arrays[4]),
+    ]
     scene = GaussianScene.unchecked(*(torch.from_numpy(value) for value in arrays))
     valid = np.ones(len(arrays[0]), np.bool_)
     for value in good:

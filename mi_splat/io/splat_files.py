@@ -8,6 +8,8 @@ import warnings
 from collections.abc import Callable
 from typing import Literal
 
+import numpy as np
+
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatLossWarning, from_os_error
@@ -49,7 +51,8 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
         raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
     name = os.fspath(path)
     try:
-        with open_regular(name) as file:
+        # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
+        with open_regular(name) as file, np.errstate(all="ignore"):
             loaded = _READERS[format_to_read(name, os.pread(file.fileno(), HEAD, 0))](file, name)
     except OSError as error:
         raise from_os_error(name, "a splat file that can be read", error) from error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -12,6 +14,8 @@ from mi_splat.sh import dc_to_colour
 
 NEIGHBOURS, NEAREST = 12, 8
 """Neighbours that a Gaussian may be linked to, and the one whose distance is the measure of nearness."""
+LEAST_SHARE = 0.05
+"""A plane with a smaller share of the Gaussians is not taken for one."""
 
 
 def clusters(
@@ -52,7 +56,7 @@ def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
     group = torch.full((len(points),), -1)
     for number in range(count):
         rest = (group < 0).nonzero()[:, 0]
-        found = find_plane(points[rest], spacing[rest])
+        found = find_plane(points[rest], spacing[rest], least=math.ceil(LEAST_SHARE * len(points)))
         if found is None:
             break
         group[rest[found]] = number

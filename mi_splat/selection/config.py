@@ -21,13 +21,15 @@ class Selection:
             world x first, then by the pitch about y, then by the yaw about z.
         mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY with the positions of some.
         click: Pixels x,y of the first camera's picture; the object in front there, with all that is connected to it.
+            Only what is near is looked at, by the measure of the picture, so click where the object is large.
         cluster: Connected component by its size; 1 is the largest.
         link_distance: Two Gaussians are connected if each is within this multiple of the distance to the eighth
             neighbour of the other (click, cluster).
         link_colour: Largest difference in a channel of sRGB of connected Gaussians, in [0, 1]; None if colour does not
             count (click, cluster). Set it where two objects touch.
         planes: Objects stand on a floor, a desk or a street, which would connect them: so many of the largest planes
-            are components of their own (click, cluster).
+            are components of their own (click, cluster). More may help where too much is selected, and cut flat objects
+            where they are too many.
 
     Raises:
         InvalidValueError: A value is out of its range.

@@ -7,12 +7,10 @@ from torch import Generator, Tensor
 
 TOLERANCE = 0.75
 """How far from a plane its Gaussians may lie, as a multiple of how far apart the Gaussians are there."""
-LEAST_SHARE = 0.05
-"""A plane with a smaller share of the Gaussians is not taken for one."""
 _TRIALS, _SAMPLE, _ROUNDS = 4000, 4000, 5
 
 
-def find_plane(points: Tensor, spacing: Tensor) -> Tensor | None:
+def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
     """Which points lie on the plane that holds the most of them.
 
     RANSAC (Fischler and Bolles 1981), made better by least squares. How far a point may lie off depends on how densely
@@ -21,9 +19,10 @@ def find_plane(points: Tensor, spacing: Tensor) -> Tensor | None:
     Args:
         points: (N, 3) world units.
         spacing: (N,) distance of each to its neighbours, world units.
+        least: Points that a plane has to hold.
 
     Returns:
-        (N,) bool; None if no plane holds a share of `LEAST_SHARE`.
+        (N,) bool; None if no plane holds as many.
     """
     if len(points) < 3:
         return None
@@ -46,7 +45,7 @@ def find_plane(points: Tensor, spacing: Tensor) -> Tensor | None:
             break
         on, normal = _fit(points[inside], spacing[inside])
         inside = _on_plane(points, normal, on, limit)
-    return inside if float(inside.double().mean()) >= LEAST_SHARE else None
+    return inside if int(inside.sum()) >= least else None
 
 
 def _on_plane(points: Tensor, normal: Tensor, on: Tensor, limit: Tensor) -> Tensor:

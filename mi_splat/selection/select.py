@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -21,6 +22,8 @@ MOST = 0.95
 """A selection of a larger share of the scene is doubted."""
 SEEN = 0.5
 """A pixel shows the object where this share of it is the object's."""
+_AROUND = 1.5
+"""How far around a click is looked, in halves of the picture's diagonal at its depth."""
 _NAMED = 4
 """Cameras that are named at most."""
 
@@ -60,17 +63,10 @@ def select(
         mask &= box_mask(scene, selection.box, selection.box_rotation)
     if selection.mask is not None:
         mask &= load_mask(selection.mask, scene)
-    if selection.click or selection.cluster is not None:
-        labels = clusters(
-            scene,
-            link_distance=selection.link_distance,
-            link_colour=selection.link_colour,
-            planes=selection.planes,
-        )
-        if selection.cluster is not None:
-            mask &= _component(labels, selection.cluster)
-        if selection.click:
-            mask &= _clicked(scene, labels, selection, camera, render)
+    if selection.cluster is not None:
+        mask &= _component(_clusters(scene, selection), selection.cluster)
+    if selection.click:
+        mask &= _clicked(scene, selection, camera, render)
     if not bool(mask.any()):
         do = f"look at the scene with `mi-splat info` and `mi-splat render`; {_HOW}"
         raise InvalidValueError(message("selection", "at least one Gaussian", f"none of {len(scene):,}", do))
@@ -140,14 +136,30 @@ def _component(labels: Tensor, number: int) -> Tensor:
     return labels == number - 1
 
 
-def _clicked(
-    scene: GaussianScene, labels: Tensor, selection: Selection, camera: Camera | None, render: RenderFn | None
-) -> Tensor:
-    """The components that make up most of the pixels that were clicked on."""
+def _clusters(scene: GaussianScene, selection: Selection) -> Tensor:
+    """The connected components as the selection counts them."""
+    return clusters(
+        scene, link_distance=selection.link_distance, link_colour=selection.link_colour, planes=selection.planes
+    )
+
+
+def _clicked(scene: GaussianScene, selection: Selection, camera: Camera | None, render: RenderFn | None) -> Tensor:
+    """The components that make up most of the pixels that were clicked on.
+
+    Only what is near the clicked point is looked at, by the measure of the picture: so the largest plane is the one
+    that the object stands on, and not a floor or a wall far away.
+    """
     if camera is None or render is None:
         raise InvalidValueError(message("click", "a camera and a renderer", "none", "say in whose picture"))
     mask = torch.zeros(len(scene), dtype=torch.bool)
+    means = scene.means.detach().cpu().double()
     for pixel in selection.pixels:
-        weights = pixel_weights(scene, camera, pixel, render).cpu()
-        mask |= labels == int(torch.bincount(labels, weights.double()).argmax())
+        weights = pixel_weights(scene, camera, pixel, render).cpu().double()
+        point = means[int(weights.argmax())]
+        shown = math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2  # half a diagonal at depth 1
+        depth = float((point - camera.position).norm())
+        near = ((means - point).norm(dim=1) <= _AROUND * shown * depth).nonzero()[:, 0]
+        labels = _clusters(scene.select(near), selection)
+        label = int(torch.bincount(labels, weights[near]).argmax())
+        mask[near[labels == label]] = True
     return mask

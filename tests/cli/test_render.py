@@ -55,6 +55,14 @@ def test_an_orbit_makes_an_animation(toy: Path) -> None:
         assert picture.info["duration"] == 200
 
 
+def test_frames_of_different_sizes_are_no_animation(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (toy / "cameras.json").write_text(json.dumps([describe("a", camera(16)), describe("b", camera(20))]))
+    words = ["render", "toy.ply", "--cameras", "cameras.json", "--out", "a.gif"]
+    assert cli.main(words) == 1
+    assert "cameras of one size, got 16 x 16, 20 x 20; pass --size" in capsys.readouterr().err
+    assert cli.main([*words, "--size", "24", "16"]) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -79,7 +79,7 @@ def test_a_plane_is_found_whatever_its_direction() -> None:
     flat = torch.rand(600, 3, generator=generator, dtype=torch.float64) * torch.tensor([4.0, 4.0, 0.01])
     ball = shell(400, centre=(2.0, 2.0, 1.0), radius=0.5).double()
     points = torch.cat([flat, ball]) @ turn + 100
-    found = find_plane(points, nearest_neighbours(points, 8)[0][:, -1])
+    found = find_plane(points, nearest_neighbours(points, 8)[0][:, -1], least=500)
     assert found is not None
     assert found[:600].double().mean() > 0.98
     assert found[600:].double().mean() < 0.1
@@ -87,9 +87,9 @@ def test_a_plane_is_found_whatever_its_direction() -> None:
 
 def test_a_ball_has_no_plane() -> None:
     points = shell(2000, centre=(0.0, 0.0, 0.0), radius=1.0).double()
-    assert find_plane(points, torch.full((2000,), 0.01, dtype=torch.float64)) is None
-    assert find_plane(points[:2], torch.ones(2)) is None
-    assert find_plane(torch.zeros(10, 3), torch.ones(10)) is None  # no three of them make a plane
+    assert find_plane(points, torch.full((2000,), 0.01, dtype=torch.float64), least=100) is None
+    assert find_plane(points[:2], torch.ones(2), least=1) is None
+    assert find_plane(torch.zeros(10, 3), torch.ones(10), least=1) is None  # no three of them make a plane
 
 
 @pytest.fixture

@@ -13,12 +13,14 @@ from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError
 from mi_splat.rendering import Renderer
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import doubts, require_visible, select
 from mi_splat.selection.visibility import object_weight, pixel_weights
 from tests.fakes import blobs, camera, toy_scene
-from tests.selection.bare import CAR, GROUND, SIGN, bare_scene, iou
+from tests.selection.bare import CAR, GROUND, SIGN, bare_scene, ground, iou
+from tests.selection.test_clusters import gaussians, shell
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +69,6 @@ def test_a_pixel_that_shows_nothing_is_refused() -> None:
         (Selection(click=(pixel_of((2.2, 0.0, 0.7), above()),)), CAR),
         (Selection(click=(pixel_of((0.0, 0.4, 1.3), above()),)), CAR),
         (Selection(click=(pixel_of((0.35, 2.6, 0.45), above()),)), SIGN),
-        (Selection(click=(pixel_of((3.5, 1.0, 0.0), above()),)), GROUND),
     ],
     ids=lambda value: str(value.as_dict()) if isinstance(value, Selection) else str(value),
 )
@@ -77,6 +78,14 @@ def test_the_right_object_is_found(
     scene, owners = bare
     mask = select(scene, selection, camera=above(), render=Renderer())
     assert iou(mask, owners == owner) > 0.95
+
+
+def test_a_click_on_the_ground_selects_what_is_near_of_it(bare: tuple[GaussianScene, Tensor], variant: str) -> None:
+    scene, owners = bare
+    click = Selection(click=(pixel_of((3.5, 1.0, 0.0), above()),))
+    mask = select(scene, click, camera=above(), render=Renderer())
+    assert iou(mask, owners == GROUND) > 0.5
+    assert int((mask & (owners != GROUND)).sum()) < 0.05 * int(mask.sum())  # undersides
 
 
 def test_two_clicks_select_both_and_two_selectors_what_is_in_both(
@@ -156,3 +165,17 @@ def test_a_selection_says_what_was_used() -> None:
     assert Selection(object="car").as_dict() == {"object": "car"}
     assert set(Selection(click=("1,2",)).as_dict()) == {"click", "link_distance", "link_colour", "planes"}
     assert Selection(click=("1,2", "3, 4")).pixels == ((1, 2), (3, 4))
+
+
+def test_a_click_looks_around_itself_only(variant: str) -> None:
+    """On a table in a room the largest plane is the floor, but the one near the click is the table."""
+    table = ground(1500, half=0.4, seed=1)
+    table = table.replace(means=table.means + torch.tensor([0.0, 0.0, 0.75]))
+    ball = gaussians(shell(500, centre=(0.0, 0.0, 0.85), radius=0.1), (0.8, 0.2, 0.2))
+    scene = merge(ground(6000, half=3.0), table, ball)
+    truth = torch.arange(len(scene)) >= 7500
+    labels = clusters(scene)
+    assert int(labels[-1]) == int(labels[6000])  # all that is not the floor is one component
+    view = Camera(to_world=look_at((0.8, 0.0, 1.3), (0.0, 0.0, 0.8)), focal=96, width=64, height=64)
+    click = Selection(click=(pixel_of((0.07, 0.0, 0.92), view),))
+    assert iou(select(scene, click, camera=view, render=Renderer()), truth) > 0.85

@@ -72,11 +72,9 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     ends = _columns(file, header, chunk, [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])], np.float64, path)
     ends = ends[np.arange(vertex.count) // CHUNK]
     colours = _bytes(packed[:, 3])
-    with np.errstate(all="ignore"):  # what leaves float64 is judged below
-        means = _between(ends[:, 0:3], ends[:, 3:6], _unpack(packed[:, 0]))
-        logs = _between(ends[:, 6:9], ends[:, 9:12], _unpack(packed[:, 2]))
-        shown = _between(ends[:, 12:15], ends[:, 15:18], colours[:, :3]) if coloured else colours[:, :3]
-        scales = np.exp(logs)
+    means = _between(ends[:, 0:3], ends[:, 3:6], _unpack(packed[:, 0]))
+    scales = np.exp(_between(ends[:, 6:9], ends[:, 9:12], _unpack(packed[:, 2])))
+    shown = _between(ends[:, 12:15], ends[:, 15:18], colours[:, :3]) if coloured else colours[:, :3]
     sh = np.empty((vertex.count, 1 + len(names) // 3, 3), np.float32)
     sh[:, 0] = dc_of(shown)
     if rest is not None:

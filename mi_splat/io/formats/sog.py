@@ -95,10 +95,9 @@ def _read(files: Files, size: int, path: str) -> Loaded:
     sh = _look_up(parts["sh0"], colours[:, :3])[:, None]
     if "shN" in meta.values:
         sh = np.concatenate([sh, _rest(meta.object("shN"), picture, count)], axis=1)
-    with np.errstate(over="ignore", invalid="ignore"):  # what leaves float64 is judged
-        logs = low + (high - low) * ((coarse.astype(np.uint32) << 8 | fine) / _STEPS)
-        means = np.sign(logs) * np.expm1(np.abs(logs))
-        scales = np.exp(_look_up(parts["scales"], picture(parts["scales"], 1, 0, count)[:, :3]))
+    logs = low + (high - low) * ((coarse.astype(np.uint32) << 8 | fine) / _STEPS)
+    means = np.sign(logs) * np.expm1(np.abs(logs))
+    scales = np.exp(_look_up(parts["scales"], picture(parts["scales"], 1, 0, count)[:, :3]))
     return judged(means, scales, _unpack_rotations(quaternions), colours[:, 3] / 255.0, sh)
 
 
