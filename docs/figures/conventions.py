@@ -35,7 +35,7 @@ DPI = 110
 
 def axes_and_angles() -> Figure:
     """World axes, azimuth and elevation, and the axes of a camera on an orbit."""
-    figure = plt.figure(figsize=(6.2, 4.6))
+    figure = plt.figure(figsize=(6.2, 4.0))
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     pose = orbit_pose((0, 0, 0), azimuth=AZIMUTH, elevation=ELEVATION, distance=DISTANCE).numpy()
     eye = pose[:3, 3]
@@ -62,12 +62,12 @@ def axes_and_angles() -> Figure:
     axes.plot(*rise.T, color="black")
     axes.text(*(rise[15] * 1.12 + (0, 0, 0.05)), "elevation 30°", fontsize=9)
     axes.scatter(0, 0, 0, color="black", s=30)
-    axes.text(0, -0.25, -0.25, "centre", fontsize=9)
+    axes.text(0.15, 0, -0.2, "centre", fontsize=9)
     axes.set(xlim=(0, 3), ylim=(-0.4, 2.6), zlim=(-0.2, 2))
     axes.set_box_aspect((3, 3, 2.2), zoom=1.25)
     axes.view_init(elev=18, azim=-52)
     axes.set_axis_off()
-    figure.subplots_adjust(-0.15, -0.2, 1.05, 1.1)
+    figure.subplots_adjust(0, -0.12, 1, 1.06)
     return figure
 
 
