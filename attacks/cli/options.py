@@ -192,7 +192,7 @@ class ViewOptions:
     """
 
     path: Positional[Path]
-    """3DGS PLY, scene XML made of splats, or folder of results."""
+    """Splat file of any format that is read, scene XML made of splats, or folder of results."""
     clean: Path | None = None
     """Splat or scene to compare with; of a folder of results it is found."""
     detector: str | None = None
