@@ -67,4 +67,4 @@ $(STAMP): pyproject.toml .ci/setup.sh
 	@touch $@
 
 clean:
-	rm -rf .venv out dist build .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv out dist build docs/reference/commands .mypy_cache .pytest_cache .ruff_cache .hypothesis
