@@ -75,4 +75,4 @@ def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
     x, y, depth = local.unbind(1)
     x, y = x * camera.fx + camera.cx * depth, y * camera.fy + camera.cy * depth  # pixel coordinates times depth
     inside = (x >= 0) & (x <= camera.width * depth) & (y >= 0) & (y <= camera.height * depth)
-    return int((inside & (depth > 0) & (depth < near)).sum())
+    return int((inside & (depth < near)).sum())  # nothing behind the camera is inside

@@ -17,14 +17,13 @@ from attacks.evaluation.drawing import annotated, listed
 from attacks.evaluation.views import detect_views
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import describe
-from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.ranges import UsageError
 from mi_splat.datasets.pictures import SUFFIXES, read_picture
 from mi_splat.errors import message
 from mi_splat.io.documents import file_name, save_json, save_png
 from mi_splat.io.folders import check_new_folder, new_folder
-from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
 
 RECORD = "detections.json"
@@ -114,7 +113,7 @@ def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Ite
         return
     loaded = open_scene(source)
     cameras = find_cameras(loaded, view)
-    render = Renderer(render_settings(loaded, view, cameras))
+    render = renderer_of(loaded, view, cameras)
     places = [describe(name, camera) for name, camera in cameras.items()]
     for one in detect_views(loaded.scene, list(cameras.values()), detectors, render=render):
         yield Seen(

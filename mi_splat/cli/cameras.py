@@ -10,16 +10,17 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from mi_splat.bounds import bounds, near_plane
+from mi_splat.bounds import bounds, culled_in_view, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
 from mi_splat.cameras import Camera
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.camera_records import recorded_cameras
+from mi_splat.cli.console import warn
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.rendering import RenderSettings
+from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import is_rotation
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, orbit_camera, resized
@@ -27,6 +28,8 @@ from mi_splat.scene_files import SplatScene, orbit_camera, resized
 ALL = "all"
 """Names all cameras of a scene."""
 SIZE = (640, 480)
+_WORTH_A_WORD = 0.01
+"""A share of the Gaussians that the near plane hides before it is said."""
 AZIMUTH, ELEVATION = 30.0, 20.0
 _TRIED = ((30.0, 20.0), (120.0, 20.0), (210.0, 20.0), (300.0, 20.0), (30.0, 60.0), (30.0, -20.0))
 """Azimuth and elevation of the cameras of which the first is taken that shows the object well."""
@@ -105,6 +108,23 @@ def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
 def _is_set(text: str, loaded: SplatScene) -> bool:
     """Whether a text means cameras around a centre, and not some that have their places."""
     return ":" in text and text not in loaded.cameras and not text.lower().endswith(".json") and not Path(text).is_dir()
+
+
+def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> Renderer:
+    """The renderer of `render_settings`; says so where its near plane hides much that is in a picture.
+
+    Args:
+        loaded: As in `render_settings`.
+        options: As in `render_settings`.
+        cameras: As in `render_settings`.
+    """
+    settings = render_settings(loaded, options, cameras)
+    counts = {name: culled_in_view(loaded.scene, camera, settings.near) for name, camera in cameras.items()}
+    worst = max(counts, key=lambda name: counts[name], default="")
+    if counts and counts[worst] > _WORTH_A_WORD * len(loaded.scene):
+        many = f"{counts[worst]:,} Gaussians are nearer than {settings.near:g} and not drawn"
+        warn(f"camera {worst}: {many}; --near changes that")
+    return Renderer(settings)
 
 
 def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> list[tuple[str, Camera]]:

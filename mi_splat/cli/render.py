@@ -10,11 +10,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mi_splat.bounds import culled_in_view
 from mi_splat.cameras import Camera
 from mi_splat.cli.camera_records import describe
-from mi_splat.cli.cameras import find_cameras, render_settings
-from mi_splat.cli.console import Advance, progress, show, show_json, warn
+from mi_splat.cli.cameras import find_cameras, renderer_of
+from mi_splat.cli.console import Advance, progress, show, show_json
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import file_name, save_json
@@ -28,8 +27,6 @@ from mi_splat.scene_files import open_scene
 RECORD = "cameras.json"
 """In a folder of pictures, the camera of each."""
 _PLACE = "{}"
-_CULLED = 0.01
-"""A share of the Gaussians that the near plane hides before it is said."""
 
 
 def run(options: RenderOptions) -> int:
@@ -38,12 +35,11 @@ def run(options: RenderOptions) -> int:
         loaded = open_scene(options.scene)
         cameras = find_cameras(loaded, options.view)
         _check_out(options, cameras)
-        settings = render_settings(loaded, options.view, cameras)
+        render = renderer_of(loaded, options.view, cameras)
         begun = time.perf_counter()
-        pictures = _pictures(loaded.scene, cameras, Renderer(settings), advance)
+        pictures = _pictures(loaded.scene, cameras, render, advance)
         files = _save(pictures, cameras, options)
     seconds = time.perf_counter() - begun
-    _warn_of_culling(loaded.scene, cameras, settings.near)
     first = next(iter(cameras.values()))
     if options.json:
         show_json(
@@ -53,7 +49,7 @@ def run(options: RenderOptions) -> int:
                 "gaussians": len(loaded.scene),
                 "width": first.width,
                 "height": first.height,
-                "near": settings.near,
+                "near": render.settings.near,
                 "camera_to_world": first.to_world.tolist(),
                 "focal": [first.fx, first.fy],
                 "cameras": [describe(name, camera) for name, camera in cameras.items()],
@@ -120,11 +116,3 @@ def _save(
             save_picture(pixels, folder / f"{file_name(name)}.png")
         save_json([describe(name, camera) for name, camera in cameras.items()], folder / RECORD)
     return [*(out / f"{file_name(name)}.png" for name in pictures), out / RECORD]
-
-
-def _warn_of_culling(scene: GaussianScene, cameras: Mapping[str, Camera], near: float) -> None:
-    """Say so where the near plane hides many Gaussians that are in a picture."""
-    counts = {name: culled_in_view(scene, camera, near) for name, camera in cameras.items()}
-    worst = max(counts, key=lambda name: counts[name])
-    if counts[worst] > _CULLED * len(scene):
-        warn(f"camera {worst}: {counts[worst]:,} Gaussians are nearer than {near:g} and not drawn; --near changes that")

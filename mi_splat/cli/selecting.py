@@ -9,7 +9,7 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera
 from mi_splat.cli.camera_options import CameraOptions
-from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import SplatScene
 from mi_splat.selection.config import Selection
@@ -56,7 +56,7 @@ def choose(loaded: SplatScene, selection: Selection, options: CameraOptions) -> 
     """
     if selection.click:
         cameras = find_cameras(loaded, options)
-        render = Renderer(render_settings(loaded, options, cameras))
+        render = renderer_of(loaded, options, cameras)
         first = next(iter(cameras.values()))
         mask = select(loaded.scene, selection, objects=loaded.objects, camera=first, render=render)
         return Chosen(mask=mask, cameras=cameras, render=render)
@@ -79,4 +79,4 @@ def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions) -> 
             return float(object_weight(loaded.scene, mask, camera, small).mean())
 
     cameras = find_cameras(loaded, options, focus=loaded.scene.select(mask), shows=shows)
-    return Chosen(mask=mask, cameras=cameras, render=Renderer(render_settings(loaded, options, cameras)))
+    return Chosen(mask=mask, cameras=cameras, render=renderer_of(loaded, options, cameras))

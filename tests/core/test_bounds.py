@@ -52,6 +52,23 @@ def test_an_empty_scene_and_a_point_have_a_near_plane(scene: GaussianScene) -> N
     assert 0 < near_plane(scene.select(slice(0, 1))) <= REFERENCE_NEAR
 
 
+def test_few_cameras_that_are_elsewhere_do_not_count(scene: GaussianScene) -> None:
+    near = [looking_from(0.5), looking_from(0.5), looking_from(90.0)]
+    assert near_plane(scene, near) == pytest.approx(0.05, rel=0.05)
+    assert near_plane(scene, [looking_from(0.01), looking_from(0.5), looking_from(0.5)]) > 0.04
+
+
+@pytest.mark.parametrize(("beside", "inside"), [((0.0, 0.08), True), ((0.08, 0.0), True), ((0.0, 0.12), False)])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_only_what_is_in_the_picture_is_culled(beside: tuple[float, float], inside: bool, sign: int) -> None:
+    """At a depth of 0.2, the picture is 0.2 wide and 0.2 high."""
+    place = torch.tensor([[2.8, sign * beside[0], sign * beside[1]]])
+    cloud = oracle.random_scene(1, degree=0, seed=0)
+    assert culled_in_view(cloud.replace(means=place), looking_from(3.0), 0.3) == int(inside)
+    turned = torch.tensor([[2.8, sign * beside[1], sign * beside[0]]])
+    assert culled_in_view(cloud.replace(means=turned), looking_from(3.0), 0.3) == int(inside)
+
+
 def test_what_near_culls_is_counted() -> None:
     x = torch.tensor([2.95, 2.85, 2.0, 3.2, 2.95])
     y = torch.tensor([0.0, 0.0, 0.0, 0.0, 1.0])  # the last is beside the picture, the one before behind the camera
