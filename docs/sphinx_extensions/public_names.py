@@ -6,8 +6,6 @@ import importlib
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from sphinx.domains.python import PyObject
-
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
@@ -21,7 +19,8 @@ PACKAGES = (
 def setup(app: Sphinx) -> dict[str, bool]:
     """Called by Sphinx."""
     app.connect("autodoc-skip-member", skip_exported)
-    for field in PyObject.doc_field_types:
+    python: Any = importlib.import_module("sphinx.domains.python")
+    for field in python.PyObject.doc_field_types:
         if field.name == "variable":
             field.label = "Attributes"  # as the docstrings have it; Sphinx says "Variables"
     return {"parallel_read_safe": True, "parallel_write_safe": True}
