@@ -16,12 +16,14 @@ STAMP := $(VENV)/.setup-stamp
 
 export PYTHON SYSTEM_SITE VENV
 
-.PHONY: help setup demo demo-cloak test lint types pytest format wheel clean
+.PHONY: help setup demo demo-cloak test lint types pytest nightly docs format wheel clean
 
 help:
 	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make test     format and lint checks, types, tests"
+	@echo "make nightly  the long commands of the documentation, shortened"
+	@echo "make docs     build the documentation into out/docs"
 	@echo "make wheel    build the wheel into dist"
 	@echo "make format   let ruff rewrite what it can"
 	@echo "make clean    remove .venv, out, dist and caches"
@@ -44,6 +46,13 @@ types: $(STAMP)
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
 
+nightly: $(STAMP)
+	$(BIN)/python -m pytest -m nightly $(ARGS)
+
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -b html -W --keep-going -q -E -d out/docs-trees docs out/docs
+	@echo "open out/docs/index.html"
+
 wheel: $(STAMP)
 	$(BIN)/python -m hatchling build -t wheel -d dist
 
@@ -58,4 +67,4 @@ $(STAMP): pyproject.toml .ci/setup.sh
 	@touch $@
 
 clean:
-	rm -rf .venv out dist build .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv out dist build docs/reference/commands .mypy_cache .pytest_cache .ruff_cache .hypothesis

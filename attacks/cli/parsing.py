@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import importlib
 import inspect
 import types
+import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from attacks.cli.examples import ALIASES, EXAMPLES, SEE_ALSO
+from attacks.cli.metavars import metavar
 from attacks.cli.ranges import ALL_RANGES
 from mi_splat.cli.console import PROGRAM
 from mi_splat.cli.ranges import check_ranges
@@ -23,6 +33,8 @@ if TYPE_CHECKING:
 
 _NONE = "none"
 _REGISTRY = ConstructorRegistry()
+_ASKED: list[Any] = []
+"""The dataclass whose fields are being asked for, if any."""
 
 
 def parse(name: str, command: Command, words: Sequence[str]) -> object:
@@ -36,20 +48,40 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
     Raises:
         UsageError: A number is out of its range.
     """
-    module, program = importlib.import_module(f"{command.package}.{command.options_module}"), f"{PROGRAM} {name}"
-    kind = getattr(module, command.options)
-    default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
-    options = tyro.cli(
-        kind,
-        args=[_canonical(word, ALIASES.get(name, {})) for word in words],
-        prog=program,
-        description=description(name, kind),
-        config=(FlagCreatePairsOff,),
-        registry=_REGISTRY,
-        **default,
-    )
+    kind, told = _told(name, command, words)
+    given = [_canonical(word, ALIASES.get(name, {})) for word in words]
+    options = tyro.cli(kind, args=given, description=description(name, kind), **told)
     check_ranges(options, ALL_RANGES)
     return options
+
+
+def argument_parser(name: str, command: Command) -> argparse.ArgumentParser:
+    """The options of a command as a parser of the standard library, from which documentation can be written.
+
+    Args:
+        name: Of the command.
+        command: Where its options are.
+    """
+    kind, told = _told(name, command, ())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # tyro offers nothing else that knows the whole help
+        parser: Any = tyro.extras.get_parser(kind, description=inspect.getdoc(kind), **told)
+    found: argparse.ArgumentParser = parser
+    return found
+
+
+def _told(name: str, command: Command, words: Sequence[str]) -> tuple[type, dict[str, Any]]:
+    """The dataclass of a command's options, and what tyro is told of it.
+
+    Args:
+        name: Of the command.
+        command: Where its options are.
+        words: What the user typed after its name.
+    """
+    module, program = importlib.import_module(f"{command.package}.{command.options_module}"), f"{PROGRAM} {name}"
+    default = {"default": getattr(module, command.defaults)(words, program=program)} if command.defaults else {}
+    told = {"prog": program, "config": (FlagCreatePairsOff,), "registry": _REGISTRY, **default}
+    return getattr(module, command.options), told
 
 
 def description(name: str, kind: type) -> str:
@@ -72,6 +104,44 @@ def _canonical(word: str, aliases: Mapping[str, str]) -> str:
     flag, equals, value = word.partition("=")
     name = flag.removeprefix("--").replace("-", "_")
     return f"--{aliases[name]}{equals}{value}" if flag.startswith("--") and name in aliases else word
+
+
+@_REGISTRY.struct_rule
+def _with_metavars(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Options whose values are called by what they mean (`attacks.cli.metavars`)."""
+    if info.type in _ASKED:
+        return None  # we are asking tyro's own rule, below
+    _ASKED.append(info.type)
+    try:
+        spec = ConstructorRegistry.get_struct_spec(info)
+    finally:
+        _ASKED.pop()
+    if not isinstance(spec, StructConstructorSpec):
+        return None
+    owner = getattr(info.type, "__name__", "")
+    fields = [dataclasses.replace(field, type=_with_metavar(owner, field)) for field in spec.fields]
+    return dataclasses.replace(spec, fields=tuple(fields))
+
+
+def _with_metavar(owner: str, field: StructFieldSpec) -> Any:
+    """The type of an option with what its values are called, unless they are choices, options, or have a name.
+
+    Args:
+        owner: Name of the dataclass that has the option.
+        field: The option.
+    """
+    marks = getattr(field.type, "__metadata__", ())
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(field.type, set()))
+    named = any(getattr(mark, "metavar", None) for mark in marks)
+    if named or not isinstance(spec, PrimitiveConstructorSpec) or spec.choices is not None:
+        return field.type
+    found = metavar(owner, field.name, spec.metavar)
+    if found == spec.metavar:
+        return field.type
+    may_lack = not any(field.default is missing for missing in (tyro.MISSING, tyro.MISSING_NONPROP))
+    if may_lack and set(marks) & set(getattr(Positional[str], "__metadata__", ())):
+        found = f"[{found}]"  # as tyro has it where a word may be left out
+    return Annotated[field.type, tyro.conf.arg(metavar=found)]
 
 
 @_REGISTRY.primitive_rule

@@ -1,9 +1,8 @@
-"""What the README shows is true: its example, its scene and its commands run."""
+"""What the README shows is true: its example and its scene run, and so do those of the Python API."""
 
 from __future__ import annotations
 
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -11,24 +10,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.project.documented_commands import ROOT, blocks, pages
+
 README = (ROOT / "README.md").read_text()
-
-
-def blocks(language: str, text: str = README) -> list[str]:
-    """Contents of the fenced blocks in one language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-
-
-PAGES = "\n".join([README, *(page.read_text() for page in sorted((ROOT / "docs").glob("*.md")))])
-"""The README and the documentation."""
-
-
-def commands(program: str, text: str = README) -> list[list[str]]:
-    """Arguments of every call of `program` in the shell blocks."""
-    lines = [line for block in blocks("sh", text) for line in block.splitlines()]
-    words = [shlex.split(line, comments=True) for line in lines]
-    return [line[1:] for line in words if line and line[0] == program]
 
 
 @pytest.fixture
@@ -40,7 +24,7 @@ def checkout(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_the_python_example_runs(checkout: Path) -> None:
-    (example,) = blocks("python")
+    (example,) = blocks("python", README)
     assert len([line for line in example.splitlines() if line.strip()]) <= 20
     done = subprocess.run([sys.executable, "-c", example], cwd=checkout, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -65,7 +49,7 @@ def test_the_examples_of_the_api_run(checkout: Path) -> None:
 
 
 def test_the_scene_example_renders(tmp_path: Path) -> None:
-    (example,) = blocks("xml")
+    (example,) = blocks("xml", README)
     for name in re.findall(r'name="filename" value="([^"]+)"', example):
         shutil.copy(ROOT / "scenes" / name, tmp_path)
     (tmp_path / "example.xml").write_text(example)
@@ -88,37 +72,10 @@ assert picture.std() > 0.05
     assert (tmp_path / "street.png").is_file()
 
 
-@pytest.mark.parametrize("words", commands("mi-splat", PAGES), ids=" ".join)
-def test_every_command_is_understood(words: list[str]) -> None:
-    from attacks.cli import COMMANDS
-    from attacks.cli.parsing import parse
-
-    assert words[0] in COMMANDS
-    parse(words[0], COMMANDS[words[0]], words[1:])
-
-
-@pytest.mark.parametrize("words", commands("make"), ids=" ".join)
-def test_every_make_target_exists(words: list[str]) -> None:
-    makefile = (ROOT / "Makefile").read_text()
-    targets = [word for word in words if "=" not in word]
-    assert targets
-    for target in targets:
-        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
-    for name in (word.split("=")[0] for word in words if "=" in word):
-        assert re.search(rf"^{name} \?=", makefile, flags=re.MULTILINE), name
-
-
-def test_every_path_exists() -> None:
-    named = [link for link in re.findall(r"\]\(([^)#:]+)\)", README) if "//" not in link]
-    assert named
-    for path in named:
-        assert (ROOT / path).exists(), path
-
-
 def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
 
 
-@pytest.mark.parametrize("path", [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")], ids=lambda p: str(p.name))
+@pytest.mark.parametrize("path", pages(), ids=lambda path: str(path.name))
 def test_nothing_is_left_to_fill_in(path: Path) -> None:
     assert not re.findall(r"TODO|TBD|FIXME|to be measured", path.read_text())

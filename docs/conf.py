@@ -1,0 +1,67 @@
+"""The documentation site: `make docs` builds it into out/docs, without a network and without a GPU."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from importlib.metadata import version as installed
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parent), str(HERE / "sphinx_extensions")]
+
+# The modules of the project are imported for their docstrings. Mitsuba loads its Python integrators at import.
+warnings.filterwarnings("ignore", category=RuntimeWarning, message="The AST-transforming decorator")
+
+project = "mi-splat"
+author = "The mi-splat authors"
+copyright = "The mi-splat authors, Apache 2.0"
+version = release = installed("mi-splat")
+
+extensions = [
+    *("myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"),
+    *("command_pages", "forge_links", "layer_diagram", "public_names"),
+]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+root_doc = "index"
+# README.md is what a forge shows for this folder; its list of pages is part of index.md.
+exclude_patterns = ["README.md"]
+# Two modules have a class `Step`; a link to it leads to one of them.
+suppress_warnings = ["ref.python"]
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+myst_fence_as_directive = ["mermaid"]
+
+default_role = "py:obj"  # `name` in a docstring is a link where there is such a name, and code elsewhere
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_default_options = {"members": True}
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 90
+toc_object_entries_show_parents = "hide"
+add_module_names = False
+
+smartquotes = False  # two hyphens are an option, not a dash
+
+html_theme = "sphinx_book_theme"
+html_title = "mi-splat"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_show_sphinx = False
+html_theme_options = {
+    "navbar_persistent": [],  # one search field is enough
+    "show_navbar_depth": 1,
+    "show_toc_level": 2,
+    "use_download_button": False,
+    "use_fullscreen_button": False,
+    "home_page_in_toc": False,
+    "navigation_with_keys": False,
+}

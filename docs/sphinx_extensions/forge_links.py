@@ -1,0 +1,64 @@
+"""What a forge shows and the site has to show otherwise: links out of docs/, and files elsewhere that are pages here.
+
+Pages link to other files of the repository by path, as a forge wants it. Some of these files are pages of the site,
+too: there a page of docs/reference is only a stub, and the site puts the file in its place.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+SHOWN_IN = {
+    "mi_splat/rasterization/README.md": "docs/reference/rasterization.md",
+    "scenes/README.md": "docs/reference/scenes.md",
+    "attacks/detectors/fasterrcnn_small.md": "docs/reference/fasterrcnn_small.md",
+    "scenes/detectors/README.md": "docs/reference/yolov8n_small.md",
+}
+"""File of the repository to the page of the site that shows it."""
+INSTEAD = {**SHOWN_IN, "README.md": "docs/start.md", "docs/README.md": "docs/index.md"}
+"""File of the repository to the page that a link to it leads to."""
+
+_LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(\))")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.connect("source-read", rewrite)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def rewrite(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put the file that a page shows in its place, and let links lead to pages of the site where there are some."""
+    page = f"docs/{docname}.md"
+    shown = next((file for file, stub in SHOWN_IN.items() if stub == page), None)
+    if shown is not None:
+        file = Path(app.srcdir).parent / shown
+        app.env.note_dependency(str(file))
+        source[0] = file.read_text()
+    source[0] = relinked(source[0], shown or page, page)
+
+
+def relinked(text: str, file: str, page: str) -> str:
+    """Markdown of a file as the site's page has it.
+
+    Args:
+        text: Markdown.
+        file: Where it stands in the repository; its links are relative to that.
+        page: The page that shows it, as a path in the repository.
+    """
+
+    def replaced(found: re.Match[str]) -> str:
+        opening, target, anchor, closing = found.groups()
+        if "://" in target or target.startswith("mailto:"):
+            return found.group()
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(file), target))
+        path = INSTEAD.get(path, path)
+        return f"{opening}{posixpath.relpath(path, posixpath.dirname(page))}{anchor or ''}{closing}"
+
+    return _LINK.sub(replaced, text)

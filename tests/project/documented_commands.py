@@ -1,0 +1,170 @@
+"""Every command that the documentation shows, and how each is run: at once and tiny, or by night and small.
+
+A command of `mi-splat` that is in no table here fails test_docs.py: whoever writes a new one into a page says how it is
+run. Pages are run line by line in a folder of their own, so a page can use what its earlier lines have made.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+ROOT = Path(__file__).resolve().parents[2]
+
+When = Literal["fast", "nightly", "never"]
+Change = Callable[[list[str]], "list[str] | None"]
+"""From the values that a flag has on the page, none if it is not there, to those that it is run with; None: no flag."""
+
+FAST = {
+    *("capture", "convert", "dagger", "detect", "detectors", "evaluate", "info", "render", "select", "train"),
+    *("--help", "view --export", "cloak --forecast"),
+}
+"""Commands that are run in every test run."""
+NIGHTLY = {"cloak", "cloak-experiment", "dagger-study", "doctor", "evaluate-detector", "view", "python"}
+"""Commands that are run by `make nightly`, each with the whole page that it stands on."""
+NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
+"""Pages whose lines need what long lines have made."""
+ELSEWHERE = {
+    "make test": "runs these tests",
+    "make docs": "tests/project/test_docs.py builds the site",
+    "make nightly": "runs these tests",
+    "pip": "the tests run in what it has installed; the extras that it names are checked",
+}
+"""Commands that are run by something else."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A command on a page.
+
+    Attributes:
+        page: Path in the repository.
+        words: The program and what follows it.
+    """
+
+    page: str
+    words: tuple[str, ...]
+
+    @property
+    def program(self) -> str:
+        """Name of the program, without a folder before it."""
+        return self.words[0].rpartition("/")[2]
+
+    @property
+    def kind(self) -> str:
+        """What the tables above call it."""
+        if self.program != "mi-splat":
+            return " ".join(self.words[:2]) if self.program == "make" else self.program
+        if "--help" in self.words:
+            return "--help"
+        marked = next((flag for flag in ("--export", "--forecast") if flag in self.words), None)
+        return f"{self.words[1]} {marked}" if marked else self.words[1]
+
+    @property
+    def when(self) -> When | None:
+        """When it is run; None if no table says it."""
+        if self.kind in ELSEWHERE:
+            return "never"
+        if self.kind in FAST and self.page not in NIGHTLY_PAGES:
+            return "fast"
+        return "nightly" if self.kind in NIGHTLY | FAST or self.program == "make" else None
+
+    def __str__(self) -> str:
+        return f"{self.page}: {shlex.join(self.words)}"
+
+
+def blocks(language: str, text: str) -> list[str]:
+    """Contents of the fenced blocks in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def pages() -> list[Path]:
+    """The README and every page of the documentation."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def lines() -> Iterator[Line]:
+    """Every line of every shell block."""
+    for path in pages():
+        for block in blocks("sh", path.read_text()):
+            for line in block.replace("\\\n", " ").splitlines():
+                if words := shlex.split(line, comments=True):
+                    yield Line(path.relative_to(ROOT).as_posix(), tuple(words))
+
+
+def to(*values: str) -> Change:
+    """These values, whether or not the page has the flag."""
+    return lambda old: list(values)
+
+
+def if_there(*values: str) -> Change:
+    """These values where the page has the flag."""
+    return lambda old: list(values) if old else None
+
+
+def fewer_cameras(most: int) -> Change:
+    """Sets of at most so many cameras; other cameras stay."""
+
+    def change(old: list[str]) -> list[str] | None:
+        sets = [re.sub(r":(\d+)", lambda found: f":{min(most, int(found[1]))}", word) for word in old]
+        return [re.sub(r"^grid:\d+x\d+$", f"grid:{most}x1", word) for word in sets] or None
+
+    return change
+
+
+def of_iterations(factor: float) -> Change:
+    """A part of the iterations, so that a longer run stays longer; of 3,000 where the page says nothing."""
+    return lambda old: [str(max(5, round(int((old or ["3000"])[0]) * factor)))]
+
+
+TINY: dict[str, dict[str, Change]] = {
+    "capture": {
+        "--cameras": lambda old: fewer_cameras(4)(old or ["hemisphere:4"]),
+        "--size": to("32"),
+        "--samples": to("1"),
+        "--points": to("300"),
+        "--test": if_there("2"),
+    },
+    "train": {"--iterations": of_iterations(0.001), "--eval-interval": to("0"), "--sh-degree": to("1")},
+    "render": {"--cameras": fewer_cameras(2)},
+    "select": {"--cameras": fewer_cameras(2)},
+    "detect": {"--cameras": fewer_cameras(1), "--size": to("64", "64")},
+    "dagger": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--steps": to("1"), "--noise-draws": to("1")},
+    "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--pictures": to("1")},
+    "view": {"--views": to("2", "1"), "--no-open": to()},
+    "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
+    "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
+    "cloak-experiment": {"--every": to("8")},
+}
+"""Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
+
+SMALL: dict[str, dict[str, Change]] = {
+    **TINY,
+    "capture": {"--cameras": fewer_cameras(24), "--samples": to("4"), "--test": if_there("2"), "--points": to("8000")},
+    "train": {"--iterations": of_iterations(0.15), "--eval-interval": to("0")},
+    "dagger": {"--cameras": fewer_cameras(2), "--steps": to("2"), "--noise-draws": to("1")},
+    "evaluate": {"--cameras": fewer_cameras(2), "--pictures": to("1")},
+}
+"""The same where a page needs a splat on which an object can be seen."""
+SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
+
+BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
+"""What is added to a program that a page calls by `python`."""
+
+
+def shortened(line: Line) -> list[str]:
+    """The words after `mi-splat`, with the changes that the tables ask for."""
+    words = list(line.words[1:])
+    changes = (SMALL if line.page in SMALL_PAGES else TINY).get(words[0], {})
+    for flag, change in changes.items():
+        if "--help" in words:
+            break
+        start = words.index(flag) if flag in words else len(words)
+        end = next((i for i in range(start + 1, len(words)) if words[i].startswith("--")), len(words))
+        values = change(words[start + 1 : end])
+        words[start:end] = [] if values is None else [flag, *values]
+    return words

@@ -1,0 +1,227 @@
+"""Runs the commands of the documentation: `python -m tests.project.run_documented fast|nightly FOLDER [PAGE ...]`.
+
+Each page has a folder of its own within FOLDER. What a line needs and no earlier line of its page has made is made
+first, mostly by a command, too (`GIVEN`). Exit status 1, and what failed on stderr, if a command fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+
+from attacks import cli
+from mi_splat import GaussianScene, load_splat, save_splat
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import Similarity, merge
+from mi_splat.sh import colour_to_dc
+from tests.project.documented_commands import BENCHMARKS, NIGHTLY_PAGES, ROOT, Line, lines, shortened
+
+SECONDS = 300
+"""That a page in the browser, or a benchmark, may take."""
+
+
+def car_on_ground() -> GaussianScene:
+    """The shipped car without its parts, on a disc of grey Gaussians."""
+    car = load_splat(ROOT / "scenes" / "car_street_car.ply")
+    generator = torch.Generator().manual_seed(0)
+    count = 3000
+    ground = GaussianScene(
+        means=torch.cat([8 * torch.rand(count, 2, generator=generator) - 4, torch.zeros(count, 1)], dim=1),
+        scales=torch.tensor([0.12, 0.12, 0.01]).expand(count, 3).contiguous(),
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
+        opacities=torch.full((count,), 0.9),
+        sh=colour_to_dc(torch.full((count, 1, 3), 0.4)),
+    )
+    return merge(car, ground.with_degree(car.degree))
+
+
+def splat(path: Path) -> None:
+    """A bare splat whose z is up."""
+    save_splat(car_on_ground(), path)
+
+
+def splat_y_down(path: Path) -> None:
+    """The same as COLMAP would have it, with y down."""
+    quarter = to_matrix(torch.tensor([0.5**0.5, 0.5**0.5, 0.0, 0.0], dtype=torch.float64))
+    save_splat(car_on_ground().transform(Similarity(rotation=quarter, translation=torch.zeros(3))), path)
+
+
+def mesh(path: Path) -> None:
+    """A box as a GLB file, in centimetres."""
+    import trimesh
+
+    trimesh.creation.box((400.0, 180.0, 150.0)).export(path)
+
+
+PICTURES = "mi-splat capture stop_sign --cameras hemisphere:4 --test 2 --format both --out {path}"
+DAGGER = "mi-splat dagger scenes/car_street.xml --object car --out {path}"
+
+GIVEN: dict[str, str | Callable[[Path], None]] = {
+    "desk.ply": splat,
+    "street.ply": splat_y_down,
+    "web.splat": splat,
+    "out/original.ply": splat,
+    "truck.glb": mesh,
+    "chair.glb": mesh,
+    **dict.fromkeys(("my_colmap_folder", "out/set", "out/truck", "out/car-alone"), PICTURES),
+    "out/desk": DAGGER,
+    "out/desk/attacked.ply": "mi-splat dagger desk.ply --mask out/mask.npy --azimuth 40 --elevation 25 --out out/desk",
+    "out/mask.npy": "mi-splat select desk.ply --cluster 1 --out out/mask.npy",
+    "out/elephant/attacked.ply": "mi-splat dagger scenes/car_street.xml --object car --out out/elephant",
+    "out/attacked.spz": "mi-splat convert scenes/car_street_car.ply out/attacked.spz",
+    "out/person": DAGGER,
+}
+"""What pages take as given: a command that makes it, or a function."""
+
+
+def small_scenes(folder: Path) -> None:
+    """The scenes, with studies of CLOAK that are done in a minute or two."""
+    shutil.copytree(ROOT / "scenes", folder)
+    fewer: dict[str, float] = {
+        "train": 60,
+        "size": 64,
+        "samples": 2,
+        "points": 1500,
+        "iterations": 150,
+        "max_gaussians": 2500,
+    }
+    fewer |= {"outliers": 200, "cameras": 40, "reference_views": 4, "meridians": 1, "meridian_step": 15.0}
+    for path in folder.glob("cloak_*.toml"):
+        text = path.read_text()
+        if "\npoints = " not in text:
+            text = text.replace("[cameras]\n", "[cameras]\npoints = 1500\n")
+        for key, value in fewer.items():
+            text = re.sub(rf"^{key} = [\d.]+", f"{key} = {value}", text, flags=re.MULTILINE)
+        text = re.sub(r"^seeds = \[.*?\]", "seeds = [0]", text, flags=re.MULTILINE)
+        path.write_text(re.sub(r"^detectors = .*$", 'detectors = ["fasterrcnn_small"]', text, flags=re.MULTILINE))
+
+
+def provide(line: Line) -> None:
+    """Make what a line reads, is not there, and can be made."""
+    outputs = {"--out", "--export"}
+    reads = True
+    for number, word in enumerate(line.words):
+        if line.kind == "convert" and number == 3:
+            continue  # the file to write
+        if word.startswith("--"):
+            reads = word not in outputs
+        elif reads and word in GIVEN and not Path(word).exists():
+            Path(word).parent.mkdir(parents=True, exist_ok=True)
+            make = GIVEN[word]
+            if isinstance(make, str):
+                given = Line("GIVEN", tuple(shlex.split(make.format(path=word))))
+                provide(given)
+                execute(given)
+            else:
+                make(Path(word))
+
+
+class CommandError(Exception):
+    """A command of the documentation failed; the message is what it said."""
+
+
+def execute(line: Line) -> None:
+    """Run a line in the current folder.
+
+    Raises:
+        CommandError: Its exit status is not 0.
+    """
+    if line.program == "make":
+        for recipe in re.findall(rf"^{line.words[1]}:.*\n((?:\t.*\n)*)", (ROOT / "Makefile").read_text(), re.MULTILINE):
+            for command in re.findall(r"\$\(BIN\)/(mi-splat .*)", recipe):
+                execute(Line(line.page, tuple(shlex.split(command.replace("$(OUT)", "out/demo")))))
+        return
+    if line.program == "python":
+        added = BENCHMARKS[line.words[1]]
+        _wait([sys.executable, *line.words[1:], *added], ROOT)
+        return
+    words = shortened(line)
+    if line.kind == "view":
+        _wait([sys.executable, "-m", "attacks", *words, "--port", "0"], Path(), until="http://")
+        return
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        status = cli.main(words)
+    if status != 0:
+        raise CommandError(f"{shlex.join(words)}: exit status {status}\n{said.getvalue()[-600:]}")
+
+
+def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> None:
+    """Run a program to its end; once it has said `until`, it is interrupted as a user would do it.
+
+    Args:
+        command: The program and its arguments.
+        folder: Where it runs.
+        until: What it says when it is ready; None if it ends by itself.
+
+    Raises:
+        CommandError: It failed, or never said `until`.
+    """
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    alarm = threading.Timer(SECONDS, process.kill)
+    alarm.start()
+    said = ""
+    assert process.stdout is not None
+    for text in process.stdout:
+        said += text
+        if until is not None and until in text:
+            time.sleep(1)
+            process.send_signal(signal.SIGINT)
+            until = None
+    status = process.wait()
+    alarm.cancel()
+    if status not in (0, cli.INTERRUPTED) or until is not None:
+        raise CommandError(f"{shlex.join(command)}: exit status {status}\n{said[-600:]}")
+
+
+def chosen(when: str) -> dict[str, list[Line]]:
+    """The lines to run by page: all fast ones, or all of each page that has a nightly one."""
+    found: dict[str, list[Line]] = {}
+    for line in lines():
+        found.setdefault(line.page, []).append(line)
+    if when == "fast":
+        return {page: [line for line in every if line.when == "fast"] for page, every in found.items()}
+    nightly = {page for page, every in found.items() if any(line.when == "nightly" for line in every)}
+    runnable = {page: [line for line in found[page] if line.when != "never"] for page in nightly | NIGHTLY_PAGES}
+    return dict(sorted(runnable.items()))
+
+
+def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
+    """Run the lines, and report each that fails and how long each took."""
+    failed = 0
+    small_scenes(folder / "scenes")
+    for page, every in chosen(when).items():
+        if not every or (only and page not in only):
+            continue
+        here = folder / page.replace("/", "_")
+        here.mkdir()
+        (here / "scenes").symlink_to(folder / "scenes")
+        os.chdir(here)
+        for line in every:
+            begun = time.monotonic()
+            try:
+                provide(line)
+                execute(line)
+            except CommandError as error:
+                failed += 1
+                sys.stderr.write(f"{line}\n  ran as {error}\n")
+            sys.stdout.write(f"{time.monotonic() - begun:6.1f} s  {line}\n")
+            sys.stdout.flush()
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1], Path(sys.argv[2]).resolve(), sys.argv[3:]))

@@ -1,0 +1,171 @@
+"""The documentation is true: the site is built without a warning, its pages ask no other host, its commands run."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from attacks.cli import COMMANDS
+from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
+from tests.project.test_extras import PROJECT
+
+LINES = list(lines())
+OURS = [line for line in LINES if line.program == "mi-splat"]
+
+
+def run(*words: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *words], cwd=cwd, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("line", LINES, ids=str)
+def test_every_command_is_run_by_something(line: Line) -> None:
+    assert line.when, f"say in documented_commands.py how `{line.kind}` is run"
+    assert line.program != "python" or line.words[1] in BENCHMARKS
+
+
+@pytest.mark.parametrize("line", [line for line in OURS if line.kind != "--help"], ids=str)
+def test_every_command_is_understood(line: Line) -> None:
+    from attacks.cli.parsing import parse
+
+    parse(line.words[1], COMMANDS[line.words[1]], line.words[2:])
+
+
+def test_the_tables_name_commands() -> None:
+    known = {*COMMANDS, "python", "--help"}
+    assert {kind.split()[0] for kind in FAST | NIGHTLY} <= known
+
+
+@pytest.mark.parametrize("line", [line for line in LINES if line.program == "make"], ids=str)
+def test_every_make_target_exists(line: Line) -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    targets = [word for word in line.words[1:] if "=" not in word]
+    assert targets
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
+    for name in (word.split("=")[0] for word in line.words[1:] if "=" in word):
+        assert re.search(rf"^{name} \?=", makefile, flags=re.MULTILINE), name
+
+
+def test_every_extra_exists() -> None:
+    named = re.findall(r"(?:mi-splat|\.)\[([\w,]+)\]", "".join(path.read_text() for path in pages()))
+    assert {extra for group in named for extra in group.split(",")} <= set(PROJECT["optional-dependencies"])
+
+
+def test_every_link_between_pages_leads_somewhere() -> None:
+    for path in pages():
+        text = re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)
+        for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+            assert "://" in link or (path.parent / link).exists(), f"{path.relative_to(ROOT)}: {link}"
+
+
+def test_every_page_is_in_the_list() -> None:
+    """README.md of docs/ is what a forge shows; it names every page but those that a program writes."""
+    listed = (ROOT / "docs" / "README.md").read_text()
+    for path in pages()[1:]:
+        name = path.relative_to(ROOT / "docs").as_posix()
+        assert name in ("README.md", "index.md") or name.startswith("reference/") or f"]({name})" in listed, name
+
+
+@pytest.mark.slow
+def test_the_commands_run(tmp_path: Path) -> None:
+    """The short ones, on small inputs; `make nightly` runs the others."""
+    pytest.importorskip("trimesh", reason="meshes of the documentation need the extra meshes")
+    pytest.importorskip("ultralytics", reason="the documentation compares two detectors; one needs the extra yolo")
+    done = run("-m", "tests.project.run_documented", "fast", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.nightly
+def test_the_long_commands_run(tmp_path: Path) -> None:
+    done = run("-m", "tests.project.run_documented", "nightly", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_detector_of_the_how_to_works() -> None:
+    (example,) = blocks("python", (ROOT / "docs" / "how-to" / "write-your-own-detector.md").read_text())
+    done = run("-c", example)
+    assert done.returncode == 0, done.stderr
+    assert "stop sign" in done.stdout
+
+
+@pytest.mark.parametrize("path", pages(), ids=lambda path: path.name)
+def test_python_examples_import_what_there_is(path: Path) -> None:
+    for example in blocks("python", path.read_text()):
+        for node in ast.walk(ast.parse(example)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("mi_splat", "attacks"):
+                module = importlib.import_module(node.module or "")
+                assert not [alias.name for alias in node.names if not hasattr(module, alias.name)]
+
+
+@pytest.mark.slow
+def test_the_figures_can_be_drawn_again(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra figures")
+    done = run("docs/figures/conventions.py", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    drawn = {path.name for path in tmp_path.iterdir()}
+    shown = set(re.findall(r"images/(conventions_\w+\.png)", (ROOT / "docs" / "conventions.md").read_text()))
+    assert drawn == shown
+    assert all((ROOT / "docs" / "images" / name).is_file() for name in drawn)
+
+
+class Requests(HTMLParser):
+    """What a browser asks for when it shows a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag in ("script", "link", "img", "iframe", "source", "video"):
+            self.addresses += [value for name, value in attrs if name in ("src", "href", "srcset") and value]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    for module in ("sphinx", "myst_parser", "sphinx_book_theme"):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"no {module}: the site needs the extra docs")
+    folder = tmp_path_factory.mktemp("site")
+    done = run(
+        "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q", "-d", str(folder / "trees"), "docs", str(folder)
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_the_site_has_a_page_for_everything(site: Path) -> None:
+    for name in COMMANDS:
+        text = (site / "reference" / "commands" / f"{name}.html").read_text()
+        assert f"<h1>mi-splat {name}" in text
+    import attacks
+    import mi_splat
+
+    for package in (mi_splat, attacks):
+        text = (site / "reference" / f"{package.__name__}.html").read_text()
+        missing = [name for name in package.__all__ if f'id="{package.__name__}.{name}"' not in text]
+        assert not missing
+    assert "lane" in (site / "reference" / "rasterization.html").read_text()
+    assert "<svg" in (site / "structure.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_site_asks_no_other_host(site: Path) -> None:
+    found = sorted(site.rglob("*.html"))
+    assert len(found) > 50
+    for path in found:
+        requests = Requests()
+        requests.feed(path.read_text())
+        assert requests.addresses
+        foreign = [address for address in requests.addresses if re.match(r"(\w+:)?//", address)]
+        assert not foreign, path.relative_to(site)
+    for path in site.rglob("*.css"):
+        assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", path.read_text()), path.relative_to(site)
