@@ -293,20 +293,3 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
     assert snapshot == json.loads(json.dumps(dataclasses.asdict(config)))
     defaults = dataclasses.asdict(DaggerConfig())
     assert not {name for name, value in dataclasses.asdict(config).items() if value == defaults[name]}
-
-
-@pytest.mark.parametrize(
-    "words",
-    [["render", "cloud.ply", "--out", "a.png"], ["select", "cloud.ply", "--box", "-9", "-9", "-9", "9", "9", "9"]],
-    ids=lambda words: words[0],
-)
-def test_what_the_near_plane_hides_is_said(
-    words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(folder)
-    assert cli.main(words) == 0
-    assert "not drawn" not in capsys.readouterr().err
-    assert cli.main([*words, "--near", "100"]) == 0
-    assert (
-        "camera orbit: 400 Gaussians are nearer than 100 and not drawn; --near changes that" in capsys.readouterr().err
-    )

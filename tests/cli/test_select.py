@@ -146,3 +146,11 @@ def test_dagger_names_the_cameras_that_do_not_show_the_object(
     words = ["dagger", str(tmp_path / "toy.ply"), "--cluster", "1", "--cameras", "orbit:2@0", "--centre", "0", "9", "0"]
     assert cli.main([*words, "--distance", "3", "--size", "16", "16", "--out", str(tmp_path / "out")]) == 1
     assert "cameras: expected views that show the selection, got none from orbit-" in capsys.readouterr().err
+
+
+def test_what_the_near_plane_hides_is_said(bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["select", str(bare[0]), "--box", "-9", "-9", "-9", "9", "9", "9", *VIEW, "--near"]
+    assert cli.main([*words, "0.2"]) == 0
+    assert "not drawn" not in capsys.readouterr().err
+    assert cli.main([*words, "7"]) == 0
+    assert "Gaussians are nearer than 7 and not drawn; --near changes that" in capsys.readouterr().err
