@@ -17,7 +17,11 @@ from mi_splat.cameras import Camera, project_points
 from mi_splat.datasets import load_dataset, write_colmap
 from tests.datasets.sets import CLOUD, PROBES, VIEWS
 
-pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed; pip install pycolmap")
+
+@pytest.fixture(scope="module")
+def pycolmap() -> Any:
+    """The library; imported where it is needed alone, since it takes over what a process does on signals."""
+    return pytest.importorskip("pycolmap", reason="pycolmap is not installed; pip install pycolmap")
 
 
 def assert_same_pixels(camera: Camera, image: Any) -> None:
@@ -27,7 +31,7 @@ def assert_same_pixels(camera: Camera, image: Any) -> None:
     np.testing.assert_allclose(ours.numpy(), theirs, atol=1e-4)
 
 
-def test_colmap_reads_our_set(tmp_path: Path) -> None:
+def test_colmap_reads_our_set(pycolmap: Any, tmp_path: Path) -> None:
     write_colmap(tmp_path, VIEWS, points=CLOUD)
     model = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
     assert model.num_images() == len(VIEWS)
@@ -44,7 +48,7 @@ def test_colmap_reads_our_set(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("write", ["write_binary", "write_text"])
 @pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_PINHOLE"])
-def test_we_read_colmap_s_set(write: str, model: str, tmp_path: Path) -> None:
+def test_we_read_colmap_s_set(write: str, model: str, pycolmap: Any, tmp_path: Path) -> None:
     write_colmap(tmp_path, VIEWS, points=CLOUD)  # for the pictures
     written = pycolmap.Reconstruction()
     size = {"width": VIEWS[0].camera.width, "height": VIEWS[0].camera.height}
