@@ -11,7 +11,9 @@ import difflib
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from mi_splat.cli.console import PROGRAM, progress, warn
@@ -130,7 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        return _dispatch(words)
+        with _plain_warnings():
+            return _dispatch(words)
     except SystemExit as stop:  # tyro ends --help and wrong usage this way
         return stop.code if isinstance(stop.code, int) else DONE if stop.code is None else FAILED
     except KeyboardInterrupt:
@@ -145,6 +148,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (MiSplatError, OSError) as error:
         warn(" ".join(str(error).split()))
         return FAILED
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Show warnings in one line each, without the line of code that raised them."""
+    before = warnings.formatwarning
+    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {' '.join(str(text).split())}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
 
 
 def _dispatch(words: list[str]) -> int:

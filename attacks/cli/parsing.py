@@ -25,6 +25,7 @@ from tyro.constructors import (
 from attacks.cli.examples import ALIASES, EXAMPLES, SEE_ALSO
 from attacks.cli.metavars import metavar
 from attacks.cli.ranges import ALL_RANGES
+from attacks.cli.usage_errors import in_one_line
 from mi_splat.cli.console import PROGRAM
 from mi_splat.cli.ranges import check_ranges
 
@@ -38,7 +39,7 @@ _ASKED: list[Any] = []
 
 
 def parse(name: str, command: Command, words: Sequence[str]) -> object:
-    """The options of a command as its frozen dataclass; ends the process for --help and wrong usage.
+    """The options of a command as its frozen dataclass; ends the process for --help.
 
     Args:
         name: Of the command.
@@ -46,11 +47,12 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
         words: What the user typed after its name.
 
     Raises:
-        UsageError: A number is out of its range.
+        UsageError: The words are no options of the command, or a number is out of its range.
     """
-    kind, told = _told(name, command, words)
     given = [_canonical(word, ALIASES.get(name, {})) for word in words]
-    options = tyro.cli(kind, args=given, description=description(name, kind), **told)
+    with in_one_line():
+        kind, told = _told(name, command, words)
+        options = tyro.cli(kind, args=given, description=description(name, kind), **told)
     check_ranges(options, ALL_RANGES)
     return options
 

@@ -32,6 +32,9 @@ def run(options: TrainOptions) -> int:
     config = options.fit
     with progress("loading the pictures"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
+        if config.masks and not any(frame.mask for frame in views.frames):
+            do = "leave out --masks, or put them where the set says"
+            raise InvalidValueError(message(str(options.dataset), "masks of pictures", "none", do))
         held_out = _held_out(options)
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
@@ -110,6 +113,8 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
         do = "leave out --start and --random"
         raise InvalidValueError(message("--outliers", "a start on the points of the set", "another", do))
     limit = options.fit.strategy.max_gaussians if options.fit.strategy.adds_gaussians else None
+    if options.start is not None and options.random is not None:
+        raise InvalidValueError(message("--random", "no other start", f"--start {options.start}", "leave one out"))
     if options.start is not None:
         return load_splat(options.start)
     if options.random is not None:

@@ -19,6 +19,8 @@ RECORD = "result.json"
 def check_writable(out: str | os.PathLike[str]) -> None:
     """Raise, before any work is done, unless files can be written into a folder at `out`, which need not be there.
 
+    Temporary files that killed programs left there are swept.
+
     Raises:
         SplatFileError: `out` or something above it is a file, or cannot be written.
     """
@@ -28,6 +30,7 @@ def check_writable(out: str | os.PathLike[str]) -> None:
     if not os.access(around, os.W_OK | os.X_OK):
         do = "pass a folder that you may write"
         raise SplatFileError(message(str(out), "a folder that can be written", f"read-only {around}", do))
+    sweep_temporary(out)
 
 
 def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:

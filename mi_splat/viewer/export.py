@@ -19,6 +19,7 @@ from PIL import Image, ImageDraw
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_text
+from mi_splat.io.folders import check_writable
 from mi_splat.io.images import to_bytes
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
@@ -49,6 +50,7 @@ def check_export(path: Path, views: tuple[int, int], *, force: bool) -> None:
         raise InvalidValueError(message(str(path), "a free name", "something that is there", do))
     if not path.absolute().parent.is_dir():
         raise InvalidValueError(message(str(path), "a folder to write into", "none", "make the folder first"))
+    check_writable(path.parent)
 
 
 def export_orbits(start: Orbit, views: tuple[int, int]) -> list[list[Orbit]]:

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -82,6 +83,44 @@ def test_wrong_usage_exits_with_2(words: list[str], capsys: pytest.CaptureFixtur
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["info"], "Missing from mi-splat info: FILE"),
+        (["info", "a.ply", "--nonsense"], "Unrecognized options: --nonsense"),
+        (["train", "s", "--out", "o", "--iteratons", "5"], "did you mean --iterations?"),
+        (["dagger", "--steps", "many"], "--steps: expected a whole number, got 'many'"),
+        (["dagger", "--confidence", "much"], "--confidence: expected a number, got 'much'"),
+        (["dagger", "--steps", "0"], "dagger: steps: expected a number >= 1, got 0"),
+        (["dagger", "--norm", "l7"], "invalid choice 'l7' for argument '--norm'"),
+        (["render", "a.ply", "--size", "640"], "'--size'. Expected 2 values"),
+        (["train", "s", "--out", "o", "--strategy", "best"], "invalid choice: 'best'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_usage_is_told_in_one_line(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert says in captured.err
+    assert captured.err.endswith(f"(see mi-splat {words[0]} --help)\n")
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_warnings_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+
+    def warns(options: object) -> int:
+        told.append(warnings.formatwarning(UserWarning("lost:\nmuch"), UserWarning, "cli.py", 7))
+        return 0
+
+    command_that(warns, monkeypatch)
+    before = warnings.formatwarning
+    assert cli.main(["doctor"]) == 0
+    assert told == ["mi-splat: warning: lost: much\n"]
+    assert warnings.formatwarning is before
 
 
 def command_that(action: Callable[[object], int], monkeypatch: pytest.MonkeyPatch) -> None:

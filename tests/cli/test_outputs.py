@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,25 @@ def test_a_folder_of_something_else_is_refused(
     assert cli.main([*words, "--out", str(folder / "album")]) == 1
     assert "album" in capsys.readouterr().err
     assert [path.name for path in (folder / "album").iterdir()] == ["wedding.jpg"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "render a.ply --size 16 16 --out out/a.png",
+        "render a.ply --size 16 16 --cameras orbit:2@20 --out out/a.gif",
+        "select a.ply --cluster 1 --size 16 16 --out out/a.npy",
+        "convert a.ply out/b.glb",
+        "view a.ply --size 16 16 --views 1 1 --export out/a.html",
+    ],
+)
+def test_what_a_killed_call_left_beside_a_file_is_swept(line: str, folder: Path) -> None:
+    (folder / "out").mkdir()
+    left = folder / "out" / ".elsewhere.7.0123456789abcdef.tmp"
+    left.write_text("half a picture")
+    os.utime(left, (time.time() - 90_000,) * 2)
+    assert cli.main(line.split()) == 0
+    assert len(list((folder / "out").iterdir())) == 1
 
 
 def test_a_result_is_replaced_only_when_forced(

@@ -197,9 +197,24 @@ def test_over_a_background() -> None:
 
 def test_the_command_trains_before_random_backgrounds(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ["--iterations", "4", "--random-background", "--masks"]
+    words = ["--iterations", "4", "--random-background"]
     assert cli.main(["train", str(dataset), "--out", str(out), *words]) == 0
     assert math.isfinite(figures(out)["psnr"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--masks"], "expected masks of pictures, got none"),
+        (["--random", "9", "--start", "splat.ply"], "--random: expected no other start, got --start splat.ply"),
+    ],
+)
+def test_options_that_would_mean_nothing_are_refused(
+    words: list[str], says: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations", "2", *words]) == 1
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_checkpoint_with_settings_unknown_here_says_who_wrote_it(

@@ -86,11 +86,16 @@ def test_a_result_s_cameras_come_first_and_go_around_the_attacked_object(result:
 
 
 def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(ROOT)
-    assert open_exhibit(result).splat("clean").path == Path("scenes/car_street.xml")
     monkeypatch.chdir(tmp_path)
+    assert open_exhibit(result).splat("clean").path == STREET  # as the result names it
+    moved = tmp_path / "moved"
+    shutil.copytree(result, moved)
+    found = json.loads((moved / "result.json").read_text())
+    (moved / "result.json").write_text(json.dumps({**found, "scene": "gone.xml"}))
     with pytest.raises(InvalidValueError, match="no such scene here; name it with --clean"):
-        open_exhibit(result)
+        open_exhibit(moved)
+    monkeypatch.chdir(ROOT)
+    assert open_exhibit(moved).splat("clean").path == Path("scenes/car_street.xml")
     with pytest.raises(InvalidValueError, match=r"expected the hash .*pass the scene that was attacked"):
         open_exhibit(result, clean=ROOT / "scenes" / "stop_sign.xml")
 
