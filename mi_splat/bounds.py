@@ -12,24 +12,34 @@ from mi_splat.scene import GaussianScene
 
 REFERENCE_NEAR = 0.2
 """Near plane of the 3DGS reference rasteriser, world units."""
+_LOOSE = 3.0
+"""How much larger than the ball that holds half of the means a scene may be."""
 _NEAR_SHARE, _LEAST_SHARE = 0.1, 0.001
 
 
 def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
-    """Middle and radius, world units, of the box around the middle 98 % of the means along each axis.
+    """Middle and radius, world units, of what there is to look at.
 
-    The rest are often floaters far away, which would make everything else tiny.
+    They are those of the box around the middle 98 % of the means along each axis: the rest are often floaters. Where
+    that is more than three times as large as the ball that holds half of the means, there is a sky or a background,
+    too; then it is that ball about the median of the means, three times as large.
 
     Raises:
         InvalidValueError: The scene is empty.
     """
     if not len(scene):
         raise InvalidValueError(message("scene", "Gaussians to look at", "none", "pass another file"))
-    ordered = scene.means.detach().double().cpu().sort(dim=0).values
+    means = scene.means.detach().double().cpu()
+    ordered = means.sort(dim=0).values
     last = len(ordered) - 1
     low, high = ordered[round(0.01 * last)], ordered[round(0.99 * last)]
-    x, y, z = ((low + high) / 2).tolist()
-    return (x, y, z), max(float(torch.linalg.vector_norm(high - low)) / 2, float(scene.scales.detach().mean()))
+    middle, radius = (low + high) / 2, float(torch.linalg.vector_norm(high - low)) / 2
+    median = means.median(dim=0).values
+    half = _LOOSE * float((means - median).norm(dim=1).median())
+    if 0 < half < radius:
+        middle, radius = median, half
+    x, y, z = middle.tolist()
+    return (x, y, z), max(radius, float(scene.scales.detach().mean()))
 
 
 def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:

@@ -184,6 +184,13 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
         check(SMALL, [], tmp_path, tmp_path / "stages")
 
 
+def test_more_points_than_gaussians_are_refused_before_anything_is_made(tmp_path: Path) -> None:
+    few = replace(SMALL, training=replace(SMALL.training, max_gaussians=SMALL.cameras.points - 1))
+    with pytest.raises(InvalidValueError, match=r"training\.max_gaussians: expected at least"):
+        check(few, [], tmp_path / "out", tmp_path / "stages")
+    assert list(tmp_path.iterdir()) == []
+
+
 class Knows:
     """A detector of which only the classes are looked at."""
 

@@ -8,7 +8,7 @@ import torch
 
 from mi_splat.bounds import REFERENCE_NEAR, bounds, culled_in_view, near_plane
 from mi_splat.cameras import Camera, look_at
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, merge
 from tests import oracle
 
 
@@ -45,6 +45,17 @@ def test_near_shrinks_with_cameras_that_are_near(scene: GaussianScene) -> None:
     assert near_plane(scene, [looking_from(0.5)]) == pytest.approx(0.05, rel=0.05)
     _, radius = bounds(scene)
     assert near_plane(scene, [looking_from(1e-6)]) == pytest.approx(0.001 * radius)
+
+
+def test_a_sky_is_not_looked_at(scene: GaussianScene) -> None:
+    """A tenth of the Gaussians far away, as a captured sky is, is no part of what there is to look at."""
+    far = 100 * torch.nn.functional.normalize(torch.randn(40, 3), dim=1)
+    sky = scene.select(slice(0, 40)).replace(means=far)
+    middle, radius = bounds(merge(scene, sky))
+    half = float((scene.means - scene.means.median(dim=0).values).norm(dim=1).median())
+    assert radius == pytest.approx(3 * half, rel=0.15)
+    assert middle == pytest.approx((0.0, 0.0, 0.0), abs=0.3)
+    assert bounds(scene)[1] == pytest.approx(2.5, rel=1e-5)
 
 
 def test_an_empty_scene_and_a_point_have_a_near_plane(scene: GaussianScene) -> None:

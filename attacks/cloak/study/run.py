@@ -89,6 +89,7 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
         assign(cameras, setup.poisonings(study, mesh_scene, seed=seed), centre=setup.centre_of(study))
     setup.held_out_cameras(study, mesh_scene.target)
     fit_config(study.training)
+    _check_count(study)
     need_matplotlib()
     wanted = [
         study.scene.class_name,
@@ -98,6 +99,14 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
         one_of(f"class for {detector.name}", label, detector.classes)
     check_folder(study, folder)
     check_disk(forecast(study).megabytes, stages)
+
+
+def _check_count(study: StudyConfig) -> None:
+    """Raise if trainings would begin with more Gaussians than they may have."""
+    points, most = study.cameras.points + study.training.outliers, study.training.max_gaussians
+    if fit_config(study.training).strategy.adds_gaussians and points > most:
+        expected = f"at least {points:,}, for cameras.points and training.outliers"
+        raise InvalidValueError(message("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer"))
 
 
 def check_folder(study: StudyConfig, folder: Path) -> None:
