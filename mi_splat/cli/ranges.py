@@ -51,7 +51,7 @@ class Range:
         return f"{words} ({self.unit})" if self.unit else words
 
 
-def at_least(low: float, unit: str = "", do: str = "ask for more") -> Range:
+def at_least(low: float, unit: str = "", do: str = "change it") -> Range:
     """The numbers from `low` on."""
     return Range(low=low, unit=unit, do=do)
 
