@@ -15,6 +15,7 @@ from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.mitsuba_log import log_to_stderr
 
 VARIANT = "scalar_rgb"
 MAX_DEPTH = 3
@@ -30,6 +31,7 @@ def scalar_variant() -> Iterator[None]:
     """
     previous = mi.variant()
     mi.set_variant(VARIANT)
+    log_to_stderr()
     try:
         yield
     finally:

@@ -22,11 +22,12 @@ from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, scalar_variant, scene_dict, shapes
+from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.sensor import sensor_dict
 
-PASSES, BRIGHTEST = 2, 1.6
-"""Into how many passes a picture is split, and the intensity at which each is clipped."""
+BRIGHTEST = 1.6
+"""Intensity at which each pass of a picture is clipped."""
 
 NEAR = 0.01
 """Distance in world units up to which a camera sees nothing."""
@@ -75,8 +76,7 @@ class Photograph:
 
 
 def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False, near: float = NEAR) -> mi.Sensor:
-    # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less noise than independent ones.
-    sampler = {"type": "multijitter", "sample_count": samples, "seed": seed}
+    sampler = {"type": sampler_type(samples), "sample_count": samples, "seed": seed}
     values = {**sensor_dict(camera), "sampler": sampler, "near_clip": near}
     if alpha:
         values["film"] = {**values["film"], "pixel_format": "rgba"}
@@ -105,10 +105,9 @@ def _picture(
     With an `integrator`, which has to hide emitters, a fourth channel is the fraction of paths that met a surface.
     The colours are then those of the surfaces alone.
     """
-    passes, channels = min(PASSES, samples), 3 if integrator is None else 4
+    channels = 3 if integrator is None else 4
     total = np.zeros((camera.height, camera.width, channels))
-    for number in range(passes):
-        in_pass = (samples * (number + 1)) // passes - (samples * number) // passes
+    for number, in_pass in enumerate(pass_samples(samples)):
         sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None, near=near)
         given = {} if integrator is None else {"integrator": integrator}
         film = mi.render(scene, sensor=sensor, spp=in_pass, seed=seed * PASSES + number, **given)

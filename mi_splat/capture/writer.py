@@ -15,7 +15,8 @@ from typing import Literal
 from PIL import Image
 
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, check_camera, scalar_variant
+from mi_splat.capture.passes import PASSES
+from mi_splat.capture.path_tracer import NEAR, PathTracer, check_camera, scalar_variant
 from mi_splat.capture.point_clouds import surface_points
 from mi_splat.capture.record import Inputs, capture_record, claim_folder
 from mi_splat.capture.settings import CaptureSettings
