@@ -55,11 +55,28 @@ def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.Cap
 def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(command_line(tmp_path / "a", "--cameras", "orbit:2@30", "--size", "20", "12", "--rgba")) == 0
     again = command_line(tmp_path / "b", "--cameras", str(tmp_path / "a" / "transforms_train.json"))
+    again = [word for word in again if word not in ("--size", "16")]
     assert cli.main(again) == 0
     ours, theirs = (load_dataset(tmp_path / name) for name in "ab")
     assert ours.mask(0) is not None
     assert theirs[0].image.shape == (12, 20, 3)
     assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
+
+
+def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, pose = tmp_path / "cameras.json", [[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0.5], [0, 0, 0, 1]]
+    frames = {"camera_angle_x": 0.7, "frames": [{"file_path": "a", "transform_matrix": pose}]}
+    command = command_line(tmp_path / "out", "--cameras", str(file))
+    for flag, value in (("--size", ["20"]), ("--fov", ["45"]), ("--distance", ["3"]), ("--centre", ["0", "0", "0"])):
+        file.write_text(json.dumps({**frames, "w": 12, "h": 8} if flag == "--size" else frames))
+        assert cli.main([*command, flag, *value]) == 1
+        captured = capsys.readouterr()
+        assert flag in captured.err
+        assert len(captured.err.splitlines()) == 1
+        assert not (tmp_path / "out").exists()
+    assert cli.main(command) == 0  # the size of a file that has none
 
 
 @pytest.mark.parametrize(
