@@ -49,6 +49,8 @@ def run(options: CaptureOptions) -> int:
             inputs=_inputs(options),
             on_step=lambda number, total: advance("rendering" if number < total else "laying points on surfaces"),
         )
+    for text in done.warnings:
+        warn(text)
     _report(done, source, options, (cameras[0].width, cameras[0].height))
     return 0
 
@@ -145,7 +147,7 @@ def _report(done: WrittenCapture, source: CaptureSource, options: CaptureOptions
                 "height": size[1],
                 "points": done.points,
                 "world_offset": list(source.world_offset),
-                "warnings": list(source.warnings),
+                "warnings": [*source.warnings, *done.warnings],
                 "begun_by": done.begun_by,
                 "files": [str(file) for file in done.files],
                 "seconds": done.seconds,

@@ -63,6 +63,22 @@ def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: p
     assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
 
 
+def test_pictures_that_are_all_black_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["capture", "car:3", "--cameras", "orbit:2@10", "--size", "8", "--samples", "1", "--points", "9"]
+    boxed = tmp_path / "boxed.xml"
+    boxed.write_text(
+        '<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/><shape type="cube"/></scene>'
+    )
+    inside = ["capture", str(boxed), *command[2:], "--distance", "0.3", "--json", "--out", str(tmp_path / "in")]
+    for _ in range(2):  # the second time, all pictures are there
+        assert cli.main(inside) == 0
+        captured = capsys.readouterr()
+        assert "inside the object" in captured.err
+        assert "--distance" in json.loads(captured.out)["warnings"][0]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
