@@ -39,6 +39,22 @@ def scalar_variant() -> Iterator[None]:
             mi.set_variant(previous)
 
 
+def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
+    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set.
+
+    Raises:
+        InvalidValueError: There is no such file, or it is no <scene>.
+    """
+    if isinstance(scene, dict):
+        return mi.load_dict(scene)
+    if not Path(scene).is_file():
+        raise InvalidValueError(message("scene", "a Mitsuba XML file", str(scene), "check the path"))
+    loaded = mi.load_file(str(scene))
+    if not isinstance(loaded, mi.Scene):
+        raise InvalidValueError(message(str(scene), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
+    return loaded
+
+
 def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
     """(F, 3, 3) shading normal of each corner: mean of the faces around that meet under less than `crease` degrees."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)

@@ -21,7 +21,7 @@ from mi_splat.assets.daylight import Light, daylight
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, scalar_variant, scene_dict, shapes
+from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, load_scene, scalar_variant, scene_dict, shapes
 from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.sensor import sensor_dict
@@ -83,14 +83,6 @@ def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False, nea
     return mi.load_dict(values)
 
 
-def _load(scene: dict[str, Any] | Path) -> mi.Scene:
-    if isinstance(scene, dict):
-        return mi.load_dict(scene)
-    if not Path(scene).is_file():
-        raise InvalidValueError(message("scene", "a Mitsuba XML file", str(scene), "check the path"))
-    return mi.load_file(str(scene))
-
-
 def _picture(
     scene: mi.Scene,
     camera: Camera,
@@ -146,7 +138,7 @@ class PathTracer:
             near: Distance in world units up to which a camera sees nothing.
 
         Raises:
-            InvalidValueError: samples is not positive, or there is no such file.
+            InvalidValueError: samples is not positive, or there is no such file, or no integrator in it.
         """
         if samples < 1:
             raise InvalidValueError(
@@ -154,7 +146,10 @@ class PathTracer:
             )
         self.samples, self._near = samples, near
         with scalar_variant():
-            self._scene = _load(scene)
+            self._scene = load_scene(scene)
+            if not alpha and self._scene.integrator() is None:
+                do = 'add <integrator type="path"/>'
+                raise InvalidValueError(message(str(scene), "a scene with an integrator", "none", do))
             hidden = {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True}
             self._integrator = mi.load_dict(hidden) if alpha else None
 
@@ -244,7 +239,7 @@ def in_front(alone: _Depths, nearest: _Depths) -> _Depths:
 def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
     """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
     with scalar_variant():
-        loaded = _load(scene)
+        loaded = load_scene(scene)
         return [torch.from_numpy(first_hits(loaded, camera, seed=seed)) for camera in cameras]
 
 
@@ -278,7 +273,7 @@ def photograph(
     description = scene_dict(assets, light=light, backdrop=backdrop)
     boxes, labels, visible, objects = [], [], [], []
     with scalar_variant():
-        scene = _load(description)
+        scene = load_scene(description)
         view = View(camera, _picture(scene, camera, samples=samples, seed=seed))
         nearest = first_hits(scene, camera, seed=seed)
         for number, asset in enumerate(assets):

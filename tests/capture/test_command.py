@@ -100,6 +100,8 @@ def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
     [
         (["--cameras", "sphere:3"], "hemisphere:N"),
         (["--cameras", "none.json"], "none.json"),
+        (["--cameras", "orbit:0@20"], "1 to 100000 cameras, got 0"),
+        (["--cameras", "hemisphere:1000000000"], "1 to 100000 cameras, got 1000000000"),
         (["--size", "0"], "size"),
         (["--size", "1", "2", "3"], "size"),
         (["--size", "99999"], "99999"),
@@ -159,6 +161,8 @@ def test_numbers_out_of_range_are_wrong_usage(
         ("none.obj", None, "none.obj"),
         ("bad.xml", "<scene", "bad.xml"),
         ("empty.xml", '<scene version="3.0.0"/>', "empty.xml"),
+        ("bare.xml", '<scene version="3.0.0"><shape type="cube"/></scene>', 'add <integrator type="path"/>'),
+        ("splats.xml", '<scene version="3.0.0"><integrator type="splat_tile"/></scene>', "mi-splat render"),
         ("unknown.xml", '<scene version="3.0.0"><shape type="teapot"/></scene>', "unknown.xml"),
     ],
 )
