@@ -22,12 +22,12 @@ MARGIN = 1.05
 HELD_OUT_START = 67.0
 """Azimuth of the first held-out camera in degrees, so that these are not where the others are."""
 
-_COUNT, _ANGLE = r"(?P<count>\d{1,9})", r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
+_COUNT, _ANGLE = r"(?P<count>\d{1,99})", r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
 _PATTERNS = {
     "hemisphere": re.compile(_COUNT),
     "orbit": re.compile(f"{_COUNT}@{_ANGLE}"),
     "cap": re.compile(f"{_COUNT}@{_ANGLE}"),
-    "grid": re.compile(r"(?P<count>\d{1,9})x(?P<rows>\d{1,9})"),
+    "grid": re.compile(r"(?P<count>\d{1,99})x(?P<rows>\d{1,99})"),
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mi_splat import plugins
 from mi_splat.errors import MiSplatError, message
 from mi_splat.llvm import prepare_llvm
+from mi_splat.mitsuba_log import log_to_stderr
 from mi_splat.plugins import SUPPORTED_VARIANTS
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
@@ -41,6 +42,7 @@ def use(variant: str = "") -> str:
         raise VariantError(message(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do))
     if mi.variant() != variant:
         mi.set_variant(variant)
+    log_to_stderr()
     plugins.register()
     return variant
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Floats, skin
 from mi_splat.assets.srgb import to_linear, to_srgb
-from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes, beside
+from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes, beside, lies_outside
 
 GREY = 0.7
 """sRGB grey of surfaces without any colour."""
@@ -106,16 +106,19 @@ def _material(piece: Any) -> Any | None:
 
 
 def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Report) -> Floats | None:
-    """(h, w, 3) sRGB picture of a material; None if it has none, or none that can be read."""
+    """(h, w, 3) sRGB picture of a material; None if it has none, or none that can be shown."""
     picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if picture is None:
         if said.picture is not None:
             there = said.picture.startswith("picture ") or beside(path, said.picture)
             outside = "lies outside of the mesh's folder, where it is not read"
-            lost = outside if (path.parent / said.picture).is_file() else "no such file"
+            lost = outside if lies_outside(path, said.picture) else "no such file"
             fault(
                 f"{said.picture} (texture): {'cannot be read as a picture, or has no coordinates' if there else lost}"
             )
+        return None
+    if said.options:
+        fault(f"{said.picture} (texture): options {said.options}, which are not followed")
         return None
     try:
         if picture.mode.startswith("I"):  # 16 bits, which Pillow would clip to 8

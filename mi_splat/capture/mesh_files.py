@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mi_splat.assets.mesh import Asset, Mesh, exact_rotation
 from mi_splat.capture.gltf import GltfError, gltf_notes
 from mi_splat.capture.mesh_colours import Surface, coloured
-from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes
+from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
 from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 
@@ -74,7 +74,7 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
         do = "export the surface, not the points alone"
         raise MeshFileError(message(str(path), "a mesh with faces", "no faces", do))
     if faults and settings.missing_textures == "refuse":
-        do = "put it where the mesh names it, or pass --missing-textures warn to go on with plain colours"
+        do = "put it where the mesh names it, without options, or pass --missing-textures warn for plain colours"
         raise MeshFileError(message(str(path), "textures and colours that can be shown", "; ".join(faults), do))
     turn = turning(settings, up=settings.up or UP[suffix])
     placed = [surface.vertices @ turn.T for surface in surfaces]
@@ -128,8 +128,7 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     try:
         notes = read(path)
         given = str(path) if notes.data is None else io.BytesIO(notes.data)
-        resolver = trimesh.resolvers.FilePathResolver(str(path))
-        scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver, process=False)
+        scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     except GltfError as error:
         raise MeshFileError(str(error)) from error

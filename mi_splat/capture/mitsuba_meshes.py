@@ -15,6 +15,7 @@ from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.mitsuba_log import log_to_stderr
 
 VARIANT = "scalar_rgb"
 MAX_DEPTH = 3
@@ -30,11 +31,28 @@ def scalar_variant() -> Iterator[None]:
     """
     previous = mi.variant()
     mi.set_variant(VARIANT)
+    log_to_stderr()
     try:
         yield
     finally:
         if previous is not None and previous != VARIANT:
             mi.set_variant(previous)
+
+
+def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
+    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set.
+
+    Raises:
+        InvalidValueError: There is no such file, or it is no <scene>.
+    """
+    if isinstance(scene, dict):
+        return mi.load_dict(scene)
+    if not Path(scene).is_file():
+        raise InvalidValueError(message("scene", "a Mitsuba XML file", str(scene), "check the path"))
+    loaded = mi.load_file(str(scene))
+    if not isinstance(loaded, mi.Scene):
+        raise InvalidValueError(message(str(scene), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
+    return loaded
 
 
 def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:

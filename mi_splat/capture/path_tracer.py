@@ -21,12 +21,13 @@ from mi_splat.assets.daylight import Light, daylight
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, scalar_variant, scene_dict, shapes
+from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, load_scene, scalar_variant, scene_dict, shapes
+from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.sensor import sensor_dict
 
-PASSES, BRIGHTEST = 2, 1.6
-"""Into how many passes a picture is split, and the intensity at which each is clipped."""
+BRIGHTEST = 1.6
+"""Intensity at which each pass of a picture is clipped."""
 
 NEAR = 0.01
 """Distance in world units up to which a camera sees nothing."""
@@ -75,20 +76,11 @@ class Photograph:
 
 
 def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False, near: float = NEAR) -> mi.Sensor:
-    # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less noise than independent ones.
-    sampler = {"type": "multijitter", "sample_count": samples, "seed": seed}
+    sampler = {"type": sampler_type(samples), "sample_count": samples, "seed": seed}
     values = {**sensor_dict(camera), "sampler": sampler, "near_clip": near}
     if alpha:
         values["film"] = {**values["film"], "pixel_format": "rgba"}
     return mi.load_dict(values)
-
-
-def _load(scene: dict[str, Any] | Path) -> mi.Scene:
-    if isinstance(scene, dict):
-        return mi.load_dict(scene)
-    if not Path(scene).is_file():
-        raise InvalidValueError(message("scene", "a Mitsuba XML file", str(scene), "check the path"))
-    return mi.load_file(str(scene))
 
 
 def _picture(
@@ -105,10 +97,9 @@ def _picture(
     With an `integrator`, which has to hide emitters, a fourth channel is the fraction of paths that met a surface.
     The colours are then those of the surfaces alone.
     """
-    passes, channels = min(PASSES, samples), 3 if integrator is None else 4
+    channels = 3 if integrator is None else 4
     total = np.zeros((camera.height, camera.width, channels))
-    for number in range(passes):
-        in_pass = (samples * (number + 1)) // passes - (samples * number) // passes
+    for number, in_pass in enumerate(pass_samples(samples)):
         sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None, near=near)
         given = {} if integrator is None else {"integrator": integrator}
         film = mi.render(scene, sensor=sensor, spp=in_pass, seed=seed * PASSES + number, **given)
@@ -147,7 +138,7 @@ class PathTracer:
             near: Distance in world units up to which a camera sees nothing.
 
         Raises:
-            InvalidValueError: samples is not positive, or there is no such file.
+            InvalidValueError: samples is not positive, or there is no such file, or no integrator in it.
         """
         if samples < 1:
             raise InvalidValueError(
@@ -155,7 +146,10 @@ class PathTracer:
             )
         self.samples, self._near = samples, near
         with scalar_variant():
-            self._scene = _load(scene)
+            self._scene = load_scene(scene)
+            if not alpha and self._scene.integrator() is None:
+                do = 'add <integrator type="path"/>'
+                raise InvalidValueError(message(str(scene), "a scene with an integrator", "none", do))
             hidden = {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True}
             self._integrator = mi.load_dict(hidden) if alpha else None
 
@@ -245,7 +239,7 @@ def in_front(alone: _Depths, nearest: _Depths) -> _Depths:
 def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
     """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
     with scalar_variant():
-        loaded = _load(scene)
+        loaded = load_scene(scene)
         return [torch.from_numpy(first_hits(loaded, camera, seed=seed)) for camera in cameras]
 
 
@@ -279,7 +273,7 @@ def photograph(
     description = scene_dict(assets, light=light, backdrop=backdrop)
     boxes, labels, visible, objects = [], [], [], []
     with scalar_variant():
-        scene = _load(description)
+        scene = load_scene(description)
         view = View(camera, _picture(scene, camera, samples=samples, seed=seed))
         nearest = first_hits(scene, camera, seed=seed)
         for number, asset in enumerate(assets):

@@ -35,6 +35,9 @@ GROUND_SIDE, GROUND_TILE = 6.5, 1.65
 """Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a car, as in the studies of CLOAK."""
 
 _FILENAME = re.compile(r'name="filename"\s+value="([^"]+)"')
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_SPLATS = re.compile(rb"<(?:shape|integrator)\b[^>]*\btype\s*=\s*[\"'](?:gaussians|splat_tile)[\"']")
+"""Plugins of this project, which show splats and not meshes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -125,9 +128,9 @@ def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple
 
 def _asset(name: str, surroundings: SurroundingsSettings) -> CaptureSource:
     """One of the project's assets, alone under the default sky unless told otherwise."""
-    kind, _, seed = name.partition(":")
-    if not re.fullmatch(r"\d{0,9}", seed):
-        raise InvalidValueError(message("scene", f"{kind} or {kind}:SEED, a whole number", name, "change the seed"))
+    kind, colon, seed = name.partition(":")
+    if not re.fullmatch(r"\d{1,9}" if colon else "", seed):
+        raise InvalidValueError(message("scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed"))
     return _mesh(LoadedMesh(asset=build(kind, int(seed or 0)).body), name, surroundings)
 
 
@@ -178,8 +181,12 @@ def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", str(path), "check the path"))
+    content = path.read_bytes()
+    if _SPLATS.search(_COMMENT.sub(b"", content)):
+        do = f"see it with `mi-splat render {path}`, or name a scene of meshes"
+        raise InvalidValueError(message(str(path), "a scene of meshes", "a scene of splats", do))
     try:
-        bounds = PathTracer(path, samples=1).bounds
+        bounds = PathTracer(path, samples=1, alpha=True).bounds
     except RuntimeError as error:  # what Mitsuba raises for everything
         found = " ".join(str(error).split())[:300]
         do = "make it a mesh scene that Mitsuba loads in scalar_rgb"
@@ -192,7 +199,6 @@ def _xml(path: Path) -> CaptureSource:
         raise InvalidValueError(message(str(path), expected, f"{radius:.4g}", "scale its shapes"))
     warnings = _far_away(path, centre, radius)
     # Files that it names belong to it: another texture makes other pictures.
-    content = path.read_bytes()
     named = (path.parent / name for name in _FILENAME.findall(content.decode("utf-8", "replace")))
     parts = [content, *(file.read_bytes() for file in named if file.is_file())]
     return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=_digest(parts), warnings=warnings)

@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from PIL import Image
 
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, check_camera, scalar_variant
+from mi_splat.capture.passes import PASSES
+from mi_splat.capture.path_tracer import NEAR, PathTracer, check_camera, scalar_variant
 from mi_splat.capture.point_clouds import surface_points
 from mi_splat.capture.record import Inputs, capture_record, claim_folder
 from mi_splat.capture.settings import CaptureSettings
@@ -47,6 +49,7 @@ class WrittenCapture:
         files: The point cloud and the files that list the pictures.
         seconds: Wall time of the rendering.
         begun_by: Version of the project that began the capture; None if an older one did, which kept no record of it.
+        warnings: What the user should know of the pictures.
     """
 
     train: int
@@ -56,6 +59,7 @@ class WrittenCapture:
     files: tuple[Path, ...]
     seconds: float
     begun_by: str | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def write_capture(
@@ -120,6 +124,7 @@ def write_capture(
         files=tuple(files),
         seconds=seconds,
         begun_by=begun_by,
+        warnings=_black_pictures(images, [name for part in listing.values() for name, _ in part]),
     )
 
 
@@ -160,6 +165,17 @@ def _render(
         if on_step is not None:
             on_step(number + 1, len(entries))
     return rendered
+
+
+def _black_pictures(images: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """A warning if nothing but black is to be seen in any picture."""
+    for name in names:
+        with Image.open(images / name) as picture:
+            if any(high > 0 for _, high in np.reshape(picture.convert("RGB").getextrema(), (3, 2))):
+                return ()
+    do = "move them away (--distance), or light the scene"
+    cause = "black alone, as from cameras inside the object or far too near"
+    return (message("pictures", "some that are not black", cause, do),)
 
 
 def _is_complete(path: Path, camera: Camera, alpha: bool) -> bool:

@@ -20,18 +20,23 @@ from mi_splat.datasets.transforms import read_world_offset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_own_folder
 
+SIZE, FOV = (256,), 45.0
+"""Size in pixels and field of view in degrees that are taken where none are given."""
+
 
 def run(options: CaptureOptions) -> int:
     """Capture, or go on with a capture, and say what was written."""
     check_own_folder(options.out, RECORD)
-    size = _size(options)
-    _check_fov(options.fov)
+    size, fov = _size(options), FOV if options.fov is None else options.fov
+    _check_fov(fov)
+    _check_meaning(options)
     with progress("building the scene"):
         source = open_source(options.scene, mesh=options.mesh, surroundings=options.surroundings)
     for text in source.warnings:
         warn(text)
-    placed = _placement(options, source, size)
+    placed = _placement(options, source, size, fov)
     cameras = _in_coordinates_of(source, camera_set(options.cameras, **placed), options.cameras)
+    _check_size(options, size, cameras)
     held_out = held_out_set(options.cameras, options.test, **placed)
     with progress("rendering", total=len(cameras) + len(held_out)) as advance:
         done = write_capture(
@@ -44,15 +49,35 @@ def run(options: CaptureOptions) -> int:
             inputs=_inputs(options),
             on_step=lambda number, total: advance("rendering" if number < total else "laying points on surfaces"),
         )
+    for text in done.warnings:
+        warn(text)
     _report(done, source, options, (cameras[0].width, cameras[0].height))
     return 0
 
 
 def _size(options: CaptureOptions) -> tuple[int, int]:
     """Width and height in pixels."""
-    if len(options.size) not in (1, 2) or min(options.size) < 1:
-        raise InvalidValueError(message("size", "one or two positive numbers", options.size, "for instance 256"))
-    return options.size[0], options.size[-1]
+    size = SIZE if options.size is None else options.size
+    if len(size) not in (1, 2) or min(size) < 1:
+        raise InvalidValueError(message("size", "one or two positive numbers", size, "for instance 256"))
+    return size[0], size[-1]
+
+
+def _check_meaning(options: CaptureOptions) -> None:
+    """Raise if a flag would mean nothing beside the cameras of a file."""
+    given = {"--fov": options.fov, "--distance": options.distance, "--centre": options.centre}
+    idle = [flag for flag, value in given.items() if value is not None]
+    if idle and options.cameras.lower().endswith(".json"):
+        got = f"--cameras {options.cameras} and {', '.join(idle)}"
+        raise InvalidValueError(message("cameras", "cameras that have their places", got, "leave one out"))
+
+
+def _check_size(options: CaptureOptions, size: tuple[int, int], cameras: list[Camera]) -> None:
+    """Raise if cameras of a file have sizes of their own, and another was asked for."""
+    others = [camera for camera in cameras if (camera.width, camera.height) != size]
+    if options.size is not None and others:
+        got = f"--cameras {options.cameras} of {others[0].width} x {others[0].height} and --size"
+        raise InvalidValueError(message("cameras", "cameras that have their sizes", got, "leave one out"))
 
 
 def _check_fov(fov: float) -> None:
@@ -61,9 +86,9 @@ def _check_fov(fov: float) -> None:
         raise InvalidValueError(message("fov", "degrees between 0 and 180", fov, "45 is usual"))
 
 
-def _placement(options: CaptureOptions, source: CaptureSource, size: tuple[int, int]) -> dict[str, Any]:
+def _placement(options: CaptureOptions, source: CaptureSource, size: tuple[int, int], fov: float) -> dict[str, Any]:
     """Where cameras look, how far away they are, and their lens."""
-    distance, focal = framing(source.radius, fov=options.fov, size=size)
+    distance, focal = framing(source.radius, fov=fov, size=size)
     return {
         "centre": source.centre if options.centre is None else _moved(options.centre, source.world_offset, -1),
         "distance": distance if options.distance is None else options.distance,
@@ -98,7 +123,10 @@ def _inputs(options: CaptureOptions) -> Inputs:
     environment = options.surroundings.environment
     scene["environment"] = None if environment is None else str(environment)
     names = ("cameras", "size", "fov", "centre", "distance")
-    values = {"scene": scene, "cameras": {name: getattr(options, name) for name in names}}
+    cameras = {name: getattr(options, name) for name in names}
+    if not options.cameras.lower().endswith(".json"):
+        cameras |= {"size": options.size or SIZE, "fov": FOV if options.fov is None else options.fov}
+    values = {"scene": scene, "cameras": cameras}
     return {
         kind: {name: list(value) if isinstance(value, tuple) else value for name, value in part.items()}
         for kind, part in values.items()
@@ -119,7 +147,7 @@ def _report(done: WrittenCapture, source: CaptureSource, options: CaptureOptions
                 "height": size[1],
                 "points": done.points,
                 "world_offset": list(source.world_offset),
-                "warnings": list(source.warnings),
+                "warnings": [*source.warnings, *done.warnings],
                 "begun_by": done.begun_by,
                 "files": [str(file) for file in done.files],
                 "seconds": done.seconds,

@@ -102,14 +102,14 @@ class CaptureOptions:
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
     out: Path = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
-    size: tuple[int, ...] = (256,)
-    """Width and height in pixels, or one number for both; 1 to 32768."""
+    size: tuple[int, ...] | None = None
+    """Width and height in pixels, or one number for both; 1 to 32768. None is 256, or what a transforms .json says."""
     test: int = 0
     """Pictures held out, from other cameras over the same range; 0 or more."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
     """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in sparse/0, or both."""
-    fov: float = 45.0
-    """Field of view in degrees over the shorter side of the picture; between 0 and 180."""
+    fov: float | None = None
+    """Field of view in degrees over the shorter side of the picture; between 0 and 180. None is 45."""
     centre: tuple[float, float, float] | None = None
     """Point that cameras look at, in the coordinates of the mesh file as it is turned and scaled; None is the middle of
     the scene or of its object."""

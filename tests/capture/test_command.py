@@ -55,6 +55,7 @@ def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.Cap
 def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(command_line(tmp_path / "a", "--cameras", "orbit:2@30", "--size", "20", "12", "--rgba")) == 0
     again = command_line(tmp_path / "b", "--cameras", str(tmp_path / "a" / "transforms_train.json"))
+    again = [word for word in again if word not in ("--size", "16")]
     assert cli.main(again) == 0
     ours, theirs = (load_dataset(tmp_path / name) for name in "ab")
     assert ours.mask(0) is not None
@@ -62,11 +63,45 @@ def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: p
     assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
 
 
+def test_pictures_that_are_all_black_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["capture", "car:3", "--cameras", "orbit:2@10", "--size", "8", "--samples", "1", "--points", "9"]
+    boxed = tmp_path / "boxed.xml"
+    boxed.write_text(
+        '<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/><shape type="cube"/></scene>'
+    )
+    inside = ["capture", str(boxed), *command[2:], "--distance", "0.3", "--json", "--out", str(tmp_path / "in")]
+    for _ in range(2):  # the second time, all pictures are there
+        assert cli.main(inside) == 0
+        captured = capsys.readouterr()
+        assert "inside the object" in captured.err
+        assert "--distance" in json.loads(captured.out)["warnings"][0]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, pose = tmp_path / "cameras.json", [[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0.5], [0, 0, 0, 1]]
+    frames = {"camera_angle_x": 0.7, "frames": [{"file_path": "a", "transform_matrix": pose}]}
+    command = command_line(tmp_path / "out", "--cameras", str(file))
+    for flag, value in (("--size", ["20"]), ("--fov", ["45"]), ("--distance", ["3"]), ("--centre", ["0", "0", "0"])):
+        file.write_text(json.dumps({**frames, "w": 12, "h": 8} if flag == "--size" else frames))
+        assert cli.main([*command, flag, *value]) == 1
+        captured = capsys.readouterr()
+        assert flag in captured.err
+        assert len(captured.err.splitlines()) == 1
+        assert not (tmp_path / "out").exists()
+    assert cli.main(command) == 0  # the size of a file that has none
+
+
 @pytest.mark.parametrize(
     ("more", "says"),
     [
         (["--cameras", "sphere:3"], "hemisphere:N"),
         (["--cameras", "none.json"], "none.json"),
+        (["--cameras", "orbit:0@20"], "1 to 100000 cameras, got 0"),
+        (["--cameras", "hemisphere:1000000000"], "1 to 100000 cameras, got 1000000000"),
         (["--size", "0"], "size"),
         (["--size", "1", "2", "3"], "size"),
         (["--size", "99999"], "99999"),
@@ -126,6 +161,8 @@ def test_numbers_out_of_range_are_wrong_usage(
         ("none.obj", None, "none.obj"),
         ("bad.xml", "<scene", "bad.xml"),
         ("empty.xml", '<scene version="3.0.0"/>', "empty.xml"),
+        ("bare.xml", '<scene version="3.0.0"><shape type="cube"/></scene>', 'add <integrator type="path"/>'),
+        ("splats.xml", '<scene version="3.0.0"><integrator type="splat_tile"/></scene>', "mi-splat render"),
         ("unknown.xml", '<scene version="3.0.0"><shape type="teapot"/></scene>', "unknown.xml"),
     ],
 )

@@ -48,12 +48,19 @@ def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
         open_source(str(tmp_path / "bad.xml"))
 
 
+def test_a_scene_of_splats_is_called_so() -> None:
+    with pytest.raises(InvalidValueError, match=r"car_street\.xml: expected a scene of meshes.*mi-splat render"):
+        open_source(str(STILL_LIFE.parents[1] / "car_street.xml"))
+
+
 def test_an_asset_by_name_and_seed_is_a_source() -> None:
     one, other, same = (open_source(name) for name in ("car:3", "car:4", "car:3"))
     assert one.digest == same.digest != other.digest
     assert len(one.assets) == 1
     with pytest.raises(InvalidValueError, match="change the seed"):
         open_source("car:three")
+    with pytest.raises(InvalidValueError, match="0 to 999999999, got car:;"):
+        open_source("car:")
 
 
 def test_an_object_of_the_project_can_stand_on_the_ground() -> None:
