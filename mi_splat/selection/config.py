@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
 
 
@@ -53,9 +54,10 @@ class Selection:
                 raise InvalidValueError(message("box", "no first number above its second", self.box, do))
         if not all(math.isfinite(angle) for angle in self.box_rotation):
             raise InvalidValueError(message("box rotation", "three angles in degrees", self.box_rotation, "change it"))
+        check_numbers(self)
         if self.cluster is not None and self.cluster < 1:
             raise InvalidValueError(message("cluster", "1 or more", self.cluster, "1 is the largest"))
-        if not 0 < self.link_distance < math.inf:
+        if not self.link_distance > 0:
             raise InvalidValueError(message("link distance", "a positive number", self.link_distance, "1.5 is usual"))
         if self.link_colour is not None and not 0 <= self.link_colour <= 1:
             raise InvalidValueError(message("link colour", "a number in [0, 1]", self.link_colour, "0.1 is strict"))
