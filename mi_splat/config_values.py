@@ -69,6 +69,6 @@ def finite_number(name: str, value: Any, *, least: int | None = None) -> float:
 
 def several(value: Any) -> tuple[Any, ...]:
     """One value or several as a tuple; a string is one value."""
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        return (value,)
-    return tuple(value.tolist() if hasattr(value, "tolist") and getattr(value, "ndim", 0) else value)
+    if hasattr(value, "tolist"):  # of NumPy or torch
+        value = value.tolist()
+    return tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)

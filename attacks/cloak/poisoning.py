@@ -261,7 +261,7 @@ def _mask(masks: Masks | None, index: int, camera: Camera) -> Tensor:
 def _replace(before: View, mask: Tensor, attack: Poisoning, index: int) -> View:
     """The view with the picture that the appearance makes of it."""
     copy = View(before.camera, before.image.clone())
-    image = attack.appearance(copy, mask).detach().to(before.image).clone()
+    image = torch.as_tensor(attack.appearance(copy, mask)).detach().to(before.image).clone()
     what = f"picture of {name_of(attack.appearance)} for view {index}"
     if image.shape != before.image.shape:
         expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
