@@ -1,4 +1,4 @@
-"""Checks that all configurations share: whole numbers where these are meant, finite ones elsewhere; light, no torch."""
+"""Checks of what users pass: whole and finite numbers, one value or several; light, without torch."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import math
 import operator
 from collections.abc import Collection, Iterable, Mapping
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar
 
 from mi_splat.errors import InvalidValueError, message
 
+_Value = TypeVar("_Value")
 _NUMBERS = ("int", "int | None", "float", "float | None")
 
 
@@ -72,3 +73,22 @@ def several(value: Any) -> tuple[Any, ...]:
     if hasattr(value, "tolist"):  # of NumPy or torch
         value = value.tolist()
     return tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
+
+
+def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ...]:
+    """One value of a kind, or several, as a tuple.
+
+    Args:
+        kind: Its class.
+        what: Name of the argument, for the error.
+        value: One, or an iterable of them.
+
+    Raises:
+        InvalidValueError: Something else is among them.
+    """
+    found = several(value)
+    for one in found:
+        if not isinstance(one, kind):
+            name = kind.__name__
+            raise InvalidValueError(message(what, f"values of {name}", type(one).__name__, f"make a {name} of it"))
+    return found

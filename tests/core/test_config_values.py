@@ -56,8 +56,8 @@ def test_one_value_stands_for_a_tuple_of_one() -> None:
 
 
 def test_numbers_of_numpy_become_python_s_so_that_snapshots_are_json() -> None:
-    config = FitConfig(
-        iterations=np.int64(5), lr_means=np.float32(0.5), strategy=ClassicConfig(max_gaussians=np.int32(9))
-    )  # type: ignore[arg-type]
+    numbers: dict[str, Any] = {"iterations": np.int64(5), "lr_means": np.float32(0.5)}
+    most: Any = np.int32(9)
+    config = FitConfig(**numbers, strategy=ClassicConfig(max_gaussians=most))
     assert json.loads(json.dumps(asdict(config)))["strategy"]["max_gaussians"] == 9
     assert (type(config.iterations), type(config.lr_means)) == (int, float)
