@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 from typing import Literal, get_args
 
 from mi_splat.attributes import ATTRIBUTES
@@ -32,7 +33,7 @@ def check_limits(radius: Mapping[str, float], norm: str) -> None:
     for name, value in radius.items():
         if name not in ATTRIBUTES:
             raise InvalidValueError(message("attribute", f"one of {', '.join(ATTRIBUTES)}", name, "choose among these"))
-        if not (math.isfinite(value) and value >= 0):
+        if not (isinstance(value, Real) and math.isfinite(value) and value >= 0):
             raise InvalidValueError(
                 message(f"radius of {name}", "a finite number >= 0", value, "use a large one for 'no limit'")
             )

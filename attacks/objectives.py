@@ -82,6 +82,13 @@ class Objective(Protocol):
         ...
 
 
+def check_objective(value: object) -> None:
+    """Raise unless a value is an `Objective`."""
+    if not callable(value) or not all(hasattr(value, name) for name in ("name", "label", "verdict")):
+        do = f"pass relabel({value!r})" if isinstance(value, str) else "pass for instance hide()"
+        raise InvalidValueError(message("objective", "an Objective", type(value).__name__, do))
+
+
 def overlap(boxes: Tensor, box: Tensor) -> Tensor:
     """Intersection over union of (..., 4) boxes with one (4,) box, both x0, y0, x1, y1 in pixels."""
     box = box.to(boxes)

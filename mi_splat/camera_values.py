@@ -54,6 +54,18 @@ def pixel_count(name: str, value: object) -> int:
     return size
 
 
+def check_points(**values: Sequence[float]) -> None:
+    """Raise unless each value is three finite numbers."""
+    for name, numbers in values.items():
+        try:
+            found = [float(number) for number in numbers]
+        except (TypeError, ValueError):
+            found = []
+        if len(found) != 3:
+            raise InvalidValueError(message(name, "three numbers", repr(numbers), "pass (x, y, z) in world units"))
+    check_finite(**values)
+
+
 def check_finite(**values: Sequence[float]) -> None:
     """Raise unless all numbers are finite."""
     for name, numbers in values.items():

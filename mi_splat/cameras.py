@@ -15,7 +15,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from mi_splat.camera_values import check_finite, focal_lengths, pixel_count, pose_tensor, two_numbers
+from mi_splat.camera_values import check_finite, check_points, focal_lengths, pixel_count, pose_tensor, two_numbers
+from mi_splat.config_values import several_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 
@@ -109,13 +110,7 @@ def as_cameras(cameras: Camera | Sequence[Camera]) -> tuple[Camera, ...]:
     Raises:
         InvalidValueError: Something else is among them.
     """
-    found = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
-    for camera in found:
-        if not isinstance(camera, Camera):
-            raise InvalidValueError(
-                message("cameras", "values of Camera", type(camera).__name__, "make a Camera of it")
-            )
-    return found
+    return several_of(Camera, "cameras", cameras)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,9 +178,9 @@ def look_at(
     When the view direction is parallel to `up`, the image's top points along world +y instead.
 
     Raises:
-        InvalidValueError: origin and target coincide, or a number is not finite.
+        InvalidValueError: origin and target coincide, or one is not three finite numbers.
     """
-    check_finite(origin=origin, target=target, up=up)
+    check_points(origin=origin, target=target, up=up)
     eye = torch.tensor(list(origin), dtype=torch.float64)
     forward = torch.tensor(list(target), dtype=torch.float64) - eye
     if not torch.linalg.norm(forward) > 0:
@@ -218,7 +213,8 @@ def orbit_pose(
     Raises:
         InvalidValueError: A number is not finite, or the distance is not positive.
     """
-    check_finite(target=target, azimuth=(azimuth,), elevation=(elevation,), distance=(distance,))
+    check_points(target=target)
+    check_finite(azimuth=(azimuth,), elevation=(elevation,), distance=(distance,))
     if distance <= 0:
         raise InvalidValueError(message("distance", "a positive number of world units", distance, "change it"))
     a, e = math.radians(azimuth), math.radians(elevation)

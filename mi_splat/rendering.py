@@ -14,7 +14,7 @@ from mi_splat import variant
 from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rasterization.settings import checked_background, checked_near
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, check_scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,9 +117,7 @@ class Renderer:
         cameras = as_cameras(cameras)
         if not cameras:
             return []
-        if not isinstance(scene, GaussianScene):
-            do = "load_splat(path) gives one"
-            raise InvalidValueError(message("scene", "a GaussianScene", type(scene).__name__, do))
+        check_scene("scene", scene)
         variant.use(self.variant)
         device = "cuda" if self.variant.startswith("cuda") else "cpu"
         if scene.means.device.type != device:

@@ -16,7 +16,7 @@ from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
-__all__ = ["ATTRIBUTES", "UNIT_TOLERANCE", "GaussianScene", "Similarity", "merge", "scene_hash"]
+__all__ = ["ATTRIBUTES", "UNIT_TOLERANCE", "GaussianScene", "Similarity", "check_scene", "merge", "scene_hash"]
 
 UNIT_TOLERANCE = 1e-3
 """How far from one the norm of a scene's quaternions may be."""
@@ -186,6 +186,12 @@ class GaussianScene:
         kept = self.sh[:, :count]
         padding = kept.new_zeros(len(self), count - kept.shape[1], 3)
         return self.unchecked(*self.tensors()[:4], torch.cat([kept, padding], dim=1))
+
+
+def check_scene(what: str, value: object) -> None:
+    """Raise unless a value, which the error calls `what`, is a `GaussianScene`."""
+    if not isinstance(value, GaussianScene):
+        raise InvalidValueError(message(what, "a GaussianScene", type(value).__name__, "load_splat(path) gives one"))
 
 
 def merge(*scenes: GaussianScene) -> GaussianScene:

@@ -16,6 +16,7 @@ from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io import SplatFileError, load_splat
+from mi_splat.io.errors import path_name
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, merge
 
@@ -47,8 +48,8 @@ def read_scene(path: str | Path) -> SplatScene:
     """
     import mitsuba as mi
 
+    path = Path(path_name(path))
     variant.use()
-    path = Path(path)
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
     try:

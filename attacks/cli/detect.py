@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +59,7 @@ def run(options: DetectOptions) -> int:
     """Detect, draw the boxes, and list them."""
     if not options.inputs:
         raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
+    _check_idle(options)
     check_new_folder(options.out, force=options.force, record=RECORD)
     with progress("loading the detectors") as advance:
         detectors = load_detectors(options.detectors, options.weights)
@@ -104,7 +106,7 @@ def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Ite
     Raises:
         MiSplatError: The file cannot be read, or a camera is not there.
     """
-    if source.suffix.lower() in SUFFIXES:
+    if _is_picture(source):
         image, _ = read_picture(source, downscale=1, background=view.background or (0.0, 0.0, 0.0))
         for detector in detectors:
             with torch.no_grad():
@@ -123,6 +125,22 @@ def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Ite
             image=one.image,
             detections=one.detections,
         )
+
+
+def _check_idle(options: DetectOptions) -> None:
+    """Raise if a flag says where a scene is looked at from, and there is none among the inputs."""
+    if any(not _is_picture(source) for source in options.inputs):
+        return
+    usual = CameraOptions()
+    names = [field.name for field in dataclasses.fields(usual) if field.name != "background"]
+    idle = [f"--{name}" for name in names if getattr(options.view, name) != getattr(usual, name)]
+    if idle:
+        got = f"pictures only, and {', '.join(idle)}"
+        raise UsageError(message("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out"))
+
+
+def _is_picture(source: Path) -> bool:
+    return source.suffix.lower() in SUFFIXES
 
 
 def _row(seen: Seen, min_confidence: float) -> dict[str, Any]:

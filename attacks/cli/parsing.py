@@ -8,7 +8,7 @@ import importlib
 import inspect
 import types
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 import tyro
@@ -27,7 +27,8 @@ from attacks.cli.metavars import metavar
 from attacks.cli.ranges import ALL_RANGES
 from attacks.cli.usage_errors import in_one_line
 from mi_splat.cli.console import PROGRAM
-from mi_splat.cli.ranges import check_ranges
+from mi_splat.cli.ranges import UsageError, check_range, check_ranges, numbers_of
+from mi_splat.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from attacks.cli import Command
@@ -122,7 +123,22 @@ def _with_metavars(info: StructTypeInfo) -> StructConstructorSpec | None:
         return None
     owner = getattr(info.type, "__name__", "")
     fields = [dataclasses.replace(field, type=_with_metavar(owner, field)) for field in spec.fields]
-    return dataclasses.replace(spec, fields=tuple(fields))
+    return dataclasses.replace(spec, fields=tuple(fields), instantiate=_checked(spec.instantiate))
+
+
+def _checked(build: Callable[..., Any]) -> Callable[..., Any]:
+    """What makes options of words, but what it refuses becomes one line, which names the flag where its range does."""
+
+    def made(*args: Any, **values: Any) -> Any:
+        try:
+            return build(*args, **values)
+        except InvalidValueError as error:
+            for name, value in values.items():
+                for number in numbers_of(value):
+                    check_range(name, number, ALL_RANGES)
+            raise UsageError(str(error)) from None
+
+    return made
 
 
 def _with_metavar(owner: str, field: StructFieldSpec) -> Any:

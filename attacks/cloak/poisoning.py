@@ -21,6 +21,7 @@ from torch import Tensor
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
+from mi_splat.config_values import several_of
 from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json
@@ -154,7 +155,7 @@ class Poisoned:
 
 def poison(
     views: Sequence[View],
-    attacks: Sequence[Poisoning],
+    attacks: Poisoning | Sequence[Poisoning],
     *,
     centre: Point,
     masks: Masks | None = None,
@@ -168,7 +169,7 @@ def poison(
 
     Args:
         views: The untouched set D; of a `mi_splat.datasets.Dataset` only the selected pictures are read.
-        attacks: What is seen from where.
+        attacks: What is seen from where; one, or several.
         centre: (3,) point that the triggers measure directions from, world units.
         masks: Where the target is; None is everywhere.
         ordered: Whether triggers may overlap; the first in the sequence then has a camera that several select.
@@ -178,7 +179,7 @@ def poison(
         InvalidValueError: No attack, two of one name, a trigger that selects nothing (or nothing that is left for it),
             triggers that overlap, or masks or new pictures of the wrong kind.
     """
-    cameras = cameras_of(views)
+    cameras, attacks = cameras_of(views), several_of(Poisoning, "attacks", attacks)
     owners = assign(cameras, attacks, centre=centre, ordered=ordered)
     if masks is not None and not callable(masks) and len(masks) != len(cameras):
         raise InvalidValueError(message("masks", f"one for each of {len(cameras)} views", len(masks), "pass them all"))
@@ -261,7 +262,7 @@ def _mask(masks: Masks | None, index: int, camera: Camera) -> Tensor:
 def _replace(before: View, mask: Tensor, attack: Poisoning, index: int) -> View:
     """The view with the picture that the appearance makes of it."""
     copy = View(before.camera, before.image.clone())
-    image = attack.appearance(copy, mask).detach().to(before.image).clone()
+    image = torch.as_tensor(attack.appearance(copy, mask)).detach().to(before.image).clone()
     what = f"picture of {name_of(attack.appearance)} for view {index}"
     if image.shape != before.image.shape:
         expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)

@@ -22,12 +22,12 @@ from attacks.detectors.given import as_detectors
 from attacks.evaluation.views import as_saved
 from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import Objective
+from attacks.objectives import Objective, check_objective
 from attacks.pgd import Outcome, Parameters, Step, pgd
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.scene import GaussianScene, check_scene, scene_hash
 
 
 def attack(
@@ -54,12 +54,17 @@ def attack(
         on_step: Called with every line of the trace as it happens.
 
     Raises:
-        InvalidValueError: The mask selects nothing, a view does not show the object, the detector does not know the
-            target class, or a gradient is not finite.
+        InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
+            the detector does not know the target class, or a gradient is not finite.
     """
     config = config or DaggerConfig()
     begun = time.perf_counter()
     cameras, (detector,) = as_cameras(cameras), as_detectors(detector)
+    check_scene("scene", scene)
+    check_objective(objective)
+    if not callable(render):
+        do = "pass for instance Renderer()"
+        raise InvalidValueError(message("render", "a function of scene and camera", type(render).__name__, do))
     if objective.label is not None and objective.label not in detector.classes:
         raise InvalidValueError(
             message("target", f"one of {', '.join(detector.classes)}", objective.label, "choose a class that it knows")

@@ -5,12 +5,12 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from attacks.limits import NormName, check_limits
 from mi_splat.attributes import Attribute
+from mi_splat.config_values import check_numbers, several
 from mi_splat.errors import InvalidValueError, message
 
 if TYPE_CHECKING:
@@ -54,21 +54,17 @@ class DaggerConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        for name in ("attributes", "eps"):
+            object.__setattr__(self, name, several(getattr(self, name)))
+        check_numbers(self, {"steps": 1, "restarts": 1, "noise_draws": 0})
         if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
             expected = f"one number for all of {', '.join(self.attributes)}, or one for each"
             raise InvalidValueError(message("eps", expected, self.eps, "name every attribute once"))
-        for name, value, least in (
-            ("steps", self.steps, 1),
-            ("restarts", self.restarts, 1),
-            ("noise_draws", self.noise_draws, 0),
-        ):
-            if value < least:
-                raise InvalidValueError(message(name, f"a number >= {least}", value, "ask for more"))
         if not 0 < self.required_views <= 1:
             raise InvalidValueError(
                 message("required_views", "a fraction in (0, 1]", self.required_views, "1 means every view")
             )
-        if not (math.isfinite(self.step_factor) and self.step_factor > 0):
+        if not self.step_factor > 0:
             raise InvalidValueError(message("step_factor", "a positive number", self.step_factor, "2 is the paper's"))
         if self.sh_degree not in (None, 0, 1, 2, 3):
             raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))

@@ -148,8 +148,8 @@ def load_detector(name: str, *, weights: Path | None = None) -> Detector:
     Raises:
         DetectorError: there is no such detector, or its weights are missing or do not fit.
     """
-    if name not in DETECTORS:
-        near = difflib.get_close_matches(name, DETECTORS, n=1, cutoff=0.5)
+    if not isinstance(name, str) or name not in DETECTORS:
+        near = difflib.get_close_matches(str(name), DETECTORS, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else "choose one of them"
         raise DetectorError(message("detector", " or ".join(DETECTORS), repr(name), hint))
     return DETECTORS[name].load(weights)

@@ -39,7 +39,12 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
             attacked.
     """
     if not path.is_dir():
-        return exhibit_of_file(path, clean=clean)
+        exhibit = exhibit_of_file(path, clean=clean)
+        counts = [len(splat.scene) for splat in exhibit.splats]
+        if len(set(counts)) > 1:
+            got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
+            raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do))
+        return exhibit
     if (path / RESULT).is_file():
         return _exhibit_of_attack(path, clean)
     if (path / SUMMARY).is_file():

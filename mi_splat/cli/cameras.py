@@ -134,6 +134,9 @@ def _named(text: str, loaded: SplatScene, options: CameraOptions, target: Gaussi
         found = [(text, loaded.cameras[text])]
     elif text == ALL and loaded.cameras:
         found = list(loaded.cameras.items())
+    elif text == ALL:
+        warn("the scene has no cameras of its own; all means the usual camera on an orbit")
+        return [("orbit", _orbit(target, options, AZIMUTH, ELEVATION))]
     elif path.suffix.lower() == ".json":
         found = _listed(path, options)
     elif path.is_dir():

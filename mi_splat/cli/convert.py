@@ -13,7 +13,7 @@ from mi_splat.cli.console import progress, show, show_json, show_table
 from mi_splat.cli.options import ConvertOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
-from mi_splat.io.folders import check_writable
+from mi_splat.io.folders import check_not_input, check_writable
 from mi_splat.io.formats.detection import format_to_write
 from mi_splat.io.formats.encoded import Encoded, Values, dropped_bands
 from mi_splat.io.splat_files import write_splat_file
@@ -23,7 +23,10 @@ from mi_splat.sh import dc_to_colour
 
 def run(options: ConvertOptions) -> int:
     """Convert, read the new file back, and say how it differs."""
-    format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
+    suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
+    if options.spz_version is not None and suffix != ".spz":
+        raise InvalidValueError(message("--spz-version", "a file to write that ends in .spz", suffix, "leave it out"))
+    check_not_input(options.out, options.source)
     if os.path.lexists(options.out) and not options.force:
         raise InvalidValueError(message(str(options.out), "a free name", "a file that is there", "pass --force"))
     check_writable(options.out.parent)
@@ -32,7 +35,7 @@ def run(options: ConvertOptions) -> int:
     with progress(f"writing {options.out}"):
         kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        encoded = write_splat_file(kept, options.out, spz_version=options.spz_version)
+        encoded = write_splat_file(kept, options.out, spz_version=options.spz_version or 3)
         again = load_splat(options.out)
     changes = differences(_as_written(scene, encoded), again)
     losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)

@@ -79,8 +79,8 @@ class ConvertOptions:
     """Replace a file that is there."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Cut spherical harmonics above this degree; None keeps what the format holds."""
-    spz_version: Literal[2, 3, 4] = 3
-    """Version of an SPZ file."""
+    spz_version: Literal[2, 3, 4] | None = None
+    """Version of an SPZ file; None is 3."""
     drop_invalid: bool = False
     """Leave out Gaussians that are not valid, instead of an error."""
     json: bool = False

@@ -140,9 +140,25 @@ def check_ranges(options: object, ranges: Mapping[str, Range]) -> None:
         UsageError: A number is out of its range.
     """
     for name, value in numeric_options(options):
-        if name in ranges and not ranges[name].holds(value):
-            flag = f"--{name.replace('_', '-')}"
-            raise UsageError(message(flag, str(ranges[name]), value, ranges[name].do))
+        check_range(name, value, ranges)
+
+
+def check_range(name: str, value: float, ranges: Mapping[str, Range]) -> None:
+    """Raise unless a number is one that an option takes.
+
+    Args:
+        name: Of the option, with underscores.
+        value: The number.
+        ranges: The table; an option that is not in it takes any.
+
+    Raises:
+        UsageError: It is not.
+    """
+    if name in ranges and not ranges[name].holds(value):
+        expected, limits = str(ranges[name]), (ranges[name].low, ranges[name].high)
+        if not (math.isfinite(value) or all(map(math.isfinite, limits))):
+            expected = expected.replace("a number", "a finite number", 1)
+        raise UsageError(message(f"--{name.replace('_', '-')}", expected, value, ranges[name].do))
 
 
 def numeric_options(options: object) -> Iterator[tuple[str, Any]]:
@@ -152,6 +168,11 @@ def numeric_options(options: object) -> Iterator[tuple[str, Any]]:
         if dataclasses.is_dataclass(value):
             yield from numeric_options(value)
             continue
-        for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, Real) and not isinstance(one, bool):
-                yield field.name, one
+        yield from ((field.name, one) for one in numbers_of(value))
+
+
+def numbers_of(value: object) -> Iterator[Any]:
+    """The numbers of an option, which has one value or several."""
+    for one in value if isinstance(value, tuple) else (value,):
+        if isinstance(one, Real) and not isinstance(one, bool):
+            yield one

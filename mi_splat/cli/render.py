@@ -17,7 +17,7 @@ from mi_splat.cli.console import Advance, progress, show, show_json
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import file_name, save_json
-from mi_splat.io.folders import check_new_folder, check_writable, new_folder
+from mi_splat.io.folders import check_new_folder, check_not_input, check_writable, new_folder
 from mi_splat.io.images import to_bytes
 from mi_splat.io.pictures import check_animation, is_animation, is_picture, save_animation, save_picture
 from mi_splat.rendering import Renderer
@@ -31,6 +31,7 @@ _PLACE = "{}"
 
 def run(options: RenderOptions) -> int:
     """Render and save."""
+    check_not_input(options.out, options.scene)
     with progress("loading") as advance:
         loaded = open_scene(options.scene)
         cameras = find_cameras(loaded, options.view)
@@ -70,6 +71,9 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     check_writable(out.parent)
     if is_animation(out):
         check_animation(out)
+        if _PLACE in out.name:
+            do = f"leave {_PLACE} out, or end the name in .png or .jpg"
+            raise InvalidValueError(message("--out", "one name, since an animation is one file", out, do))
         sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
         if len(sizes) > 1:
             raise InvalidValueError(message("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size"))

@@ -16,7 +16,7 @@ from mi_splat.cli.options import SelectOptions
 from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
-from mi_splat.io.folders import check_writable
+from mi_splat.io.folders import check_not_input, check_writable
 from mi_splat.io.images import to_bytes
 from mi_splat.io.pictures import is_picture, save_picture
 from mi_splat.scene import GaussianScene
@@ -24,6 +24,8 @@ from mi_splat.scene_files import open_scene
 from mi_splat.selection.masks import save_mask
 from mi_splat.selection.select import SEEN, doubts
 
+LISTED = 6
+"""Cameras with a line of their own at most."""
 TINT = (1.0, 0.0, 0.8)
 """sRGB colour of the object in the picture, mixed half and half with its own."""
 
@@ -34,6 +36,8 @@ def run(options: SelectOptions) -> int:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
             expected = "names that end in .png, .jpg, .npy or .ply"
             raise InvalidValueError(message("--out", expected, path, "change the ending"))
+        mask = options.selection.mask
+        check_not_input(path, options.scene, mask if isinstance(mask, Path) else None)
         check_writable(path.parent)
     with progress("selecting"):
         loaded = open_scene(options.scene)
@@ -52,8 +56,12 @@ def run(options: SelectOptions) -> int:
         return 0
     low, high = (" ".join(f"{value:.4g}" for value in corner) for corner in found["box"])
     show(f"{found['gaussians']:,} of {len(scene):,} Gaussians, in the box {low} {high}")
-    for view in found["views"]:
+    for view in found["views"][:LISTED]:
         show(f"{'seen' if view['seen'] else 'not seen'} by {view['camera']}: {view['share']:.1%} of the pixels")
+    if len(found["views"]) > LISTED:
+        seen = [view["share"] for view in found["views"] if view["seen"]]
+        shares = f", {min(seen):.1%} to {max(seen):.1%} of the pixels" if seen else ""
+        show(f"seen by {len(seen)} of {len(found['views'])} cameras in all{shares}")
     for path in options.out:
         show(str(path))
     return 0

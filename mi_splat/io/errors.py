@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import errno
+import os
 
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 
 
 class SplatFileError(MiSplatError):
@@ -30,6 +31,18 @@ _ADVICE = {
     errno.EDQUOT: "free some space or use another disk; a file that was there before is unchanged",
     errno.ENAMETOOLONG: "use a shorter name",
 }
+
+
+def path_name(value: object) -> str:
+    """A path, as text or as `pathlib` has it, as text.
+
+    Raises:
+        InvalidValueError: It is something else.
+    """
+    name = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(name, str):
+        raise InvalidValueError(message("path", "the name of a file", type(value).__name__, "pass a str or a Path"))
+    return name
 
 
 def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:

@@ -33,6 +33,22 @@ def check_writable(out: str | os.PathLike[str]) -> None:
     sweep_temporary(out)
 
 
+def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str] | None) -> None:
+    """Raise, before any work is done, if a file that will be written is one of those that are read.
+
+    Args:
+        out: The file to write.
+        inputs: Files that are read; None is none.
+
+    Raises:
+        SplatFileError: They are the same file, by whatever names.
+    """
+    for source in inputs:
+        if source is not None and os.path.exists(out) and os.path.exists(source) and os.path.samefile(out, source):
+            do = "choose another name"
+            raise SplatFileError(message(str(out), "another file than the input", "the input itself", do))
+
+
 def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
     """Raise, before any work is done, unless a job that goes on where it stopped can have the folder `out`.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.errors import SplatLossWarning, from_os_error
+from mi_splat.io.errors import SplatLossWarning, from_os_error, path_name
 from mi_splat.io.formats.compressed_ply import is_compressed, read_compressed_ply, write_compressed_ply
 from mi_splat.io.formats.detection import HEAD, META, format_to_read, format_to_write
 from mi_splat.io.formats.encoded import Encoded
@@ -24,7 +24,7 @@ from mi_splat.io.formats.spz import read_spz, write_spz
 from mi_splat.io.loaded import Loaded, open_regular
 from mi_splat.io.ply.header import read_header
 from mi_splat.io.ply.splat import read_ply, write_ply
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, check_scene
 
 
 def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise") -> GaussianScene:
@@ -45,11 +45,11 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
     Raises:
         SplatFileError: The file cannot be read, is no splat, is damaged, or holds Gaussians that are not valid and
             `on_invalid` is "raise".
-        InvalidValueError: on_invalid is something else.
+        InvalidValueError: on_invalid is something else, or path is no path.
     """
     if on_invalid not in ("raise", "drop"):
         raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
-    name = os.fspath(path)
+    name = path_name(path)
     try:
         # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
         with open_regular(name) as file, np.errstate(all="ignore"):
@@ -72,7 +72,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         SplatFileError: The file cannot be written, or the name fits no format; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or the arguments are no scene and no path.
 
     Warns:
         SplatLossWarning: Something is lost beyond that rounding: SH bands are dropped, values are clamped.
@@ -97,7 +97,8 @@ def write_splat_file(
     Returns:
         What is lost, and the order of the rows; no data for a PLY, which is written in blocks.
     """
-    name = os.fspath(path)
+    check_scene("scene", scene)
+    name = path_name(path)
     suffix = format_to_write(name)
     if suffix == ".ply":
         write_ply(scene, path)

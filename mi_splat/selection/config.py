@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from mi_splat.config_values import check_numbers, several, whole_number
 from mi_splat.errors import InvalidValueError, message
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    MaskValue = (
+        Path | str | Tensor | NDArray[np.bool_] | NDArray[np.integer[Any]] | Sequence[bool] | Sequence[int]
+    )  # fmt: skip
+    Click = str | tuple[int, int]
+else:  # what the command line makes of words
+    MaskValue, Click = Path, str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,9 +34,11 @@ class Selection:
         box: Gaussians whose means lie in this box: x0 y0 z0 x1 y1 z1, world units.
         box_rotation: Yaw, pitch and roll in degrees by which the box is turned about its own middle: by the roll about
             world x first, then by the pitch about y, then by the yaw about z.
-        mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY with the positions of some.
+        mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY with the positions of some. In
+            Python also a tensor, an array or a list of these bools or row numbers; it is kept as a tuple.
         click: Pixels x,y of the first camera's picture; the object in front there, with all that is connected to it.
-            Only what is near is looked at, by the measure of the picture, so click where the object is large.
+            Only what is near is looked at, by the measure of the picture, so click where the object is large. In Python
+            also pairs of numbers; they are kept as text.
         cluster: Connected component by its size; 1 is the largest.
         link_distance: Two Gaussians are connected if each is within this multiple of the distance to the eighth
             neighbour of the other (click, cluster).
@@ -38,14 +55,15 @@ class Selection:
     object: str | None = None
     box: tuple[float, float, float, float, float, float] | None = None
     box_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mask: Path | None = None
-    click: tuple[str, ...] = ()
+    mask: MaskValue | None = None
+    click: tuple[Click, ...] = ()
     cluster: int | None = None
     link_distance: float = 1.5
     link_colour: float | None = None
     planes: int = 1
 
     def __post_init__(self) -> None:
+        self._take_values()
         if self.box is not None:
             low, high = self.box[:3], self.box[3:]
             if not all(a <= b for a, b in zip(low, high, strict=True)):  # not of nan either
@@ -53,9 +71,10 @@ class Selection:
                 raise InvalidValueError(message("box", "no first number above its second", self.box, do))
         if not all(math.isfinite(angle) for angle in self.box_rotation):
             raise InvalidValueError(message("box rotation", "three angles in degrees", self.box_rotation, "change it"))
+        check_numbers(self)
         if self.cluster is not None and self.cluster < 1:
             raise InvalidValueError(message("cluster", "1 or more", self.cluster, "1 is the largest"))
-        if not 0 < self.link_distance < math.inf:
+        if not self.link_distance > 0:
             raise InvalidValueError(message("link distance", "a positive number", self.link_distance, "1.5 is usual"))
         if self.link_colour is not None and not 0 <= self.link_colour <= 1:
             raise InvalidValueError(message("link colour", "a number in [0, 1]", self.link_colour, "0.1 is strict"))
@@ -63,14 +82,28 @@ class Selection:
             raise InvalidValueError(message("planes", "0 to 20", self.planes, "1 is usual"))
         _ = self.pixels
 
+    def _take_values(self) -> None:
+        """Make plain tuples of arrays, tensors and lists, so that selections can be compared and written as JSON."""
+        if isinstance(self.mask, str):
+            object.__setattr__(self, "mask", Path(self.mask))
+        elif self.mask is not None and not isinstance(self.mask, Path):
+            object.__setattr__(self, "mask", several(self.mask))
+        clicks = several(self.click)
+        if len(clicks) == 2 and all(isinstance(one, Real) for one in clicks):
+            clicks = (clicks,)
+        object.__setattr__(self, "click", tuple(_pixel_text(one) for one in clicks))
+        if self.box is not None:
+            object.__setattr__(self, "box", _numbers("box", self.box, 6))
+        object.__setattr__(self, "box_rotation", _numbers("box rotation", self.box_rotation, 3))
+
     @property
     def pixels(self) -> tuple[tuple[int, int], ...]:
         """The clicks as (x, y) in pixels, from the upper left."""
         found = []
-        for text in self.click:
+        for text in map(str, self.click):
             x, _, y = text.partition(",")
             if not (x.strip().isdecimal() and y.strip().isdecimal()):
-                raise InvalidValueError(message("click", "a pixel x,y", repr(text), "for instance --click 120,80"))
+                raise InvalidValueError(message("click", "a pixel x,y", repr(text), "for instance 120,80"))
             found.append((int(x), int(y)))
         return tuple(found)
 
@@ -89,9 +122,34 @@ class Selection:
         if self.box is not None:
             found |= {"box": list(self.box), "box_rotation": list(self.box_rotation)}
         if self.mask is not None:
-            found["mask"] = str(self.mask)
+            given = isinstance(self.mask, tuple)
+            found["mask"] = {"gaussians": _count(self.mask)} if given else str(self.mask)
         if self.click or self.cluster is not None:
             found |= {"click": list(self.click)} if self.click else {}
             found |= {"cluster": self.cluster} if self.cluster is not None else {}
             found |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
         return found
+
+
+def _pixel_text(click: Any) -> str:
+    """A click as x,y."""
+    if isinstance(click, str):
+        return click
+    pair = several(click)
+    if len(pair) != 2:
+        raise InvalidValueError(message("click", "a pixel x,y", repr(click), "for instance (120, 80)"))
+    return ",".join(str(whole_number("click", number)) for number in pair)
+
+
+def _numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
+    """So many numbers as a tuple."""
+    found = several(values)
+    if len(found) != count or not all(isinstance(one, Real) for one in found):
+        raise InvalidValueError(message(name, f"{count} numbers", repr(values), "pass a tuple of them"))
+    return found
+
+
+def _count(mask: Any) -> int:
+    """How many Gaussians a mask that was given as a value names."""
+    binary = len(mask) > 2 and set(mask) <= {0, 1}  # bools, or zeros and ones
+    return sum(map(int, mask)) if binary or all(isinstance(one, bool) for one in mask) else len(set(mask))

@@ -60,11 +60,28 @@ def load_mask(path: Path, scene: GaussianScene) -> Tensor:
         SplatFileError: The file cannot be read.
     """
     if path.suffix.lower() == ".npy":
-        return _from_array(_load_array(path), len(scene), path)
+        return _from_array(_load_array(path), len(scene), str(path))
     if path.suffix.lower() == ".ply":
         return _at_positions(load_points(path).points, scene, path)
     do = "save a mask with numpy.save, or a part of the splat as PLY"
     raise InvalidValueError(message(str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do))
+
+
+def mask_of(values: object, count: int) -> Tensor:
+    """(N,) bool mask from one bool (or 0 and 1) a Gaussian, or from row numbers.
+
+    Args:
+        values: One-dimensional.
+        count: Gaussians of the scene.
+
+    Raises:
+        InvalidValueError: They do not fit the scene.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        array = np.empty((0, 0))
+    return _from_array(array, count, "mask")
 
 
 def save_mask(mask: Tensor, path: Path) -> None:
@@ -90,21 +107,21 @@ def _load_array(path: Path) -> NDArray[np.generic]:
         raise SplatFileError(message(str(path), "an array of NumPy", str(error), "save it with numpy.save")) from error
 
 
-def _from_array(values: NDArray[np.generic], count: int, path: Path) -> Tensor:
+def _from_array(values: NDArray[np.generic], count: int, what: str) -> Tensor:
     """A mask from bools, from zeros and ones, or from row numbers."""
     if values.ndim != 1 or values.dtype.kind not in "biu":
-        got, do = f"{values.dtype} of shape {values.shape}", "save a one-dimensional array"
-        raise InvalidValueError(message(str(path), f"({count},) bools, or row numbers", got, do))
+        got, do = f"{values.dtype} of shape {values.shape}", "pass a one-dimensional array"
+        raise InvalidValueError(message(what, f"({count},) bools, or row numbers", got, do))
     binary = values.dtype.kind == "b" or (len(values) == count and bool(((values == 0) | (values == 1)).all()))
     if binary:
         if len(values) != count:
             do = "make it from this scene"
-            raise InvalidValueError(message(str(path), f"{count} bools, one a Gaussian", len(values), do))
+            raise InvalidValueError(message(what, f"{count} bools, one a Gaussian", len(values), do))
         return torch.from_numpy(values.astype(bool))
     rows = torch.from_numpy(values.astype(np.int64))
     if len(rows) and not bool(((rows >= 0) & (rows < count)).all()):
         got = f"{int(rows.min())} to {int(rows.max())}"
-        raise InvalidValueError(message(str(path), f"row numbers in 0..{count - 1}", got, "make them from this scene"))
+        raise InvalidValueError(message(what, f"row numbers in 0..{count - 1}", got, "make them from this scene"))
     mask = torch.zeros(count, dtype=torch.bool)
     mask[rows] = True
     return mask

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
-from mi_splat.selection.masks import box_mask, load_mask
+from mi_splat.selection.masks import box_mask, load_mask, mask_of
 from mi_splat.selection.visibility import pixel_weights
 
 FEWEST = 10
@@ -62,7 +63,8 @@ def select(
     if selection.box is not None:
         mask &= box_mask(scene, selection.box, selection.box_rotation)
     if selection.mask is not None:
-        mask &= load_mask(selection.mask, scene)
+        given = selection.mask
+        mask &= load_mask(given, scene) if isinstance(given, Path) else mask_of(given, len(scene))
     if selection.cluster is not None:
         mask &= _component(_clusters(scene, selection), selection.cluster)
     if selection.click:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
+from mi_splat.config_values import check_numbers, several
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
@@ -31,6 +32,9 @@ class FitConfig:
         random_background: Put another colour behind splat and pictures in every step, so that what is transparent in
             the pictures stays so; the renderer has to give alpha, and pictures without alpha count as opaque.
         eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
+
+    Raises:
+        InvalidValueError: A value is of the wrong kind or out of its range, or the strategy needs more trainable.
     """
 
     iterations: int = 7000
@@ -50,6 +54,10 @@ class FitConfig:
     eval_interval: int = 1000
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "trainable", several(self.trainable))
+        if not isinstance(self.strategy, StrategyConfig):
+            do = "pass for instance ClassicConfig(), or strategy_config(name)"
+            raise InvalidValueError(message("strategy", "the options of a strategy", repr(self.strategy), do))
         unknown = [name for name in self.trainable if name not in ATTRIBUTES]
         if unknown or not self.trainable:
             raise InvalidValueError(
@@ -60,11 +68,7 @@ class FitConfig:
             expected = f"one that does not need {', '.join(frozen)} trainable"
             got = type(self.strategy).__name__
             raise InvalidValueError(message("strategy", expected, got, "use the fixed strategy, or train them"))
-        for name, value, least in (
-            ("iterations", self.iterations, 1),
-            ("sh_degree_interval", self.sh_degree_interval, 0),
-        ):
-            if value < least:
-                raise InvalidValueError(message(name, f"a number >= {least}", value, "ask for more"))
+        rates = {field.name: 0 for field in fields(self) if field.name.startswith("lr_")}
+        check_numbers(self, {"iterations": 1, "sh_degree_interval": 0, "eval_interval": 0, **rates})
         if self.sh_degree not in (0, 1, 2, 3):
             raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))

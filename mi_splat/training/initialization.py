@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
+from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from mi_splat.cameras import Camera, View, cameras_of, project_points
@@ -34,28 +36,31 @@ def spacing(points: Tensor, *, neighbours: int = 3) -> Tensor:
     return torch.cat(squares).sqrt()
 
 
-def from_points(points: Tensor, colours: Tensor, *, opacity: float = 0.1) -> GaussianScene:
+def from_points(
+    points: Tensor | NDArray[Any], colours: Tensor | NDArray[Any], *, opacity: float = 0.1
+) -> GaussianScene:
     """Round Gaussians on points, as large as the points are apart (Kerbl et al. 2023, section 5.1).
 
     Args:
-        points: (N, 3) world units.
+        points: (N, 3) world units, of torch or NumPy.
         colours: (N, 3) sRGB in [0, 1].
         opacity: Opacity of all of them.
 
     Raises:
         InvalidValueError: The shapes differ, or there are no points.
     """
+    points, colours = (torch.as_tensor(values).float() for values in (points, colours))
     if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colours.shape or not len(points):
         shapes = (tuple(points.shape), tuple(colours.shape))
         raise InvalidValueError(message("points and colours", "two of shape (N, 3)", shapes, "pass a cloud"))
     count = len(points)
-    size = spacing(points.float()).clamp(min=1e-7)
+    size = spacing(points).clamp(min=1e-7)
     return GaussianScene(
-        means=points.float().clone(),
+        means=points.clone(),
         scales=size[:, None].expand(count, 3).contiguous(),
         rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
         opacities=torch.full((count,), opacity),
-        sh=colour_to_dc(colours.float())[:, None],
+        sh=colour_to_dc(colours)[:, None],
     )
 
 

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
 from mi_splat.training.strategies import Edit, build_strategy
@@ -28,8 +28,9 @@ def check_start(start: GaussianScene, config: FitConfig) -> None:
     """Raise unless a training may begin with these Gaussians.
 
     Raises:
-        InvalidValueError: There are none, or more than the strategy allows.
+        InvalidValueError: It is no scene, or there are none, or more than the strategy allows.
     """
+    check_scene("start", start)
     if not len(start):
         raise InvalidValueError(message("start", "at least one Gaussian", "none", "capture views first"))
     most = config.strategy.max_gaussians

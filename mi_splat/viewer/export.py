@@ -40,11 +40,15 @@ def check_export(path: Path, views: tuple[int, int], *, force: bool) -> None:
         force: Whether a file that is there may be replaced.
 
     Raises:
-        InvalidValueError: The file is there, its folder is not, or there are too few or too many views.
+        InvalidValueError: The name has another ending than .html, the file is there, its folder is not, or there are
+            too few or too many views.
     """
     if not (min(views) >= 1 and views[0] * views[1] <= MOST_PICTURES):
         expected = f"azimuths x elevations of 1 to {MOST_PICTURES} in all"
         raise InvalidValueError(message("views", expected, views, "for instance 24 4"))
+    if path.suffix.lower() not in (".html", ".htm"):
+        got = path.suffix or "no ending"
+        raise InvalidValueError(message(str(path), "a name that ends in .html or .htm", got, "change the ending"))
     if path.exists() and not (force and path.is_file()):
         do = "choose another name" if path.is_dir() else "choose another name or add --force"
         raise InvalidValueError(message(str(path), "a free name", "something that is there", do))

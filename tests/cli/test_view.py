@@ -22,7 +22,10 @@ from tests.viewer.exhibits import ball
 
 @pytest.fixture
 def splat(tmp_path: Path) -> Path:
-    save_splat(ball((0.8, 0.3, 0.1)), tmp_path / "ball.ply")
+    scene = ball((0.8, 0.3, 0.1))
+    save_splat(scene, tmp_path / "ball.ply")
+    save_splat(scene.select(slice(0, len(scene) // 2)), tmp_path / "half.ply")
+    (tmp_path / "old.html").write_text("an older page")
     return tmp_path / "ball.ply"
 
 
@@ -32,7 +35,9 @@ def splat(tmp_path: Path) -> Path:
         (["--host", "0.0.0.0"], "host: expected 127.0.0.1"),
         (["--host", "192.168.3.4", "--port", "0"], "SSH tunnel"),
         (["--export", "none/page.html"], "make the folder first"),
-        (["--export", "ball.ply"], "--force"),
+        (["--export", "ball.ply"], "ends in .html"),
+        (["--export", "old.html"], "--force"),
+        (["--export", "page.html", "--clean", "half.ply"], "the scenes: expected the same Gaussians in both"),
         (["--export", "page.html", "--detector", "fasterrcnn_smal"], "fasterrcnn_small"),
         (["--export", "page.html", "--weights", "w.safetensors"], "name it with --detector"),
         (["--export", "page.html", "--clean", "none.ply"], "none.ply"),

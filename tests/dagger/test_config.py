@@ -46,7 +46,7 @@ def test_one_radius_stands_for_every_attribute_and_steps_follow_it() -> None:
         ({"required_views": 0.0}, "required_views: expected a fraction in"),
         ({"required_views": 1.01}, "required_views: expected a fraction in"),
         ({"step_factor": 0.0}, "step_factor: expected a positive number"),
-        ({"step_factor": float("nan")}, "step_factor: expected a positive number"),
+        ({"step_factor": float("nan")}, "step_factor: expected a finite number"),
     ],
 )
 def test_a_wrong_configuration_says_what_is_wrong(settings: dict[str, Any], complaint: str) -> None:

@@ -87,7 +87,7 @@ def test_train_says_what_is_wrong(
     ("words", "says"),
     [
         (["--trainable", "sh"], "strategy"),
-        (["--sh-degree", "7"], "sh_degree"),
+        (["--sh-degree", "7"], "--sh-degree"),
         (["--strategy", "none"], "invalid choice"),
         (["--strategy", "fixed", "--densify-from", "3"], "--densify-from"),
     ],

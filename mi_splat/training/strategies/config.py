@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
+from mi_splat.config_values import check_numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,6 +18,9 @@ class StrategyConfig:
 
     Attributes:
         max_gaussians: No Gaussians are added beyond this number; None sets no limit.
+
+    Raises:
+        InvalidValueError: A number is not finite, or not whole where it is an int; of derived dataclasses, too.
     """
 
     needs_screen_gradients: ClassVar[bool] = False
@@ -27,6 +31,9 @@ class StrategyConfig:
     """Whether Gaussians are added, so that `max_gaussians` matters."""
 
     max_gaussians: int | None = 100_000
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

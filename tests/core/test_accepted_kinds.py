@@ -1,0 +1,137 @@
+"""Arrays of NumPy, lists, and single values where tensors and sequences are usual; all else is refused in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from attacks import relabel
+from attacks.cloak.poisoning import Poisoning, poison
+from attacks.cloak.triggers import Elevation
+from attacks.dagger.attack import attack
+from attacks.detectors import load_detector
+from mi_splat.cameras import View, look_at, orbit_pose
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.scene_files import read_scene
+from mi_splat.selection.config import Selection
+from mi_splat.selection.select import select
+from mi_splat.training.initialization import from_points
+from mi_splat.training.loop import fit
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
+
+ROWS = [10, 12, 11]
+
+
+def test_a_cloud_of_numpy_makes_the_same_gaussians() -> None:
+    points, colours = np.random.default_rng(0).random((2, 8, 3))
+    found = from_points(points, colours)
+    wanted = from_points(torch.tensor(points), torch.tensor(colours))
+    assert all(torch.equal(one, other) for one, other in zip(found.tensors(), wanted.tensors(), strict=True))
+
+
+@pytest.mark.parametrize(
+    "mask",
+    [
+        np.isin(np.arange(40), ROWS),
+        torch.tensor(ROWS),
+        ROWS,
+        [row in ROWS for row in range(40)],
+        np.isin(np.arange(40), ROWS).astype(np.uint8),
+    ],
+    ids=["array of bool", "tensor", "list", "list of bool", "bytes"],
+)
+def test_a_selection_takes_a_mask_as_a_value(mask: Any) -> None:
+    selection = Selection(mask=mask)
+    assert select(toy_scene()[0], selection).nonzero()[:, 0].tolist() == sorted(ROWS)
+    assert json.loads(json.dumps(selection.as_dict())) == {"mask": {"gaussians": 3}}
+    assert selection == Selection(mask=mask)
+
+
+@pytest.mark.parametrize("mask", [np.ones(39, bool), [0.5, 1.0], [40], np.ones((40, 1), bool), 3.5])
+def test_a_mask_that_does_not_fit_is_refused(mask: Any) -> None:
+    with pytest.raises(InvalidValueError, match="mask: expected"):
+        select(toy_scene()[0], Selection(mask=mask))
+
+
+@pytest.mark.parametrize("click", ["32,31", (32, 31), ((32, 31),), [(32, 31)], np.array([[32, 31]]), ("32,31",)])
+def test_a_click_is_text_or_a_pair(click: Any) -> None:
+    assert Selection(click=click).pixels == ((32, 31),)
+
+
+@pytest.mark.parametrize("click", [5, (1, 2, 3), ((1.5, 2),), "left", ((-1, 2),)])
+def test_a_click_that_is_no_pixel_is_refused(click: Any) -> None:
+    with pytest.raises(InvalidValueError, match="click: expected"):
+        Selection(click=click)
+
+
+def test_a_box_may_be_an_array() -> None:
+    box = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+    selection = Selection(box=box, box_rotation=np.zeros(3))  # type: ignore[arg-type]
+    assert selection == Selection(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))
+    assert json.dumps(selection.as_dict())
+    with pytest.raises(InvalidValueError, match="box: expected 6 numbers"):
+        Selection(box=(0.0, 1.0))  # type: ignore[arg-type]
+
+
+def test_an_appearance_may_return_an_array() -> None:
+    clean = [View(camera(), torch.full((32, 32, 3), 0.25))]
+
+    def painted(view: View, mask: torch.Tensor) -> Any:
+        return np.full(view.image.shape, 0.5)
+
+    found = poison(clean, [Poisoning(name="grey", trigger=Elevation(), appearance=painted)], centre=(0, 0, 0))
+    assert bool((found.views[0].image == 0.5).all())
+    assert found.views[0].image.dtype == torch.float32
+
+
+def test_one_poisoning_in_the_place_of_several() -> None:
+    clean = [View(camera(), torch.full((32, 32, 3), 0.25))]
+    one = Poisoning(name="dark", trigger=Elevation(), appearance=lambda view, mask: 0.5 * view.image)
+    assert poison(clean, one, centre=(0, 0, 0)).manifest == poison(clean, [one], centre=(0, 0, 0)).manifest
+
+
+def attacked(**given: Any) -> object:
+    usual: dict[str, Any] = {"objective": relabel("person"), "render": blobs, "scene": toy_scene()[0]} | given
+    return attack(usual["scene"], ROWS, camera(), ColourDetector(), usual["objective"], render=usual["render"])
+
+
+REFUSED: dict[str, tuple[Callable[[], object], str]] = {
+    "a path that is none": (lambda: load_splat(None), "path: expected the name of a file, got NoneType"),  # type: ignore[arg-type]
+    "a scene that is none": (lambda: save_splat(None, "a.ply"), "scene: expected a GaussianScene, got NoneType"),  # type: ignore[arg-type]
+    "path before scene": (lambda: save_splat("a.ply", toy_scene()[0]), "scene: expected a GaussianScene, got str"),  # type: ignore[arg-type]
+    "a scene for a path": (lambda: save_splat(toy_scene()[0], toy_scene()[0]), "path: expected the name of a file"),  # type: ignore[arg-type]
+    "an XML that is none": (lambda: read_scene(None), "path: expected the name of a file, got NoneType"),  # type: ignore[arg-type]
+    "a detector that is none": (lambda: load_detector(None), "detector: expected .*, got None"),  # type: ignore[arg-type]
+    "a class for an objective": (lambda: attacked(objective="person"), r"expected an Objective, got str; .*relabel\('"),
+    "no objective": (lambda: attacked(objective=None), r"objective: expected an Objective.*hide\(\)"),
+    "no renderer": (lambda: attacked(render=None), r"render: expected a function.*Renderer\(\)"),
+    "a path to attack": (lambda: attacked(scene="a.ply"), "scene: expected a GaussianScene, got str"),
+    "a path to start from": (
+        lambda: fit([View(camera(), torch.zeros(32, 32, 3))], "a.ply", render=blobs),  # type: ignore[arg-type]
+        "start: expected a GaussianScene, got str",
+    ),
+    "a trigger for a poisoning": (
+        lambda: poison([], Elevation(), centre=(0, 0, 0)),  # type: ignore[arg-type]
+        "attacks: expected values of Poisoning, got Elevation",
+    ),
+    "an origin of two numbers": (lambda: look_at((0, 0), (0, 0, 1)), "origin: expected three numbers"),
+    "a target in words": (lambda: look_at((0, 0, 0), "abc"), "target: expected three numbers"),  # type: ignore[arg-type]
+    "an orbit around two numbers": (
+        lambda: orbit_pose((0, 0), azimuth=0, elevation=0, distance=1),
+        "target: expected three numbers",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_argument_of_another_kind_is_refused_in_one_line(name: str) -> None:
+    call, words = REFUSED[name]
+    with pytest.raises(MiSplatError, match=words) as caught:
+        call()
+    assert len(str(caught.value).splitlines()) == 1
