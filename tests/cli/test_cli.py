@@ -93,7 +93,7 @@ def test_wrong_usage_exits_with_2(words: list[str], capsys: pytest.CaptureFixtur
         (["train", "s", "--out", "o", "--iteratons", "5"], "did you mean --iterations?"),
         (["dagger", "--steps", "many"], "--steps: expected a whole number, got 'many'"),
         (["dagger", "--confidence", "much"], "--confidence: expected a number, got 'much'"),
-        (["dagger", "--steps", "0"], "dagger: steps: expected a number >= 1, got 0"),
+        (["dagger", "--steps", "0"], "dagger: --steps: expected a number >= 1 (steps), got 0"),
         (["dagger", "--norm", "l7"], "invalid choice 'l7' for argument '--norm'"),
         (["render", "a.ply", "--size", "640"], "'--size'. Expected 2 values"),
         (["train", "s", "--out", "o", "--strategy", "best"], "invalid choice: 'best'"),

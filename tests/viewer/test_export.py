@@ -125,8 +125,9 @@ def test_numbers_of_views(views: tuple[int, int], tmp_path: Path) -> None:
 
 
 def test_a_folder_is_no_page(tmp_path: Path) -> None:
+    (tmp_path / "folder.html").mkdir()
     with pytest.raises(InvalidValueError, match="choose another name"):
-        check_export(tmp_path, (1, 1), force=True)
+        check_export(tmp_path / "folder.html", (1, 1), force=True)
     with pytest.raises(InvalidValueError, match="make the folder first"):
         check_export(tmp_path / "none" / "page.html", (1, 1), force=False)
 
