@@ -13,11 +13,14 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from mi_splat.capture.gltf_checks import document_fault
 from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes
 from mi_splat.errors import MiSplatError, message
 
 _READ = {"EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform", "KHR_lights_punctual"}
 _FLOAT, _FAN = 5126, 6
+_HEADER, _CHUNK_HEADER = 20, 8
+"""Bytes of a GLB before its JSON, and before what each chunk after it holds."""
 
 
 class GltfError(MiSplatError):
@@ -30,10 +33,13 @@ def gltf_notes(path: Path) -> MeshFileNotes:
     There, names of materials are their indices, and the texture coordinates of a base colour are always the first.
 
     Raises:
-        GltfError: It is no glTF 2.0, needs an extension that is not read, or has fans, which trimesh leaves out.
+        GltfError: It is no glTF 2.0, its parts do not fit, it needs an extension that is not read, or it has fans,
+            which trimesh leaves out.
     """
     document, rest = _read(path)
     _check_extensions(document, path)
+    if fault := document_fault(document, None if rest is None else max(0, len(rest) - _CHUNK_HEADER)):
+        raise GltfError(message(str(path), "a glTF file whose parts fit together", fault, "export it again"))
     for entry in (*document.get("images", []), *document.get("buffers", [])):
         if "uri" in entry and not entry["uri"].startswith("data:"):
             entry["uri"] = unquote(entry["uri"])  # as URIs have spaces, but no files
@@ -50,23 +56,30 @@ def gltf_notes(path: Path) -> MeshFileNotes:
             faults += _prepare(document, primitive, bare)
     materials.append({"name": str(bare)})
     unread = ", ".join(dict.fromkeys(faults))
-    return MeshFileNotes(data=_packed(document, rest), materials=notes, faults=(unread,) if unread else ())
+    data = _packed(document, rest)
+    return MeshFileNotes(data=data, materials=notes, faults=(unread,) if unread else (), float32=True)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
     """The JSON document, and of a GLB the chunks after it."""
     data = path.read_bytes()
+    if not data:
+        raise GltfError(message(str(path), "a glTF 2.0 file", "an empty file", "export it again"))
     rest = None
     try:
         if path.suffix.lower() == ".glb":
+            if len(data) < _HEADER:
+                raise ValueError(f"a file of {len(data)} bytes, too short for a GLB")
             magic, version, _, length, kind = struct.unpack_from("<4sIII4s", data)
-            if magic != b"glTF" or version != 2 or kind != b"JSON" or 20 + length > len(data):
+            if magic != b"glTF" or version != 2 or kind != b"JSON":
                 raise ValueError("no header of a GLB file of version 2")
-            data, rest = data[20 : 20 + length], data[20 + length :]
+            if _HEADER + length > len(data):
+                raise ValueError("a file that is cut off")
+            data, rest = data[_HEADER : _HEADER + length], data[_HEADER + length :]
         document = json.loads(data.decode("utf-8-sig"))
         if not isinstance(document, dict) or "asset" not in document:
             raise ValueError("no object with the key asset")
-    except (ValueError, struct.error, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise GltfError(message(str(path), "a glTF 2.0 file", str(error)[:160], "export it again")) from error
     return document, rest
 
@@ -77,7 +90,7 @@ def _packed(document: dict[str, Any], rest: bytes | None) -> bytes:
     if rest is None:
         return text
     text += b" " * (-len(text) % 4)
-    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+    return struct.pack("<4sIII4s", b"glTF", 2, _HEADER + len(text) + len(rest), len(text), b"JSON") + text + rest
 
 
 def _check_extensions(document: dict[str, Any], path: Path) -> None:

@@ -26,11 +26,23 @@ FARTHEST = 1000.0
 """Largest coordinate of a mesh's middle, in radii, that is kept. A float32, as splat files and point clouds hold, then
 still resolves a sixteen-thousandth of the radius; farther away the mesh is moved to the origin."""
 
+COARSE = 1e-3
+"""Steps between coordinates of a file, as a part of its mesh's size, from which it is warned of."""
+
 _TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
 """Degrees about z that turn a front to +x."""
 
 # What trimesh raises for files that are broken in one way or another.
-_BROKEN = (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, NotImplementedError, ArithmeticError)
+_BROKEN = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    NotImplementedError,
+    ArithmeticError,
+    AssertionError,
+)
 
 
 class MeshFileError(MiSplatError):
@@ -108,6 +120,8 @@ def _surfaces(path: Path) -> tuple[list[Surface], list[str], list[str]]:
         ]
     except _BROKEN as error:
         raise _not_finite(path, error) from error
+    if notes.float32:
+        remarks += _too_coarse(pieces, surfaces)
     if path.suffix.lower() == ".obj" and all(surface.texture.shape[:2] != (1, 1) for surface in surfaces):
         faults = [fault for fault in faults if fault not in notes.faults]  # colours of vertices do for lost materials
     return surfaces, list(dict.fromkeys(faults)), list(dict.fromkeys(remarks))
@@ -136,7 +150,28 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
         found = " ".join(str(error).split())[:160] or type(error).__name__
         raise MeshFileError(message(str(path), "a mesh that can be read", found, "export it again")) from error
     found_pieces = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in placed]
-    return [(piece, matrix) for piece, matrix in found_pieces if len(getattr(piece, "faces", ()))], notes
+    pieces = [(piece, matrix) for piece, matrix in found_pieces if len(getattr(piece, "faces", ()))]
+    for piece, _ in pieces:
+        highest, count = int(np.max(piece.faces)), len(piece.vertices)
+        if highest >= count:
+            found = f"a face with vertex {highest} of {count}"
+            raise MeshFileError(message(str(path), "faces of vertices from 0 on", found, "export it again"))
+    return pieces, notes
+
+
+def _too_coarse(pieces: list[tuple[Any, NDArray[np.float64]]], surfaces: list[Surface]) -> list[str]:
+    """A warning if float32 steps at a file's own coordinates are large beside its mesh, units of the file."""
+    points = np.concatenate([surface.vertices for surface in surfaces]) if surfaces else np.zeros((1, 3))
+    size, coarsest, where = float(np.ptp(points, axis=0).max()), 0.0, 0.0
+    for piece, placed in pieces:
+        farthest = float(np.abs(piece.vertices).max())
+        with np.errstate(all="ignore"):  # numbers that are not finite are refused later
+            step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
+        coarsest, where = max((coarsest, where), (step, farthest))
+    if not coarsest > COARSE * size > 0:
+        return []
+    found = f"coordinates up to {where:.7g} in steps of {coarsest:.3g} (float32), which tear a mesh of size {size:.3g}"
+    return [f"{found}; export it around its own origin, or as OBJ or a PLY of doubles"]
 
 
 def _world_offset(pieces: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What a mesh file says of its materials and trimesh leaves out: names of pictures, second texture coordinates.
+"""What a mesh file says and trimesh leaves out: names of pictures, second texture coordinates, how exact it is.
 
 trimesh reads on in silence where a picture is missing, so the names are read here, and `mesh_colours` compares.
 """
@@ -51,11 +51,13 @@ class MeshFileNotes:
         data: The file's bytes as trimesh shall read them; None is the file itself.
         materials: By the name that trimesh gives them; "" is that of a file with only one.
         faults: What cannot be shown, in words.
+        float32: Whether the file holds coordinates as 32-bit numbers.
     """
 
     data: bytes | None = None
     materials: dict[str, MaterialNotes] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
+    float32: bool = False
 
 
 def obj_notes(path: Path) -> MeshFileNotes:
@@ -119,11 +121,13 @@ def _texture_options(rest: str) -> tuple[str, str]:
 
 
 def ply_notes(path: Path) -> MeshFileNotes:
-    """Of a PLY file: the picture that a comment of its header names."""
+    """Of a PLY file: the picture that a comment of its header names, and how exact its coordinates are."""
     with path.open("rb") as file:
         header = file.read(1 << 16).partition(b"end_header")[0].decode("utf-8", "replace")
     found = re.search(r"^comment[ \t]+texturefile[ \t]+(.*\S)", header, re.IGNORECASE | re.MULTILINE)
-    return MeshFileNotes(materials={"": MaterialNotes(picture=found.group(1) if found else None)})
+    materials = {"": MaterialNotes(picture=found.group(1) if found else None)}
+    exact = re.search(r"^property[ \t]+(?:double|float64)[ \t]+x\b", header, re.MULTILINE)
+    return MeshFileNotes(materials=materials, float32=exact is None)
 
 
 def beside(path: Path, name: str) -> Path | None:

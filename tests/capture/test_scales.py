@@ -133,6 +133,23 @@ def test_vertices_lose_nothing_far_away(tmp_path: Path) -> None:
     assert np.abs(here.asset.vertices - middle - there.asset.vertices).max() < 1e-6
 
 
+def as_float32(path: Path) -> Path:
+    """A PLY of the truck whose header names 32-bit coordinates."""
+    path.write_text(path.read_text().replace("property double", "property float"))
+    return path
+
+
+def test_a_file_too_coarse_for_its_place_is_warned_of(tmp_path: Path) -> None:
+    far = truck().placed(move=UTM)
+    for path in (as_float32(write_ply(tmp_path, far)), write_glb(tmp_path, truck().placed(move=UTM))):
+        (warning,) = load_mesh(path).warnings
+        assert "coordinates up to 45000" in warning
+        assert "in steps of 0.5 (float32)" in warning
+    assert load_mesh(write_ply(tmp_path, far)).warnings == ()
+    assert load_mesh(write_obj(tmp_path, far)).warnings == ()
+    assert load_mesh(as_float32(write_ply(tmp_path, truck().placed(move=(500, 0, 0))))).warnings == ()
+
+
 def test_the_working_frame_is_the_world_s_for_usual_objects() -> None:
     assert working_frame((1.0, 2.0, 0.7), 2.6).is_world
     small = working_frame((0.0, 0.0, 0.01), 0.05)
