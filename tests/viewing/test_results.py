@@ -89,7 +89,7 @@ def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.
     monkeypatch.chdir(ROOT)
     assert open_exhibit(result).splat("clean").path == Path("scenes/car_street.xml")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InvalidValueError, match="no such scene here; name it with --clean"):
+    with pytest.raises(InvalidValueError, match="no such scene here; name the clean scene"):
         open_exhibit(result)
     with pytest.raises(InvalidValueError, match=r"expected the hash .*pass the scene that was attacked"):
         open_exhibit(result, clean=ROOT / "scenes" / "stop_sign.xml")
