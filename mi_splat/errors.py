@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
+_Error = TypeVar("_Error", bound="MiSplatError")
+
 
 class MiSplatError(Exception):
-    """Base of every error that mi-splat raises on purpose; the command line prints it and exits with status 1."""
+    """Base of every error that mi-splat raises on purpose; the command line prints it and exits with status 1.
+
+    Attributes:
+        hint: What the command line adds: the flags or the command that do what the message says. Empty for none.
+    """
+
+    hint: str = ""
+
+    def hinted(self: _Error, hint: str) -> _Error:
+        """The same error with a hint for the command line."""
+        self.hint = hint
+        return self
 
 
 class InvalidValueError(MiSplatError, ValueError):

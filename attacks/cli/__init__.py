@@ -146,7 +146,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warn(f"{words[0]}: {error} (see {PROGRAM} {words[0]} --help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
-        warn(" ".join(str(error).split()))
+        hint = error.hint if isinstance(error, MiSplatError) else ""
+        warn(" ".join(f"{error} ({hint})".split() if hint else str(error).split()))
         return FAILED
 
 

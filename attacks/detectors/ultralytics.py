@@ -182,8 +182,10 @@ def load_small(weights: Path | None = None, *, min_confidence: float = _MIN_CONF
     """
     path = SMALL_YOLO_WEIGHTS if weights is None else Path(weights)
     if weights is None and not path.is_file():
-        do = "pass --weights with scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
-        raise DetectorError(message("weights of yolov8n_small", "a file", "none: the wheel has none", do))
+        do = "pass as weights scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
+        raise DetectorError(message("weights of yolov8n_small", "a file", "none: the wheel has none", do)).hinted(
+            "--weights"
+        )
     model = build("n", len(SMALL_CLASSES))
     apply_weights(model, read_weights(path), path)
     return YOLODetector("yolov8n_small", model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=min_confidence)

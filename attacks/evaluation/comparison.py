@@ -121,17 +121,19 @@ def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
     Raises:
         InvalidValueError: There are other numbers of Gaussians, or all are the same.
     """
-    do = "say which Gaussians are the object, for instance with --box"
+    do = "say which Gaussians are the object, for instance by a box"
     if len(clean) != len(attacked):
         got = f"{len(clean):,} and {len(attacked):,}"
-        raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do))
+        raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do)).hinted("--box")
     degree = max(clean.degree, attacked.degree)
     changed = torch.zeros(len(clean), dtype=torch.bool)
     for name in ATTRIBUTES:
         before, after = (getattr(scene.with_degree(degree), name) for scene in (clean, attacked))
         changed |= (before != after).reshape(len(clean), -1).any(-1)
     if not bool(changed.any()):
-        raise InvalidValueError(message("the scenes", "one that differs from the other", "two that are the same", do))
+        raise InvalidValueError(
+            message("the scenes", "one that differs from the other", "two that are the same", do)
+        ).hinted("--box")
     return changed
 
 

@@ -136,8 +136,8 @@ def _clean_scene(
         if clean is not None:
             do = "pass the scene that was attacked"
             raise InvalidValueError(message(f"clean scene {clean}", f"the hash {expected}", "another", do))
-    do = "name it with --clean"
-    raise InvalidValueError(message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", do))
+    text = message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", "name the clean scene")
+    raise InvalidValueError(text).hinted("--clean")
 
 
 def _scenes_near(folder: Path) -> Iterator[Path]:

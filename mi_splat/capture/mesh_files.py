@@ -86,8 +86,9 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
         do = "export the surface, not the points alone"
         raise MeshFileError(message(str(path), "a mesh with faces", "no faces", do))
     if faults and settings.missing_textures == "refuse":
-        do = "put it where the mesh names it, without options, or pass --missing-textures warn for plain colours"
-        raise MeshFileError(message(str(path), "textures and colours that can be shown", "; ".join(faults), do))
+        do = "put it where the mesh names it, without options, or let missing textures warn, for plain colours"
+        error = MeshFileError(message(str(path), "textures and colours that can be shown", "; ".join(faults), do))
+        raise error.hinted("--missing-textures warn")
     turn = turning(settings, up=settings.up or UP[suffix])
     placed = [surface.vertices @ turn.T for surface in surfaces]
     try:

@@ -85,11 +85,11 @@ def open_source(
     is_asset = name not in RECIPES and name.partition(":")[0] in ASSETS
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix not in SUFFIXES:
-        what = "--up, --scale, --rotate, --front and --missing-textures"
+        what = "up, scale, rotate, front and missing textures"
         raise InvalidValueError(message(what, "a mesh file to go with", name, "leave them out"))
     if surroundings != SurroundingsSettings() and not (is_asset or suffix in SUFFIXES):
         expected = "a mesh file, or an object of the project, to go with"
-        raise InvalidValueError(message("--ground, --sun and --environment", expected, name, "leave them out"))
+        raise InvalidValueError(message("ground, sun and environment", expected, name, "leave them out"))
     if name in RECIPES:
         return _recipe(name)
     if is_asset:
@@ -139,7 +139,7 @@ def _mesh(loaded: LoadedMesh, name: str, surroundings: SurroundingsSettings) -> 
     centre, radius = _extent(loaded.asset)
     if not SMALLEST <= radius <= LARGEST:
         expected = f"a radius of {SMALLEST:g} to {LARGEST:g} metres"
-        raise InvalidValueError(message(name, expected, f"{radius:.4g}", "pass another --scale"))
+        raise InvalidValueError(message(name, expected, f"{radius:.4g}", "pass another scale")).hinted("--scale")
     frame = working_frame(centre, radius)
     target = frame.asset(loaded.asset)
     ground = None if surroundings.ground == "none" else _ground(target, surroundings.ground)

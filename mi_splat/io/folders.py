@@ -83,8 +83,9 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
         return
     held = _listed(names)
     if not force:
-        do = "pass another folder" + (", or --force to replace this result" if record in names else "")
-        raise SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", do))
+        do = "pass another folder" + (", or replace this result with force" if record in names else "")
+        error = SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", do))
+        raise error.hinted("--force") if record in names else error
     if record not in names:
         do = "delete the folder yourself, or pass another"
         raise SplatFileError(message(str(out), f"an older result ({record}) to replace", f"one that holds {held}", do))

@@ -56,8 +56,8 @@ class Loaded:
         which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
         found = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
         if on_invalid == "raise":
-            do = "repair it, or load it with on_invalid='drop'"
-            raise SplatFileError(message(path, "valid Gaussians", found, do))
+            error = SplatFileError(message(path, "valid Gaussians", found, "repair it, or drop them (on_invalid)"))
+            raise error.hinted(f"mi-splat convert {path} VALID.ply --drop-invalid")
         text = message(path, "valid Gaussians", found, "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
         keep = torch.ones(count, dtype=torch.bool)

@@ -81,7 +81,9 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
     sizes = {frame.shape for frame in frames}
     if len(sizes) != 1:
         got = f"{len(sizes)} sizes" if sizes else "none"
-        raise InvalidValueError(message("animation", "pictures of one size", got, "pass --size"))
+        raise InvalidValueError(message("animation", "pictures of one size", got, "give the cameras one size")).hinted(
+            "--size"
+        )
     if not 0 < fps <= 1000:
         raise InvalidValueError(message("fps", "pictures a second, up to 1000", fps, "24 is usual"))
     if not is_animation(path):

@@ -56,7 +56,7 @@ def select(
     """
     if selection.is_empty:
         do = _HOW + (f"; parts: {', '.join(objects)}" if objects else "")
-        raise InvalidValueError(message("selection", "which Gaussians are meant", "nothing", do))
+        raise InvalidValueError(message("selection", "which Gaussians are meant", "nothing", do)).hinted(_FLAGS)
     mask = torch.ones(len(scene), dtype=torch.bool)
     if selection.object is not None:
         mask &= _part(selection.object, objects or {}, len(scene))
@@ -70,12 +70,15 @@ def select(
     if selection.click:
         mask &= _clicked(scene, selection, camera, render)
     if not bool(mask.any()):
-        do = f"look at the scene with `mi-splat info` and `mi-splat render`; {_HOW}"
-        raise InvalidValueError(message("selection", "at least one Gaussian", f"none of {len(scene):,}", do))
+        do = f"look at where it is in a picture of the scene; {_HOW}"
+        raise InvalidValueError(message("selection", "at least one Gaussian", f"none of {len(scene):,}", do)).hinted(
+            _FLAGS
+        )
     return mask
 
 
-_HOW = "name a part with --object, or use --box, --click, --cluster or --mask"
+_HOW = "name a part (object), or say a box, a click, a cluster or a mask"
+_FLAGS = "--object, --box, --click, --cluster or --mask"
 
 
 def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
@@ -124,7 +127,7 @@ def _part(name: str, objects: Mapping[str, slice], count: int) -> Tensor:
     """The Gaussians of a part of the scene file."""
     if name not in objects:
         expected = f"one of {', '.join(objects)}" if objects else "no name, since the scene has no parts"
-        raise InvalidValueError(message("object", expected, name, _HOW))
+        raise InvalidValueError(message("object", expected, name, _HOW)).hinted(_FLAGS)
     mask = torch.zeros(count, dtype=torch.bool)
     mask[objects[name]] = True
     return mask

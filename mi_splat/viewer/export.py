@@ -50,8 +50,9 @@ def check_export(path: Path, views: tuple[int, int], *, force: bool) -> None:
         got = path.suffix or "no ending"
         raise InvalidValueError(message(str(path), "a name that ends in .html or .htm", got, "change the ending"))
     if path.exists() and not (force and path.is_file()):
-        do = "choose another name" if path.is_dir() else "choose another name or add --force"
-        raise InvalidValueError(message(str(path), "a free name", "something that is there", do))
+        do = "choose another name" if path.is_dir() else "choose another name, or replace it with force"
+        error = InvalidValueError(message(str(path), "a free name", "something that is there", do))
+        raise error if path.is_dir() else error.hinted("--force")
     if not path.absolute().parent.is_dir():
         raise InvalidValueError(message(str(path), "a folder to write into", "none", "make the folder first"))
     check_writable(path.parent)

@@ -109,7 +109,7 @@ def test_a_texture_that_cannot_be_shown_is_named(
 ) -> None:
     path = write(tmp_path, truck())
     spoil(path)
-    with pytest.raises(MiSplatError, match=rf"{path.name}.*{says}.*--missing-textures warn"):
+    with pytest.raises(MiSplatError, match=rf"{path.name}.*{says}.*let missing textures warn"):
         load_mesh(path)
     loaded = load_mesh(path, WARN)
     assert len(loaded.warnings) == 1

@@ -70,5 +70,5 @@ def test_an_object_of_the_project_can_stand_on_the_ground() -> None:
     side = float(ground.bounds[1, 0] - ground.bounds[0, 0])
     assert side == pytest.approx(6.5 * alone.radius, rel=1e-5)
     assert (ground.bounds.mean(0)[:2]).tolist() == pytest.approx(alone.centre[:2], abs=1e-5)
-    with pytest.raises(InvalidValueError, match="--ground"):
+    with pytest.raises(InvalidValueError, match="ground, sun and environment"):
         open_source("car_street", surroundings=SurroundingsSettings(ground="road"))

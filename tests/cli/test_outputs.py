@@ -126,7 +126,7 @@ def test_a_result_is_replaced_only_when_forced(
     (folder / "out" / "result.json").write_text("{}")
     forbid(("attacks.cli.dagger.attack",), monkeypatch)
     assert cli.main(words) == 1
-    assert "--force to replace this result" in capsys.readouterr().err
+    assert "replace this result with force (--force)" in capsys.readouterr().err
     with pytest.raises(AssertionError, match="work was begun"):
         cli.main([*words, "--force"])
     assert (folder / "out" / "result.json").read_text() == "{}"

@@ -89,7 +89,7 @@ def test_doubts_are_told_with_numbers(bare: tuple[Path, Tensor], capsys: pytest.
 @pytest.mark.parametrize(
     ("words", "status", "says"),
     [
-        ([], 1, "name a part with --object, or use --box"),
+        ([], 1, "(--object, --box, --click"),
         (["--box", "9", "9", "9", "8", "8", "8"], 2, "first number above its second"),
         (["--box", "90", "90", "90", "91", "91", "91"], 1, "at least one Gaussian, got none of"),
         (["--click", "5000,3"], 1, "a pixel of 640 x 480, got 5000,3"),

@@ -121,7 +121,7 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
 def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
     write_report(result, tmp_path)
     other = dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, unambiguous=False))
-    with pytest.raises(SplatFileError, match="--force to replace this result"):
+    with pytest.raises(SplatFileError, match="replace this result with force"):
         write_report(other, tmp_path)
     assert json.loads((tmp_path / "result.json").read_text())["success"] is True
     write_report(other, tmp_path, force=True)

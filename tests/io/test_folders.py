@@ -53,7 +53,7 @@ def test_nothing_is_left_of_a_folder_that_failed(tmp_path: Path) -> None:
 
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     out = result_in(tmp_path / "out")
-    with pytest.raises(SplatFileError, match=r"holds before\.png, result\.json; .* or --force to replace"):
+    with pytest.raises(SplatFileError, match=r"holds before\.png, result\.json; .* or replace this result with force"):
         check_new_folder(out)
     with pytest.raises(ZeroDivisionError):
         failing(out, force=True)

@@ -135,7 +135,7 @@ def test_invalid_gaussians_are_refused_or_dropped(name: str, value: float, words
     rows[name][[3, 7]] = value
     path.write_bytes(rows.tobytes())
     found = rf"valid Gaussians, got 2 of 20 that are not \(rows 3, 7; in the first, {words}\)"
-    with pytest.raises(SplatFileError, match=found + "; repair it, or load it with on_invalid='drop'"):
+    with pytest.raises(SplatFileError, match=found + "; repair it, or drop them"):
         load_splat(path)
     with pytest.warns(SplatFileWarning, match=found + "; they were left out") as caught:
         scene = load_splat(path, on_invalid="drop")

@@ -92,7 +92,7 @@ def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.
     shutil.copytree(result, moved)
     found = json.loads((moved / "result.json").read_text())
     (moved / "result.json").write_text(json.dumps({**found, "scene": "gone.xml"}))
-    with pytest.raises(InvalidValueError, match="no such scene here; name it with --clean"):
+    with pytest.raises(InvalidValueError, match="no such scene here; name the clean scene"):
         open_exhibit(moved)
     monkeypatch.chdir(ROOT)
     assert open_exhibit(moved).splat("clean").path == Path("scenes/car_street.xml")

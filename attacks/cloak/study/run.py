@@ -120,12 +120,14 @@ def check_folder(study: StudyConfig, folder: Path) -> None:
     if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
         known = folder / STUDY
         if not known.is_file():
-            raise InvalidValueError(message(str(folder), "an empty folder", "other files", "choose another --out"))
+            raise InvalidValueError(message(str(folder), "an empty folder", "other files", "choose another")).hinted(
+                "--out"
+            )
         differs = differences(known, study)
         if differs:
-            do = "choose another --out; stages that both need are not done again with the same --stages"
+            do = "choose another folder; stages that both need are not done again with the same folder of stages"
             expected = f"results of a study with {', '.join(differs)}"
-            raise InvalidValueError(message(str(folder), expected, "another", do))
+            raise InvalidValueError(message(str(folder), expected, "another", do)).hinted("--out, --stages")
 
 
 def check_disk(megabytes: float, stages: Path) -> None:

@@ -48,7 +48,7 @@ def differences(file: Path, study: StudyConfig) -> list[str]:
     try:
         there = dict(_flat(json.loads(file.read_text())))
     except (OSError, ValueError, RecursionError, AttributeError) as error:
-        raise InvalidValueError(message(str(file), "a study", str(error), "choose another --out")) from error
+        raise InvalidValueError(message(str(file), "a study", str(error), "choose another folder")) from error
     wanted = dict(_flat(json.loads(json.dumps(snapshot(study)))))
     found = []
     for name in {**there, **wanted}:
