@@ -11,6 +11,7 @@ from typing import Any
 
 from mi_splat import provenance
 from mi_splat.cameras import Camera
+from mi_splat.capture.passes import is_halved
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.datasets.writing import make_folder
@@ -24,6 +25,8 @@ FORMAT = 2
 """Of the record; those of format 1 have no key for it, and digests in the place of what was asked for."""
 PICTURES = 1
 """Version of the code that makes pictures: raise it when it makes others of the same input."""
+PICTURES_RECOUNTED = 2
+"""That version for counts of samples that version 1 rounded up."""
 
 _OLDER: dict[str, Any] = {"near": None, "pictures": 1}
 """What a record of format 1 does not say."""
@@ -62,7 +65,7 @@ def capture_record(
         "alpha": settings.rgba,
         "points": settings.points,
         "near": settings.near,
-        "pictures": PICTURES,
+        "pictures": PICTURES if is_halved(settings.samples) else PICTURES_RECOUNTED,
         "mitsuba": importlib.metadata.version("mitsuba"),
         "world_offset": list(source.world_offset),
         "inputs": {kind: dict(values) for kind, values in (inputs or {}).items()},

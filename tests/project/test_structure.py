@@ -22,12 +22,15 @@ TOP_LEVEL = {
 }
 LONGEST_MODULE = 300
 
-RENDERERS = ("mi_splat.rasterization", "mi_splat.plugins", "mi_splat.variant", "mi_splat.rendering")
-"""Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
-PATH_TRACERS = (
-    *("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes", "mi_splat.scene_files"),
+RENDERERS = (
+    "mi_splat.rasterization",
+    "mi_splat.plugins",
     "mi_splat.mitsuba_log",
+    "mi_splat.variant",
+    "mi_splat.rendering",
 )
+"""Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
+PATH_TRACERS = ("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes", "mi_splat.scene_files")
 LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.experiments")
 """Parts of attacks that may know a particular detector; all others see `detectors.base` only."""
 
