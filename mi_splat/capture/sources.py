@@ -86,10 +86,12 @@ def open_source(
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix not in SUFFIXES:
         what = "up, scale, rotate, front and missing textures"
-        raise InvalidValueError(message(what, "a mesh file to go with", name, "leave them out"))
+        error = InvalidValueError(message(what, "a mesh file to go with", name, "leave them out"))
+        raise error.hinted("--up, --scale, --rotate, --front, --missing-textures")
     if surroundings != SurroundingsSettings() and not (is_asset or suffix in SUFFIXES):
         expected = "a mesh file, or an object of the project, to go with"
-        raise InvalidValueError(message("ground, sun and environment", expected, name, "leave them out"))
+        error = InvalidValueError(message("ground, sun and environment", expected, name, "leave them out"))
+        raise error.hinted("--ground, --sun, --environment")
     if name in RECIPES:
         return _recipe(name)
     if is_asset:

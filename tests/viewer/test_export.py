@@ -111,7 +111,7 @@ def test_one_row_is_at_the_camera_s_own_elevation() -> None:
 def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text("mine")
-    with pytest.raises(InvalidValueError, match=r"page\.html: expected a free name.*--force"):
+    with pytest.raises(InvalidValueError, match=r"page\.html: expected a free name.*replace it with force"):
         write_export(painter(1), path, views=(1, 1))
     assert path.read_text() == "mine"
     write_export(painter(1), path, views=(1, 1), force=True)
