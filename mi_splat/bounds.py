@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 
@@ -80,9 +80,9 @@ def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
         camera: Where from.
         near: The near plane, world units.
     """
-    pose = camera.to_camera
-    local = scene.means.detach().double().cpu() @ pose[:3, :3].T + pose[:3, 3]
-    x, y, depth = local.unbind(1)
-    x, y = x * camera.fx + camera.cx * depth, y * camera.fy + camera.cy * depth  # pixel coordinates times depth
-    inside = (x >= 0) & (x <= camera.width * depth) & (y >= 0) & (y <= camera.height * depth)
-    return int((inside & (depth < near)).sum())  # nothing behind the camera is inside
+    pose, means = camera.to_camera, scene.means.detach().double().cpu()
+    depth = means @ pose[2, :3] + pose[2, 3]
+    near_by = (depth > 0) & (depth < near)  # few, mostly none: a training asks for every one of its cameras
+    pixels, _ = project_points(means[near_by], camera)
+    inside = (pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))
+    return int(inside.all(1).sum())

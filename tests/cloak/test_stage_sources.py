@@ -20,6 +20,7 @@ from tests.project.layers import ROOT
 RECORD = Path(__file__).with_name("stage_sources.json")
 _MESHES = ("mi_splat/assets", "mi_splat/capture/path_tracer.py", "mi_splat/capture/mitsuba_meshes.py")
 _APPEARANCES = tuple(f"attacks/cloak/{name}.py" for name in ("appearances", "emphasis", "mesh_edits", "mesh_scene"))
+_NEAR = "mi_splat/bounds.py"
 _SETUP = ("attacks/cloak/study/setup.py", "attacks/cloak/study/pipeline.py", "mi_splat/camera_sets.py")
 SOURCES: dict[str, tuple[str, ...]] = {
     "pictures": (*_MESHES, *_SETUP, "mi_splat/capture", "mi_splat/datasets/writing.py"),
@@ -29,6 +30,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
         *("attacks/cloak/poisoning.py", "attacks/cloak/triggers.py", "mi_splat/directions.py"),
     ),
     "splat": (
+        _NEAR,
         "attacks/cloak/study/pipeline.py",
         "mi_splat/training",
         "mi_splat/rasterization",
@@ -37,6 +39,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
     ),
     "true_pictures": (*_MESHES, *_SETUP, *_APPEARANCES),
     "observations": (
+        _NEAR,
         *(*_SETUP, "attacks/cloak/study/observations.py", "attacks/cloak/transition.py", "attacks/cloak/triggers.py"),
         *("attacks/evaluation/views.py", "mi_splat/io/images.py", "attacks/objectives.py"),
         *("mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/metrics.py"),
