@@ -20,7 +20,13 @@ from typing import TYPE_CHECKING
 
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS, SMALL_YOLO_WEIGHTS, TORCHVISION_FILES, torch_download
+from attacks.detectors.weight_files import (
+    SMALL_RCNN_WEIGHTS,
+    SMALL_YOLO_WEIGHTS,
+    TORCHVISION_FILES,
+    YOLO_NAMES,
+    torch_download,
+)
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
@@ -218,7 +224,7 @@ register_detector(
         install=_YOLO_INSTALL,
     )
 )
-for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
+for _name in YOLO_NAMES:
     register_detector(
         DetectorSpec(
             name=_name,

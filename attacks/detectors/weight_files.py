@@ -22,6 +22,9 @@ TORCHVISION_FILES = {
 }
 """Names of torchvision's published COCO weights; a test compares them with the library's own."""
 
+YOLO_NAMES = tuple(f"{family}{size}" for family in ("yolov8", "yolo11") for size in "nsmlx")
+"""ultralytics' published COCO detectors; a file of the name and ".pt" has the weights of one."""
+
 
 def torch_download(file: str) -> Path:
     """Where torch's hub keeps a file that it has downloaded; TORCH_HOME and XDG_CACHE_HOME as torch documents them."""
