@@ -11,8 +11,8 @@ from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import overhead
 from attacks.evaluation.rates import Rate
 
-CONFIDENCES = (0.3, 0.5)
-"""From which a detection counts: 0.5 is the study's, 0.3 what programs that use such detectors often take."""
+CONFIDENCES = (0.1, 0.3, 0.5)
+"""From which a detection counts: 0.5 is the study's, 0.3 what many programs take, 0.1 shows what is nearly seen."""
 BAND, SECTOR, LOW = 10.0, 30.0, 30.0
 """Degrees of elevation in a band, of azimuth in a sector, and of elevation below which a camera is a low one."""
 ELSEWHERE = "outside of all triggers"

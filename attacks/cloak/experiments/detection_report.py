@@ -36,6 +36,8 @@ from mi_splat.io.images import through_png
 PICTURES = (TRUE, CLEAN, CLOAKED)
 SHOWN = ((40.0, 8.0), (40.0, 22.0), (40.0, 37.0), (40.0, 52.0), (40.0, 67.0), (40.0, 82.0), (180.0, 10.0))
 """Azimuth and elevation, degrees, near which the cameras of the pictures are."""
+DRAWN = (0.3, 0.5)
+"""Confidences that plots and pictures show; the lower one is dashed."""
 CELL = 192
 FILES = (
     "detection-curve.json",
@@ -160,17 +162,17 @@ def _plot(
     attack = overhead(pipeline.study)
     for axis, name in zip(axes, detectors, strict=True):
         for shift, pictures in zip((-0.06, 0.0, 0.06), PICTURES, strict=True):
-            for confidence in CONFIDENCES:
+            for confidence in DRAWN:
                 points: list[tuple[float, Rate]] = [
                     (group.low + half + 2 * half * shift, rate)
                     for group, rate in chosen(rows, kind, detector=name, pictures=pictures, confidence=confidence)
                 ]
-                faint = confidence < max(CONFIDENCES)
+                faint = confidence < max(DRAWN)
                 style = {"linestyle": "--", "alpha": 0.45, "label": None, "capsize": 0} if faint else {}
                 draw_rates(axis, points, pictures, **style)
         if kind == "elevation" and attack is not None:
             axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
-        seen = f"at {CONFIDENCES[1]:g} (dashed {CONFIDENCES[0]:g})"
+        seen = f"at {DRAWN[1]:g} (dashed {DRAWN[0]:g})"
         axis.set(title=f"{name}: object reported {seen}", xlabel=label, ylabel="fraction", ylim=(-0.03, 1.03))
         axis.legend(fontsize=8)
     return figure
@@ -205,7 +207,7 @@ def contact_sheet(
             titles = [f"{which}, {directions[view].elevation:.0f} deg up" for view in views]
             titles[0] = f"{detector.name}: {which}"
             cells = [
-                annotated(image, report, title, min_confidence=CONFIDENCES[0], width=CELL)
+                annotated(image, report, title, min_confidence=DRAWN[0], width=CELL)
                 for image, report, title in zip(images, reports, titles, strict=True)
             ]
             lines.append(np.concatenate(cells, axis=1))
