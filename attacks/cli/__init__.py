@@ -73,6 +73,12 @@ COMMANDS = {
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
     ),
+    "dagger-pairs": Command(
+        "attacks.cli",
+        "DaggerPairsOptions",
+        "dagger_pairs",
+        "the paper's six attacks on several detectors, side by side",
+    ),
     "cloak": Command(
         "attacks.cli",
         "CloakOptions",

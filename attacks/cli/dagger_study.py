@@ -23,7 +23,8 @@ def run(options: DaggerStudyOptions) -> int:
     limit_threads((os.cpu_count() or 1) // 2)
     jobs = _chosen(options)
     runner = JobRunner(
-        lambda name: _read(options.scenes / f"{name}.xml"), load_detector(options.detector, weights=options.weights)
+        lambda name: read_attack_scene(options.scenes / f"{name}.xml"),
+        load_detector(options.detector, weights=options.weights),
     )
     with progress("attacking", total=len(jobs)) as advance:
         records = run_jobs(
@@ -47,7 +48,8 @@ def _chosen(options: DaggerStudyOptions) -> list[Job]:
     return [job for job in jobs if not options.groups or job.group in options.groups]
 
 
-def _read(path: Path) -> AttackScene:
+def read_attack_scene(path: Path) -> AttackScene:
+    """A scene file, ready for attacks."""
     loaded = read_scene(path)
     return AttackScene(
         scene=loaded.scene,

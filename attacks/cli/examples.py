@@ -34,6 +34,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "detect": ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",),
     "evaluate": ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",),
     "dagger-study": ("dagger-study --seeds 3 --out out/studies/dagger",),
+    "dagger-pairs": (
+        "dagger-pairs --detectors centernet_coco nanodet_coco --eps 10 --steps 40 --out out/pairs",
+        "dagger-pairs --radii 1 2 3 4 5 --seeds 3 --out out/smallest",
+    ),
     "cloak": (
         "cloak scenes/cloak_car_colour.toml --forecast",
         "cloak scenes/cloak_demo.toml --out out/cloak",
@@ -67,7 +71,8 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "dagger": ("select", "evaluate", "dagger-study", "detectors"),
     "detect": ("detectors", "evaluate"),
     "evaluate": ("dagger", "detect"),
-    "dagger-study": ("dagger",),
+    "dagger-study": ("dagger", "dagger-pairs"),
+    "dagger-pairs": ("dagger", "dagger-study", "detectors"),
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
     "detectors": ("dagger", "doctor"),

@@ -136,6 +136,34 @@ class DaggerStudyOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerPairsOptions:
+    """Attack the paper's six pairs, car to person, elephant, stop sign and sign to tv, train, bird, on any detectors.
+
+    An attack that was done is not done again when the same command is given again. Writes summary.json, table.md and a
+    folder for each detector, with a picture and a JSON of each attack, into --out.
+    """
+
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of the detectors (see `mi-splat detectors`)."""
+    eps: tuple[float, ...] = (5.0,)
+    """Radii of the l2 ball over the SH of the object; every pair is attacked with each."""
+    steps: int = 11
+    """Steps of each attack."""
+    confidence: float = 0.5
+    """Confidence from which the class wanted counts as seen."""
+    seeds: int = 1
+    """Number of seeds; all but the first move the camera."""
+    radii: tuple[float, ...] = ()
+    """Radii among which the smallest that suffices is looked for, with every seed."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    out: Path = Path("out/dagger-pairs")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print what summary.json holds on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CloakOptions:
     """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at both, report.
 

@@ -16,6 +16,7 @@ ALL_RANGES: dict[str, Range] = {
     "noise_draws": at_least(0),
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),
+    "radii": above(0, "units of the splat file"),
     "every": at_least(1, "cameras"),
     "port": Range(0, 65535, do="0 takes a free one"),
     # detectors

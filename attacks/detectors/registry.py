@@ -21,7 +21,13 @@ from typing import TYPE_CHECKING
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.coco.sources import PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS, SMALL_YOLO_WEIGHTS, TORCHVISION_FILES, torch_download
+from attacks.detectors.weight_files import (
+    SMALL_RCNN_WEIGHTS,
+    SMALL_YOLO_WEIGHTS,
+    TORCHVISION_FILES,
+    YOLO_NAMES,
+    torch_download,
+)
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
@@ -162,7 +168,7 @@ def _small_rcnn(weights: Path | None) -> Detector:
     return load_small(weights)
 
 
-def _published_rcnn(name: str, weights: Path | None) -> Detector:
+def _published_torchvision(name: str, weights: Path | None) -> Detector:
     from attacks.detectors.torchvision import load_published
 
     return load_published(name, weights)
@@ -204,7 +210,7 @@ for _name, _file in TORCHVISION_FILES.items():
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_rcnn, _name),
+            load=partial(_published_torchvision, _name),
             classes=COCO_CLASSES,
             origin="torchvision's hub, trained on COCO",
             licence="BSD-3-Clause",
@@ -225,7 +231,7 @@ register_detector(
         install=_YOLO_INSTALL,
     )
 )
-for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
+for _name in YOLO_NAMES:
     register_detector(
         DetectorSpec(
             name=_name,
