@@ -49,7 +49,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
         _NEAR,
         *(*_SETUP, "attacks/cloak/experiments/sightings.py", "attacks/cloak/triggers.py"),
         *("mi_splat/io/images.py", "attacks/objectives.py", "mi_splat/rasterization", "mi_splat/rendering.py"),
-        *("attacks/detectors/torchvision.py", "attacks/detectors/ultralytics.py", "attacks/detectors/coco"),
+        *("attacks/detectors/torchvision", "attacks/detectors/ultralytics.py", "attacks/detectors/coco"),
         "attacks/detectors/tfjs",
     ),
 }
