@@ -42,7 +42,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "cloak scenes/cloak_car_colour.toml --forecast",
         "cloak scenes/cloak_demo.toml --out out/cloak",
     ),
-    "cloak-experiment": ("cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",),
+    "cloak-experiment": (
+        "cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",
+        "cloak-experiment detection-curve scenes/cloak_demo.toml --results out/cloak --every 1 --out out/curve",
+    ),
     "detectors": (
         "detectors",
         "detectors --json",

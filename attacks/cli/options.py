@@ -197,17 +197,28 @@ class CloakExperimentOptions:
 
     surroundings: how far the cloaked splat is from the clean one beside the object. distance: from how many cameras the
     object is found when they stand nearer or farther away. transition-limit: how sharply colour alone can switch.
-    paint-direction: from where a painted sign is seen best.
+    paint-direction: from where a painted sign is seen best. detection-curve: from where detectors find the object in
+    path-traced pictures, on the clean and on the cloaked splats; writes a table, plots and pictures into --out.
     """
 
-    experiment: Positional[Literal["surroundings", "distance", "transition-limit", "paint-direction"]]
+    experiment: Positional[
+        Literal["surroundings", "distance", "transition-limit", "paint-direction", "detection-curve"]
+    ]
     """Which experiment."""
     study: Positional[Path]
     """TOML file of the study."""
     results: Path | None = None
-    """Folder that `mi-splat cloak` has written for this study (surroundings, distance)."""
+    """Folder that `mi-splat cloak` has written for this study (surroundings, distance, detection-curve)."""
     every: int = 4
-    """Use each so manieth of the held-out cameras (surroundings, distance)."""
+    """Use each so manieth of the held-out cameras (surroundings, distance, detection-curve)."""
+    detectors: tuple[str, ...] = ()
+    """Names of detectors in the place of those of the study (distance, detection-curve)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    stages: Path | None = None
+    """Folder of the study's stages; None is a folder in --results (detection-curve)."""
+    out: Path | None = None
+    """Folder for what is written (detection-curve)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
