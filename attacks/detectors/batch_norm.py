@@ -21,4 +21,4 @@ def keep_gradients_right(model: nn.Module) -> None:
 
 def _order_gradient(module: nn.Module, inputs: Any, output: Tensor) -> None:
     if output.requires_grad:
-        output.register_hook(Tensor.contiguous)
+        output.register_hook(Tensor.contiguous)  # type: ignore[no-untyped-call]

@@ -14,14 +14,15 @@ from attacks.detectors.batch_norm import keep_gradients_right
 def test_the_gradient_is_the_scale_of_each_channel(batch: int, layout: str) -> None:
     generator = torch.Generator().manual_seed(0)
     norm = nn.BatchNorm2d(5).eval()
-    norm.running_var.uniform_(0.5, 2, generator=generator)
+    variance = torch.rand(5, generator=generator) + 0.5
+    norm.running_var = variance
     nn.init.uniform_(norm.weight, 0.5, 2, generator=generator)
     keep_gradients_right(nn.Sequential(norm))
     picture = torch.randn(batch, 5, 3, 4, generator=generator).requires_grad_()
     gradient = torch.randn(batch, 5, 3, 4, generator=generator)
-    expected = gradient * (norm.weight / torch.sqrt(norm.running_var + norm.eps)).view(5, 1, 1)
+    expected = gradient * (norm.weight / torch.sqrt(variance + norm.eps)).view(5, 1, 1)
     if layout == "tokens":
-        gradient = gradient.flatten(2).transpose(1, 2).contiguous().transpose(1, 2).unflatten(2, (3, 4))
+        gradient = gradient.flatten(2).transpose(1, 2).contiguous().transpose(1, 2).view(batch, 5, 3, 4)
     elif layout == "channels last":
         gradient = gradient.contiguous(memory_format=torch.channels_last)
     (found,) = torch.autograd.grad(norm(picture), picture, gradient)

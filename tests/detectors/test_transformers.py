@@ -24,6 +24,7 @@ except DetectorError as error:
     pytest.skip(str(error), allow_module_level=True)
 
 from transformers import (
+    AutoConfig,
     DetrConfig,
     DetrForObjectDetection,
     DetrImageProcessor,
@@ -279,6 +280,6 @@ def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.Monke
     def unreachable(**_: object) -> None:
         raise OSError("no route to host")
 
-    monkeypatch.setattr(adapter.AutoConfig, "from_pretrained", unreachable)
+    monkeypatch.setattr(AutoConfig, "from_pretrained", unreachable)
     with pytest.raises(DetectorError, match="or a network that reaches the library's hub, got no route to host"):
         load_detector("rtdetr_r50vd")
