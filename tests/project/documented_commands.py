@@ -155,6 +155,13 @@ SMALL: dict[str, dict[str, Change]] = {
 """The same where a page needs a splat on which an object can be seen."""
 SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
 
+SHIPPED_WEIGHTS: dict[str, Change] = {
+    "--detector": if_there("fasterrcnn_small"),
+    "--detectors": if_there("fasterrcnn_small"),
+    "--weights": to(str(ROOT / "attacks" / "detectors" / "fasterrcnn_small.safetensors")),
+}
+"""For a line that names a file of weights, which nobody has here: those of the project, given as a file."""
+
 BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
 """What is added to a program that a page calls by `python`."""
 
@@ -163,6 +170,8 @@ def shortened(line: Line) -> list[str]:
     """The words after `mi-splat`, with the changes that the tables ask for."""
     words = list(line.words[1:])
     changes = (SMALL if line.page in SMALL_PAGES else TINY).get(words[0], {})
+    if "--weights" in words:
+        changes = {**changes, **SHIPPED_WEIGHTS}
     for flag, change in changes.items():
         if "--help" in words:
             break

@@ -220,7 +220,7 @@ def test_gradient_is_that_of_the_definition(number: int) -> None:
     picture = picture.clone().requires_grad_(True)
     weights = [torch.randn(tuple(one.shape)) for one in network(picture)]
     kept = [i for i, one in enumerate(network(picture)) if one.is_floating_point()]
-    torch.stack([(network(picture)[i] * weights[i]).sum() for i in kept]).sum().backward()
+    torch.stack([(network(picture)[i] * weights[i]).sum() for i in kept]).sum().backward()  # type: ignore[no-untyped-call]
     assert picture.grad is not None
     direction = np.random.default_rng(1).normal(size=PICTURE.shape)
 
