@@ -70,6 +70,7 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "steps": ("STEPS",),
     "step_factor": ("FACTOR",),
     "required_views": ("FRACTION",),
+    "required_detectors": ("FRACTION",),
     "confidence": ("CONFIDENCE",),
     "min_confidence": ("CONFIDENCE",),
     "original": ("CLASS",),
