@@ -73,6 +73,13 @@ COMMANDS = {
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
     ),
+    "dagger-transfer": Command(
+        "attacks.cli",
+        "DaggerTransferOptions",
+        "dagger_transfer",
+        "attacks on some detectors judged by others: the transfer matrix",
+        options_module="transfer_options",
+    ),
     "cloak": Command(
         "attacks.cli",
         "CloakOptions",

@@ -34,6 +34,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "detect": ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",),
     "evaluate": ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",),
     "dagger-study": ("dagger-study --seeds 3 --out out/studies/dagger",),
+    "dagger-transfer": (
+        "dagger-transfer --out out/studies/transfer",
+        "dagger-transfer --detectors fasterrcnn_small yolov8n_small --seeds 1 --steps 10 --out out/transfer",
+    ),
     "cloak": (
         "cloak scenes/cloak_car_colour.toml --forecast",
         "cloak scenes/cloak_demo.toml --out out/cloak",
@@ -59,7 +63,8 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "dagger": ("select", "evaluate", "dagger-study", "detectors"),
     "detect": ("detectors", "evaluate"),
     "evaluate": ("dagger", "detect"),
-    "dagger-study": ("dagger",),
+    "dagger-study": ("dagger", "dagger-transfer"),
+    "dagger-transfer": ("dagger", "dagger-study", "evaluate"),
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
     "detectors": ("dagger", "doctor"),

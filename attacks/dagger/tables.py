@@ -118,7 +118,7 @@ def by_radius(records: Iterable[Record]) -> list[dict[str, Any]]:
 def markdown(records: Sequence[Record]) -> str:
     """All tables as one Markdown page."""
     table, lines = rows(records), ["# DAGGER", "", *_preamble(records), "## Smallest balls", ""]
-    lines += _grid(
+    lines += grid(
         ("group", "attribute", "norm", "eps", "settings reached with every seed", "runs", "PSNR, dB", "noise"),
         [
             (
@@ -136,7 +136,7 @@ def markdown(records: Sequence[Record]) -> str:
     )
     for group in dict.fromkeys(row["group"] for row in table):
         lines += ["", f"## {TITLES.get(group, group)}", ""]
-        lines += _grid(_COLUMNS, [_cells(row) for row in table if row["group"] == group])
+        lines += grid(_COLUMNS, [_cells(row) for row in table if row["group"] == group])
     return "\n".join(lines) + "\n"
 
 
@@ -175,7 +175,8 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _grid(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def grid(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table."""
     return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *body)]
 
 

@@ -24,7 +24,7 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene
 from tests.dagger.test_report import KEYS
-from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 XML = """
 <scene version="3.0.0">
@@ -216,19 +216,6 @@ def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pyt
     assert document["radius"] == {"opacities": 3.0, "sh": 20.0}
     assert len(document["views"]) == 2
     assert Path(document["files"]["result.json"]).is_file()
-
-
-def test_dagger_says_what_each_of_several_detectors_saw(
-    toy: SplatScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pair = [ColourDetector(), CoarseDetector()]
-    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: pair)
-    words = ["dagger", "--object", "thing", "--eps", "20", "--noise-draws", "1", "--detector", "a", "b"]
-    assert cli.main([*words, "--out", str(tmp_path)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "SUCCESS: a and b shall see a person in place of the thing; 2 of 2 detectors."
-    assert [line.split(",")[0] for line in lines[1:3]] == ["fake_colour", "fake_coarse"]
-    assert "1 of 1 views" in lines[1]
 
 
 @pytest.mark.parametrize(("eps", "change"), [("0.1", "The picture changed to a PSNR of"), ("0", "No picture changed")])

@@ -6,10 +6,13 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from attacks import cli
+from attacks.cli import dagger
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig, EnsembleLoss
 from attacks.dagger.ensemble import Ensemble
@@ -21,6 +24,7 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from attacks.pgd import pgd
 from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
 FINE, COARSE = ColourDetector(), CoarseDetector()
@@ -111,6 +115,24 @@ def test_the_report_shows_every_detector(tmp_path: Path) -> None:
     assert values["detector"] == "fake_colour + fake_coarse"
     assert values["config"]["ensemble"] == "mean"
     assert (tmp_path / "out" / "result.json") == write_report(found, tmp_path / "out")["result.json"]
+
+
+def test_the_command_says_what_each_detector_saw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, _ = toy_scene()
+    save_splat(scene, tmp_path / "toy.ply")
+    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: [FINE, COARSE])
+    words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--eps", "20"]
+    words += ["--distance", "3", "--fov", "50", "--size", "32", "32", "--noise-draws", "0", "--detector", "a", "b"]
+    np.save(tmp_path / "mask.npy", np.arange(10, 40))
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "SUCCESS: a and b shall see a person in place of the selection; 2 of 2 detectors."
+    assert [line.split(":")[0] for line in lines[1:3]] == [
+        "fake_colour, 1 of 1 views",
+        "fake_coarse, 1 of 1 views",
+    ]
 
 
 def test_a_faint_object_is_warned_of_by_the_name_of_the_detector() -> None:
