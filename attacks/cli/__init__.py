@@ -80,6 +80,13 @@ COMMANDS = {
         "attacks on some detectors judged by others: the transfer matrix",
         options_module="transfer_options",
     ),
+    "dagger-sanity": Command(
+        "attacks.cli",
+        "DaggerSanityOptions",
+        "dagger_sanity",
+        "whether DAGGER is a sane attack on an object and a detector, line by line",
+        options_module="transfer_options",
+    ),
     "cloak": Command(
         "attacks.cli",
         "CloakOptions",

@@ -35,7 +35,7 @@ def run(options: DaggerOptions) -> int:
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
-        chosen = choose(loaded, _selection(loaded, options), options.view)
+        chosen = choose(loaded, object_of(loaded, options.selection), options.view)
         weights = chosen.weights(loaded)
         require_visible(weights)
         detectors = load_detectors(options.detector, options.weights, flag="--detector")
@@ -76,17 +76,17 @@ def _objective(options: DaggerOptions) -> Objective:
     return aims[options.objective](**limit)
 
 
-def _selection(loaded: SplatScene, options: DaggerOptions) -> Selection:
+def object_of(loaded: SplatScene, selection: Selection) -> Selection:
     """What the options select; the part called car if they say nothing and there is one."""
-    nothing = options.selection.is_empty and DEFAULT_OBJECT in loaded.objects
-    return dataclasses.replace(options.selection, object=DEFAULT_OBJECT) if nothing else options.selection
+    nothing = selection.is_empty and DEFAULT_OBJECT in loaded.objects
+    return dataclasses.replace(selection, object=DEFAULT_OBJECT) if nothing else selection
 
 
 def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[str, Any]:
     """What was attacked, and from which cameras, for the record."""
     return {
         "scene": str(options.scene),
-        "selection": _selection(loaded, options).as_dict(),
+        "selection": object_of(loaded, options.selection).as_dict(),
         "cameras": list(chosen.cameras),
     }
 

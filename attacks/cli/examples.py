@@ -38,6 +38,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dagger-transfer --out out/studies/transfer",
         "dagger-transfer --detectors fasterrcnn_small yolov8n_small --seeds 1 --steps 10 --out out/transfer",
     ),
+    "dagger-sanity": (
+        "dagger-sanity scenes/car_street.xml --object car --target person --out out/sanity",
+        "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detector yolov8n_small --seeds 5 --out out/sanity",
+    ),
     "cloak": (
         "cloak scenes/cloak_car_colour.toml --forecast",
         "cloak scenes/cloak_demo.toml --out out/cloak",
@@ -65,6 +69,7 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "evaluate": ("dagger", "detect"),
     "dagger-study": ("dagger", "dagger-transfer"),
     "dagger-transfer": ("dagger", "dagger-study", "evaluate"),
+    "dagger-sanity": ("dagger", "dagger-transfer"),
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
     "detectors": ("dagger", "doctor"),

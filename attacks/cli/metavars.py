@@ -82,6 +82,8 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "DaggerStudyOptions.scenes": ("FOLDER",),
     "DaggerTransferOptions.scenes": ("FOLDER",),
     "DaggerTransferOptions.seeds": ("COUNT",),
+    "DaggerSanityOptions.seeds": ("COUNT",),
+    "surrogate": ("DETECTOR",),
     "judges": ("DETECTOR",),
     "DaggerStudyOptions.groups": ("TABLE",),
     "host": ("HOST",),
