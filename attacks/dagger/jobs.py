@@ -77,62 +77,41 @@ class AttackScene:
     render: RenderFn
 
 
-class AttackScenes:
-    """Scenes by name, each read once."""
-
-    def __init__(self, read: Callable[[str], AttackScene]) -> None:
-        self._read = read
-        self._scenes: dict[str, AttackScene] = {}
-        self._fingerprints: dict[str, str] = {}
-
-    def of(self, scene: str, name: str) -> AttackScene:
-        """The scene that has the object `name`.
-
-        Raises:
-            InvalidValueError: It has none of this name.
-        """
-        if scene not in self._scenes:
-            self._scenes[scene] = self._read(scene)
-        place = self._scenes[scene]
-        if name not in place.objects:
-            expected = f"one of {', '.join(place.objects)}"
-            raise InvalidValueError(message(f"object of {scene}", expected, name, "fix the scene file"))
-        return place
-
-    def fingerprint(self, scene: str, name: str, *detectors: Detector) -> str:
-        """Hash of what an attack on a scene depends on besides its settings: Gaussians, cameras, detectors' weights."""
-        place = self.of(scene, name)
-        if scene not in self._fingerprints:
-            self._fingerprints[scene] = scene_hash(place.scene)
-        weights = [word for detector in detectors for word in (detector.name, detector.fingerprint)]
-        words = (self._fingerprints[scene], str(place.cameras), *weights)
-        return hashlib.sha256("\n".join(words).encode()).hexdigest()
-
-    def view(self, scene: str, name: str, seed: int, *, camera: int = 0) -> Camera:
-        """A camera of the scene by its position, moved about the object as `jittered` does."""
-        place = self.of(scene, name)
-        return jittered(place.cameras[camera], place.scene.means[place.objects[name]].mean(0), seed=seed)
-
-
 class JobRunner:
     """Runs jobs on scenes that `read` finds by name, against one detector."""
 
     def __init__(self, read: Callable[[str], AttackScene], detector: Detector) -> None:
-        self._scenes, self._detector = AttackScenes(read), detector
+        self._read, self._detector = read, detector
+        self._scenes: dict[str, AttackScene] = {}
+        self._fingerprints: dict[str, str] = {}
 
     def fingerprint(self, job: Job) -> str:
         """Hash of what a result depends on besides the job: the scene, its cameras, and the detector's weights."""
-        return self._scenes.fingerprint(job.scene, job.object, self._detector)
+        if job.scene not in self._fingerprints:
+            place = self._scene(job)
+            words = (scene_hash(place.scene), str(place.cameras), self._detector.name, self._detector.fingerprint)
+            self._fingerprints[job.scene] = hashlib.sha256("\n".join(words).encode()).hexdigest()
+        return self._fingerprints[job.scene]
 
     def run(self, job: Job) -> dict[str, Any]:
         """Attack, and return the summary."""
-        place = self._scenes.of(job.scene, job.object)
+        place = self._scene(job)
         rows = place.objects[job.object]
-        chosen = range(len(place.cameras))[job.camera :][: job.views or None]
-        cameras = [self._scenes.view(job.scene, job.object, job.config.seed, camera=index) for index in chosen]
+        centre = place.scene.means[rows].mean(0)
+        chosen = place.cameras[job.camera :][: job.views or None]
+        cameras = [jittered(camera, centre, seed=job.config.seed) for camera in chosen]
         objective: Objective = hide() if job.target is None else relabel(job.target)
         found = attack(place.scene, rows, cameras, self._detector, objective, render=place.render, config=job.config)
         return summary(found)
+
+    def _scene(self, job: Job) -> AttackScene:
+        if job.scene not in self._scenes:
+            self._scenes[job.scene] = self._read(job.scene)
+        place = self._scenes[job.scene]
+        if job.object not in place.objects:
+            expected = f"one of {', '.join(place.objects)}"
+            raise InvalidValueError(message(f"object of {job.scene}", expected, job.object, "fix the scene file"))
+        return place
 
 
 def jittered(

@@ -14,7 +14,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import Job
@@ -91,13 +91,11 @@ def _config(seed: int, eps: float = 5.0, attribute: Attribute = "sh", norm: Norm
 
 
 class NamedJob(Protocol):
-    """A dataclass with a name that is unique within its ledger."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
+    """A frozen dataclass that says all about one attack of a study."""
 
     @property
     def name(self) -> str:
-        """What its file is called."""
+        """File name, unique within a study."""
         ...
 
 
@@ -145,7 +143,7 @@ def run_jobs(
 
 def as_json(job: NamedJob) -> dict[str, Any]:
     """A job with its full configuration, as a JSON file gives it back."""
-    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(job)))
+    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(cast(Any, job))))
     return values
 
 

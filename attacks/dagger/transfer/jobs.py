@@ -14,9 +14,10 @@ from torch import Generator, Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.jobs import AttackScene, AttackScenes
+from attacks.dagger.jobs import AttackScene
 from attacks.dagger.report import summary
 from attacks.dagger.study import PAIRS
+from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import detect_views, object_boxes
 from attacks.gaussian_subset import GaussianSubset
