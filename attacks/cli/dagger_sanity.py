@@ -6,7 +6,7 @@ import json
 import os
 
 from attacks.cli.dagger import object_of
-from attacks.cli.dagger_transfer import STUDIED
+from attacks.cli.dagger_transfer import loadable
 from attacks.cli.transfer_options import DaggerSanityOptions
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import jittered
@@ -15,7 +15,6 @@ from attacks.dagger.sanity.runs import Case, Runs
 from attacks.dagger.sanity.suite import CHECKS, run_checks, write_findings
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
-from attacks.detectors.registry import DETECTORS
 from attacks.objectives import relabel
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose
@@ -27,7 +26,7 @@ from mi_splat.selection.select import require_visible
 RECORD = "sanity.json"
 """The file by which the folder of a suite is known."""
 
-ATTACKS = 12
+ATTACKS = 13
 """Kinds of attacks in the suite, each once a seed; for the progress bar."""
 
 
@@ -81,7 +80,5 @@ def _surrogate(options: DaggerSanityOptions) -> Detector | None:
         return None
     if options.surrogate != "auto":
         return load_detector(options.surrogate)
-    for name in STUDIED:
-        if name in DETECTORS and name != options.detector and not DETECTORS[name].missing():
-            return load_detector(name)
-    return None
+    others = [name for name in loadable() if name != options.detector]
+    return load_detector(others[0]) if others else None

@@ -16,8 +16,9 @@ from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_own_folder
 
-STUDIED = ("fasterrcnn_small", "yolov8n_small", "centernet_coco", "nanodet_coco")
-"""Detectors of the study if none is named, as far as they can be loaded."""
+STUDIED = ("_small", "_coco")
+"""Endings of the names of the detectors that are taken if none is named: the project's own, and those that
+`mi-splat detectors --get` fetches."""
 
 
 def run(options: DaggerTransferOptions) -> int:
@@ -43,14 +44,20 @@ def run(options: DaggerTransferOptions) -> int:
 
 def _chosen(options: DaggerTransferOptions) -> list[str]:
     """Names of the detectors that are attacked."""
-    names = list(options.detectors)
-    if not names:
-        for name in STUDIED:
-            missing = "there is no such detector" if name not in DETECTORS else DETECTORS[name].missing()
-            if missing:
-                warn(f"{name} is left out: {missing}")
-            else:
-                names.append(name)
+    names = list(options.detectors) or loadable()
     if len(set(names)) < len(names) or not names:
         raise InvalidValueError(message("--detectors", "different names", names, "see `mi-splat detectors`"))
     return names
+
+
+def loadable() -> list[str]:
+    """Names of the detectors of a study that can be loaded here; says which cannot, and why."""
+    found = []
+    for name in DETECTORS:
+        if name.endswith(STUDIED):
+            missing = DETECTORS[name].missing()
+            if missing:
+                warn(f"{name} is left out: {missing}")
+            else:
+                found.append(name)
+    return found

@@ -185,8 +185,9 @@ def test_tables_and_picture_are_written(study: tuple[Path, list[dict[str, Any]]]
 def test_the_command_takes_what_can_be_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(dagger_transfer, "STUDIED", ("fake_colour", "no_such"))
-    monkeypatch.setattr(dagger_transfer, "DETECTORS", {"fake_colour": Spec()})
+    known = {"fake_colour": Spec(""), "other_colour": Spec("its file is missing"), "fake_blind": Spec("")}
+    monkeypatch.setattr(dagger_transfer, "STUDIED", ("_colour",))
+    monkeypatch.setattr(dagger_transfer, "DETECTORS", known)
     monkeypatch.setattr(dagger_transfer, "load_detector", lambda name: DETECTORS[name])
     monkeypatch.setattr(
         dagger_transfer, "transfer_jobs", lambda names, **_: [job for job in JOBS if len(job.sources) == 1]
@@ -195,7 +196,8 @@ def test_the_command_takes_what_can_be_loaded(
     words = ["dagger-transfer", "--seeds", "1", "--judges", "fake_blind", "--out", str(tmp_path), "--json"]
     assert cli.main(words) == 0
     captured = capsys.readouterr()
-    assert "no_such is left out: there is no such detector" in captured.err
+    assert "other_colour is left out: its file is missing" in captured.err
+    assert "fake_blind" not in captured.err
     document = json.loads(captured.out)
     assert document["jobs"] == 2
     assert len(list((tmp_path / "judged").iterdir())) == 4
@@ -204,7 +206,10 @@ def test_the_command_takes_what_can_be_loaded(
 
 
 class Spec:
-    """A detector that can be loaded."""
+    """A detector that can be loaded, or lacks something."""
+
+    def __init__(self, lack: str) -> None:
+        self._lack = lack
 
     def missing(self) -> str:
-        return ""
+        return self._lack
