@@ -6,7 +6,7 @@ from torch import Generator
 
 from attacks.dagger.sanity.comparisons import NOISE_DRAWS
 from attacks.dagger.sanity.finding import Finding
-from attacks.dagger.sanity.gradients import Agreement, renderer_alone, smooth_directions, soft, whole_chain
+from attacks.dagger.sanity.gradients import Agreement, renderer_alone, soft, whole_chain
 from attacks.dagger.sanity.runs import Runs
 
 ZERO_LIMIT = 0.9
@@ -18,11 +18,11 @@ DIRECTIONS = 6
 RENDERER_COSINE, RENDERER_SLOPE = 0.99, 0.05
 """What is asked of the renderer's gradient: the least cosine, and how far the slope may be from 1."""
 
-CHAIN_COSINE, CHAIN_SLOPE = 0.9, 0.3
+CHAIN_COSINE, CHAIN_SLOPE = 0.75, 0.4
 """The same of the whole chain. Its gradient holds constant which candidates a detector proposes and the loss chooses.
 
-Measured at one point: cosines of 0.975 to 0.996 and slopes of 0.95 to 1.13 with `fasterrcnn_small`, 0.999 and 0.97 with
-`yolov8n_small`.
+Measured on the shipped scenes: cosines of 0.82 to 0.98 and slopes of 0.82 to 0.93 with `fasterrcnn_small`, which has
+proposals, and 0.96 to 0.99 and 1.00 to 1.22 with `yolov8n_small`. Cut in half, a gradient has at most 0.71.
 """
 
 
@@ -73,20 +73,15 @@ def _agreement(runs: Runs, *, chain: bool) -> Agreement:
     automatic: list[float] = []
     measured: list[float] = []
     config = runs.case.config
-    for seed, camera in enumerate(runs.case.cameras):
+    differentiate = whole_chain if chain else renderer_alone
+    for seed in range(len(runs.case.cameras)):
         generator = Generator().manual_seed(2000 + seed)
-        render = soft(runs.case.render)
-        ensemble = runs.ensemble(seed, render=render)
+        ensemble = runs.ensemble(seed, render=soft(runs.case.render))
         (problem,), ((view,),) = ensemble.problems, ensemble.views
-        subset, clean = problem.subset, problem.subset.parameters(config.attributes)
+        clean = problem.subset.parameters(config.attributes)
         drawn = config.budget.uniform(clean, generator)
         point = {key: value + (drawn[key] - value) / 10 for key, value in clean.items()}
-        directions = smooth_directions(point, subset.scene.means[subset.rows], DIRECTIONS, generator)
-        step = min(config.eps) / 100
-        if chain:
-            one = whole_chain(problem, view, point, directions, step)
-        else:
-            one = renderer_alone(subset, render, camera, point, directions, step)
+        one = differentiate(problem, view, point, count=DIRECTIONS, step=min(config.eps) / 100, generator=generator)
         automatic += one.automatic
         measured += one.measured
     return Agreement(automatic=tuple(automatic), measured=tuple(measured))

@@ -14,7 +14,6 @@ import torch
 from torch import Generator, Tensor
 
 from attacks.dagger.problem import AttackProblem, AttackView
-from attacks.gaussian_subset import GaussianSubset
 from attacks.pgd import Parameters
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
@@ -61,29 +60,28 @@ def soft(render: RenderFn) -> RenderFn:
     return softened
 
 
-def smooth_directions(parameters: Parameters, means: Tensor, count: int, generator: Generator) -> list[Parameters]:
-    """Random directions of length 1, each a plane wave over the object times a random number for each component.
+def random_directions(gradients: Parameters, count: int, generator: Generator) -> list[Parameters]:
+    """Random directions of length 1 that move the Gaussians which matter.
 
-    Directions without any order would move the pictures so little that the differences drown in rounding.
+    A Gaussian moves as far as the size of its gradient, every one of its components at random: Gaussians out of sight
+    stay, and a component that lacks its gradient moves like the others. Directions without any order would change the
+    loss so little that the differences drown in what is not smooth.
 
     Args:
-        parameters: What moves; the first dimension is the Gaussian.
-        means: (M, 3) where the Gaussians are.
+        gradients: One for each parameter; the first dimension is the Gaussian.
         count: Number of directions.
         generator: Draws them.
     """
-    centred = (means - means.mean(0)).double().cpu()
-    centred = centred / centred.norm(dim=-1).max().clamp(min=1e-9)
     found = []
     for _ in range(count):
-        draw = torch.randn(4, generator=generator, dtype=torch.float64)
-        wave = torch.cos(2 * centred @ draw[:3] + math.pi * draw[3])
         direction = {}
-        for name, value in parameters.items():
-            weights = torch.randn(value.shape[1:], generator=generator, dtype=torch.float64)
-            direction[name] = wave.reshape(-1, *[1] * weights.ndim) * weights
+        for name, gradient in gradients.items():
+            rows = gradient.detach().double().reshape(len(gradient), -1).norm(dim=1)
+            rows = rows if float(rows.max()) > 0 else torch.ones_like(rows)
+            draw = torch.randn(gradient.shape, generator=generator, dtype=torch.float64).to(rows.device)
+            direction[name] = rows.reshape(-1, *[1] * (gradient.ndim - 1)) * draw
         size = math.sqrt(sum(float(part.square().sum()) for part in direction.values()))
-        found.append({name: (part / size).to(parameters[name]) for name, part in direction.items()})
+        found.append({name: (part / size).to(gradients[name]) for name, part in direction.items()})
     return found
 
 
@@ -121,44 +119,57 @@ def compare(
 
 
 def whole_chain(
-    problem: AttackProblem, view: AttackView, point: Parameters, directions: Sequence[Parameters], step: float
+    problem: AttackProblem, view: AttackView, point: Parameters, *, count: int, step: float, generator: Generator
 ) -> Agreement:
-    """From the object's parameters through renderer and detector to the loss."""
+    """From the object's parameters through renderer and detector to the loss.
+
+    Args:
+        problem: Renderer, detector and objective.
+        view: Where from.
+        point: The parameters.
+        count: Number of random directions.
+        step: Half width of the narrower of two central differences; the other is twice as wide.
+        generator: Draws the directions.
+    """
     gradients = problem.evaluate(point, [view]).gradients
     return compare(
         lambda parameters: problem.evaluate(parameters, [view]).loss,
         gradients,
         point,
-        directions,
+        random_directions(gradients, count, generator),
         steps=(step, 2 * step),
     )
 
 
 def renderer_alone(
-    subset: GaussianSubset,
-    render: RenderFn,
-    camera: Camera,
-    point: Parameters,
-    directions: Sequence[Parameters],
-    step: float,
+    problem: AttackProblem, view: AttackView, point: Parameters, *, count: int, step: float, generator: Generator
 ) -> Agreement:
-    """From the object's parameters to a fixed random weighting of the pixels, blurred so that it adds up."""
-    generator = Generator().manual_seed(len(point))
+    """From the object's parameters to a fixed random weighting of the pixels, blurred so that it adds up.
+
+    Args:
+        problem: Renderer, detector and objective.
+        view: Where from.
+        point: The parameters.
+        count: Number of random directions.
+        step: As in `whole_chain`.
+        generator: Draws the weighting and the directions.
+    """
     coarse = torch.randn(1, 3, 6, 6, generator=generator)
-    size = (camera.height, camera.width)
+    size = (view.camera.height, view.camera.width)
     weights = torch.nn.functional.interpolate(coarse, size=size, mode="bilinear")[0].permute(1, 2, 0)
 
     def value(parameters: Parameters) -> Tensor:
-        picture = render(subset.scene_with(parameters), camera)
+        picture = problem.render(problem.subset.scene_with(parameters), view.camera)
         return (weights.to(picture) * picture).sum(dtype=torch.float64)
 
     leaves = {name: tensor.detach().requires_grad_(True) for name, tensor in point.items()}
     found = torch.autograd.grad(value(leaves), list(leaves.values()), materialize_grads=True)
+    gradients = dict(zip(leaves, found, strict=True))
     with torch.no_grad():
         return compare(
             lambda parameters: float(value(parameters)),
-            dict(zip(leaves, found, strict=True)),
+            gradients,
             point,
-            directions,
+            random_directions(gradients, count, generator),
             steps=(step, 2 * step),
         )
