@@ -73,6 +73,20 @@ COMMANDS = {
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
     ),
+    "dagger-transfer": Command(
+        "attacks.cli",
+        "DaggerTransferOptions",
+        "dagger_transfer",
+        "attacks on some detectors judged by others: the transfer matrix",
+        options_module="transfer_options",
+    ),
+    "dagger-sanity": Command(
+        "attacks.cli",
+        "DaggerSanityOptions",
+        "dagger_sanity",
+        "whether DAGGER is a sane attack on an object and a detector, line by line",
+        options_module="transfer_options",
+    ),
     "dagger-pairs": Command(
         "attacks.cli",
         "DaggerPairsOptions",

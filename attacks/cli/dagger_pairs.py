@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-from attacks.cli.dagger_study import read_attack_scene
+from attacks.cli.attack_scenes import read_attack_scene
 from attacks.cli.options import DaggerPairsOptions
 from attacks.dagger.jobs import AttackScene, Job, JobRunner
 from attacks.dagger.pairs import SUMMARY, Attack, ledger, pairs_table, run_pairs, write_summary

@@ -34,6 +34,14 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "detect": ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",),
     "evaluate": ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",),
     "dagger-study": ("dagger-study --seeds 3 --out out/studies/dagger",),
+    "dagger-transfer": (
+        "dagger-transfer --out out/studies/transfer",
+        "dagger-transfer --detectors fasterrcnn_small yolov8n_small --seeds 1 --steps 10 --out out/transfer",
+    ),
+    "dagger-sanity": (
+        "dagger-sanity scenes/car_street.xml --object car --target person --out out/sanity",
+        "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detector yolov8n_small --seeds 5 --out out/sanity",
+    ),
     "dagger-pairs": (
         "dagger-pairs --detectors centernet_coco nanodet_coco --eps 10 --steps 40 --out out/pairs",
         "dagger-pairs --radii 1 2 3 4 5 --seeds 3 --out out/smallest",
@@ -71,7 +79,9 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "dagger": ("select", "evaluate", "dagger-study", "detectors"),
     "detect": ("detectors", "evaluate"),
     "evaluate": ("dagger", "detect"),
-    "dagger-study": ("dagger", "dagger-pairs"),
+    "dagger-transfer": ("dagger", "dagger-study", "evaluate"),
+    "dagger-sanity": ("dagger", "dagger-transfer"),
+    "dagger-study": ("dagger", "dagger-pairs", "dagger-transfer"),
     "dagger-pairs": ("dagger", "dagger-study", "detectors"),
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),

@@ -35,10 +35,10 @@ class DaggerOptions:
     """Class that the detector shall see there (relabel)."""
     confidence: float | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detector: str = "fasterrcnn_small"
-    """Name of the detector (see `mi-splat detectors`)."""
-    weights: Path | None = None
-    """File with the detector's weights; None takes the shipped ones."""
+    detector: tuple[str, ...] = ("fasterrcnn_small",)
+    """Name of the detector, or names of several to deceive at once (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
     out: Path = Path("out/dagger")

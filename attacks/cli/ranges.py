@@ -13,6 +13,7 @@ ALL_RANGES: dict[str, Range] = {
     "step_factor": above(0, do="2 is the paper's"),
     "restarts": at_least(1),
     "required_views": POSITIVE_FRACTION,
+    "required_detectors": POSITIVE_FRACTION,
     "noise_draws": at_least(0),
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),

@@ -6,7 +6,7 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from attacks.limits import NormName, check_limits
 from mi_splat.attributes import Attribute
@@ -15,6 +15,9 @@ from mi_splat.errors import InvalidValueError, message
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
+
+EnsembleLoss = Literal["mean", "max"]
+"""How the losses of several detectors become one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +34,8 @@ class DaggerConfig:
         random_start: Start the first run at a random point of the ball, too.
         early_stop: Whether the first unambiguous success ends the search; without, every step of every run is taken.
         required_views: Fraction of the views in which the attack has to succeed.
+        required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
+        ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.
         noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: SH degree of the attacked file, if SH may change and the scene has less; coefficients that it lacks
             start at 0. 3 is what 3DGS writes and what the paper attacked; None keeps the scene's own.
@@ -49,6 +54,8 @@ class DaggerConfig:
     random_start: bool = False
     early_stop: bool = True
     required_views: float = 1.0
+    required_detectors: float = 1.0
+    ensemble: EnsembleLoss = "mean"
     noise_draws: int = 5
     sh_degree: int | None = 3
     seed: int = 0
@@ -60,10 +67,14 @@ class DaggerConfig:
         if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
             expected = f"one number for all of {', '.join(self.attributes)}, or one for each"
             raise InvalidValueError(message("eps", expected, self.eps, "name every attribute once"))
-        if not 0 < self.required_views <= 1:
-            raise InvalidValueError(
-                message("required_views", "a fraction in (0, 1]", self.required_views, "1 means every view")
-            )
+        for name, what in (("required_views", "view"), ("required_detectors", "detector")):
+            if not 0 < getattr(self, name) <= 1:
+                raise InvalidValueError(
+                    message(name, "a fraction in (0, 1]", getattr(self, name), f"1 means every {what}")
+                )
+        if self.ensemble not in get_args(EnsembleLoss):
+            expected = f"one of {', '.join(get_args(EnsembleLoss))}"
+            raise InvalidValueError(message("ensemble", expected, self.ensemble, "mean is the usual one"))
         if not self.step_factor > 0:
             raise InvalidValueError(message("step_factor", "a positive number", self.step_factor, "2 is the paper's"))
         if self.sh_degree not in (None, 0, 1, 2, 3):

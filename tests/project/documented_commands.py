@@ -24,7 +24,10 @@ FAST = {
     *("--help", "view --export", "cloak --forecast"),
 }
 """Commands that are run in every test run."""
-NIGHTLY = {"cloak", "cloak-experiment", "dagger-pairs", "dagger-study", "doctor", "evaluate-detector", "view", "python"}
+NIGHTLY = {
+    *("cloak", "cloak-experiment", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
+    *("dagger-pairs", "dagger-sanity", "dagger-transfer"),
+}
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
 """Pages whose lines need what long lines have made."""
@@ -140,6 +143,8 @@ TINY: dict[str, dict[str, Change]] = {
     "view": {"--views": to("2", "1"), "--no-open": to()},
     "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
+    "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
+    "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
     "cloak-experiment": {"--every": to("8")},
 }
