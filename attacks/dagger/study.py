@@ -14,7 +14,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import Job
@@ -90,13 +90,25 @@ def _config(seed: int, eps: float = 5.0, attribute: Attribute = "sh", norm: Norm
     return DaggerConfig(attributes=(attribute,), eps=(eps,), norm=norm, seed=seed, random_start=seed > 0)
 
 
+class NamedJob(Protocol):
+    """A frozen dataclass that says all about one attack of a study."""
+
+    @property
+    def name(self) -> str:
+        """File name, unique within a study."""
+        ...
+
+
+AnyJob = TypeVar("AnyJob", bound=NamedJob)
+
+
 def run_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[AnyJob],
     out: Path,
-    run: Callable[[Job], dict[str, Any]],
+    run: Callable[[AnyJob], dict[str, Any]],
     *,
-    fingerprint: Callable[[Job], str],
-    on_job: Callable[[Job], None] | None = None,
+    fingerprint: Callable[[AnyJob], str],
+    on_job: Callable[[AnyJob], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run what is not done yet.
 
@@ -127,9 +139,9 @@ def run_jobs(
     return records
 
 
-def as_json(job: Job) -> dict[str, Any]:
+def as_json(job: NamedJob) -> dict[str, Any]:
     """A job with its full configuration, as a JSON file gives it back."""
-    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(job)))
+    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(cast(Any, job))))
     return values
 
 

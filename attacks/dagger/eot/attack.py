@@ -17,6 +17,7 @@ from typing import Any
 import torch
 from torch import Generator
 
+from attacks.dagger.eot.checkpoint import SearchState
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.judging import changing, judge
 from attacks.dagger.eot.problem import EotProblem
@@ -29,7 +30,7 @@ from attacks.evaluation.comparison import usual_label
 from attacks.evaluation.views import as_saved, detect_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, check_objective
-from attacks.pgd import Parameters, Step
+from attacks.pgd import Step
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import scene_hash
@@ -41,6 +42,7 @@ def attack_views(
     objective: Objective,
     *,
     config: EotConfig | None = None,
+    judged: ViewDistribution | None = None,
     checkpoint: Checkpoint | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> EotResult:
@@ -52,6 +54,7 @@ def attack_views(
             one is deceived. Their weights are known (white box).
         objective: What they shall see, for instance `relabel("person")` or `hide()`.
         config: Budget, steps, views and seeds.
+        judged: Where the held-out views are drawn from, for instance with pictures that change; None is `views`.
         checkpoint: Where to keep the search while it runs; one that is there is taken up again.
         on_step: Called with every line of the trace as it happens.
 
@@ -76,7 +79,7 @@ def attack_views(
     key = _key(views, problem, config)
     found = search(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)
     begun = time.perf_counter()
-    result = _judged(problem, views, config, found.best, found.trace, found.best_line)
+    result = _judged(problem, views, judged or views, config, found)
     if checkpoint is not None:
         checkpoint.path.unlink(missing_ok=True)
     return dataclasses.replace(
@@ -87,24 +90,23 @@ def attack_views(
 def _judged(
     problem: EotProblem,
     views: ViewDistribution,
+    judged: ViewDistribution,
     config: EotConfig,
-    parameters: Parameters,
-    trace: tuple[Step, ...],
-    best: Step | None,
+    found: SearchState,
 ) -> EotResult:
     """The result of a search, judged on held-out views."""
-    subset, budget = problem.subset, config.budget
+    subset, budget, parameters = problem.subset, config.budget, found.best
     reference = problem.reference(config.attributes, config.sh_degree)
     attacked = problem.applied(parameters)
     generator = Generator().manual_seed(config.seed + 1)
     noisy = [problem.applied(budget.noise(parameters, reference, generator)) for _ in range(config.noise_draws)]
-    held_out = views.views(config.judge_seed, config.held_out)
+    held_out = judged.views(config.judge_seed, config.held_out)
     in_file = dataclasses.replace(problem, subset=GaussianSubset.of(as_saved(attacked), subset.rows))
     return EotResult(
         scene=attacked,
         judgement=judge(problem, attacked, noisy, held_out),
-        trace=trace,
-        best=best or trace[0],
+        trace=found.trace,
+        best=found.best_line or found.trace[0],
         used=budget.measure(parameters, reference),
         used_in_file=budget.measure(in_file.reference(config.attributes, config.sh_degree), reference),
         object_gaussians=len(subset.rows),
@@ -114,6 +116,7 @@ def _judged(
         warnings=(),
         objective=problem.objective,
         transformations=views.transformations,
+        judged=judged.transformations,
         config=config,
         origin=_origin(views, problem),
         seconds=0.0,

@@ -52,7 +52,7 @@ def write_eot_files(result: EotResult, folder: Path) -> list[Path]:
 def eot_summary(result: EotResult) -> dict[str, Any]:
     """The result as JSON can hold it; keys are explained in `EotResult` and `EotConfig`."""
     config, judgement = result.config, result.judgement
-    region = result.transformations.cameras
+    region = result.judged.cameras
     return {
         "attack": "dagger-eot",
         "objective": result.objective.name,
@@ -86,6 +86,7 @@ def eot_summary(result: EotResult) -> dict[str, Any]:
         "config": {
             **dataclasses.asdict(config),
             "transformations": dataclasses.asdict(result.transformations),
+            "judged": dataclasses.asdict(result.judged),
             "objective": dataclasses.asdict(result.objective) if dataclasses.is_dataclass(result.objective) else {},
         },
         **result.origin,

@@ -32,7 +32,8 @@ class EotResult:
         originals: What each detector calls the clean object in most validation views.
         warnings: Reasons to look twice before the result is believed, in words.
         objective: The aim and its settings.
-        transformations: The distribution.
+        transformations: The distribution that it was made for.
+        judged: The distribution that judged it.
         config: How it was attacked.
         origin: Detectors, versions, variant, commit, scene hash.
         seconds: Wall time of search and judgement.
@@ -51,6 +52,7 @@ class EotResult:
     warnings: tuple[str, ...]
     objective: Objective
     transformations: Transformations
+    judged: Transformations
     config: EotConfig
     origin: dict[str, Any]
     seconds: float
