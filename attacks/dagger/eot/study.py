@@ -1,5 +1,4 @@
-"""A study of distributions of views: the paper's pairs, smallest radii, and what the number of views, the SH degree and
-the attributes are worth.
+"""A study of distributions of views: which radius is enough, and what views, SH degree and attributes are worth.
 
 Attacks are asked for one by one, since a search for a radius needs the results so far. A result is stored as soon as it
 is there (`attacks.dagger.study.run_jobs`), so an interrupted study goes on where it stopped.
