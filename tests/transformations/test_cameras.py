@@ -113,7 +113,12 @@ def test_regions_that_make_no_sense_are_refused(settings: dict[str, Any], named:
 
 @pytest.mark.parametrize(
     ("settings", "named"),
-    [({"jpeg": 96}, "jpeg"), ({"resize": 0.0}, "resize"), ({"white_balance": 1.0}, "white_balance"), ({"blur": -1}, "blur")],
+    [
+        ({"jpeg": 96}, "jpeg"),
+        ({"resize": 0.0}, "resize"),
+        ({"white_balance": 1.0}, "white_balance"),
+        ({"blur": -1}, "blur"),
+    ],
 )
 def test_changes_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
     with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
