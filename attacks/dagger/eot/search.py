@@ -135,7 +135,7 @@ class _Run:
         if kept is not None and index > self._first and index % kept.every == 0:
             save_state(self.state(), kept.path, key=self._key)
         loss, gradients = self._problem.loss(point, self._batch(index))
-        if index % config.validate_every and index != config.steps:
+        if (index == 0 or index % config.validate_every) and index != config.steps:
             return Evaluation(loss=loss, gradients=gradients, success=False, score=NOT_JUDGED, unambiguous=False)
         successes, score = joined(self._problem.verdicts(point, self._validation))
         share = successes / len(self._validation)

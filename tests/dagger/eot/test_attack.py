@@ -121,7 +121,7 @@ def test_the_same_seeds_find_the_same_bits() -> None:
 def test_the_best_step_is_the_validation_s() -> None:
     found = quick()
     judged = [line for line in found.trace if line.score >= 0]
-    assert [line.index for line in judged] == [0, 3, 6, 8]
+    assert [line.index for line in judged] == [3, 6, 8]
     assert found.best.score == max(line.score for line in judged)
     assert found.best.index > 0
 
@@ -171,9 +171,9 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], named
 
 
 def test_detectors_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="^target: expected a class of fake_colour"):
+    with pytest.raises(InvalidValueError, match="a class of fake_colour"):
         quick(relabel("zebra"))
-    with pytest.raises(InvalidValueError, match="^detectors: expected at least one, of different names"):
+    with pytest.raises(InvalidValueError, match="at least one, of different names"):
         attack_views(toy_views(), [ColourDetector()] * 2, hide())
-    with pytest.raises(InvalidValueError, match="^detectors"):
+    with pytest.raises(InvalidValueError, match="at least one"):
         attack_views(toy_views(), [], hide())
