@@ -48,7 +48,7 @@ def run(options: DaggerEotOptions) -> int:
         checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
         objective = aim(options.objective, options.target, options.confidence)
         result = attack_views(
-            views, detectors, objective, config=config, checkpoint=checkpoint, on_step=_follow(advance)
+            views, detectors, objective, config=config, checkpoint=checkpoint, on_step=follow(advance)
         )
         origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)[:1]}
         result = dataclasses.replace(result, origin={**result.origin, **origin})
@@ -67,17 +67,17 @@ def _beside(out: Path) -> Path:
     return out.with_name(f"{out.name}.checkpoint")
 
 
-def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
+def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
     """A callback that shows each step of the attack, and how it did when it was last judged."""
     judged = ""
 
-    def follow(step: Step) -> None:
+    def note(step: Step) -> None:
         nonlocal judged
         if step.score != NOT_JUDGED:
             judged = f", validation {step.score:.0%}"
         advance(f"attacking: step {step.index}, loss {step.loss:.3f}{judged}")
 
-    return follow
+    return note
 
 
 def _tell(result: EotResult, options: DaggerEotOptions) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from attacks.cli.dagger_eot import follow
 from attacks.cli.eot_options import DaggerEotStudyOptions
 from attacks.dagger.eot.jobs import EotJob, EotJobRunner
 from attacks.dagger.eot.study import GROUPS, StudySetup
@@ -30,11 +31,14 @@ def run(options: DaggerEotStudyOptions) -> int:
         if group not in GROUPS:
             raise InvalidValueError(message("groups", f"some of {', '.join(GROUPS)}", group, "name one of these"))
     setup = _setup(options)
-    runner = EotJobRunner(
-        lambda name: _read(options.scenes / f"{name}.xml"), load_detector, keep=options.out / "results"
-    )
     records: dict[str, dict[str, Any]] = {}
     with progress("attacking") as advance:
+        runner = EotJobRunner(
+            lambda name: _read(options.scenes / f"{name}.xml"),
+            load_detector,
+            keep=options.out / "results",
+            on_step=follow(advance),
+        )
 
         def ask(job: EotJob) -> Mapping[str, Any]:
             advance(job.name)

@@ -12,10 +12,12 @@ from attacks.dagger.eot.attack import attack_views
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.report import eot_summary, write_eot_files
 from attacks.dagger.eot.result import EotResult
+from attacks.dagger.eot.search import Checkpoint
 from attacks.dagger.eot.views import ViewDistribution
 from attacks.dagger.jobs import AttackScene
 from attacks.detectors.base import Detector
 from attacks.objectives import Objective, hide, relabel
+from attacks.pgd import Step
 from attacks.transformations.config import Transformations
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import scene_hash
@@ -66,13 +68,19 @@ class EotJobRunner:
     Args:
         read: Reads a scene.
         load: Loads a detector.
-        keep: Folder for the pictures and splats of every job; None keeps none.
+        keep: Folder for the pictures and splats of every job, and for the search while it runs; None keeps none.
+        on_step: Called with every line of every trace as it happens.
     """
 
     def __init__(
-        self, read: Callable[[str], AttackScene], load: Callable[[str], Detector], *, keep: Path | None = None
+        self,
+        read: Callable[[str], AttackScene],
+        load: Callable[[str], Detector],
+        *,
+        keep: Path | None = None,
+        on_step: Callable[[Step], None] | None = None,
     ) -> None:
-        self._read, self._load, self._keep = read, load, keep
+        self._read, self._load, self._keep, self._on_step = read, load, keep, on_step
         self._scenes: dict[str, AttackScene] = {}
         self._detectors: dict[str, Detector] = {}
         self._views: dict[tuple[str, str, Transformations], ViewDistribution] = {}
@@ -94,7 +102,19 @@ class EotJobRunner:
         objective: Objective = hide(**limit) if job.target is None else relabel(job.target, **limit)
         views = self._distribution(job, job.transformations)
         judged = None if job.judged is None else self._distribution(job, job.judged)
-        result = attack_views(views, self._of(job), objective, config=job.config, judged=judged)
+        checkpoint = None
+        if self._keep is not None:
+            self._keep.mkdir(parents=True, exist_ok=True)
+            checkpoint = Checkpoint(path=self._keep / f"{job.name}.checkpoint")
+        result = attack_views(
+            views,
+            self._of(job),
+            objective,
+            config=job.config,
+            judged=judged,
+            checkpoint=checkpoint,
+            on_step=self._on_step,
+        )
         if self._keep is not None:
             self._write(result, self._keep / job.name)
         return eot_summary(result)
