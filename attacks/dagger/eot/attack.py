@@ -19,7 +19,7 @@ from torch import Generator
 
 from attacks.dagger.eot.checkpoint import SearchState
 from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.judging import changing, judge
+from attacks.dagger.eot.judging import clean_detections, judge
 from attacks.dagger.eot.problem import EotProblem
 from attacks.dagger.eot.result import EotResult, find_warnings
 from attacks.dagger.eot.search import VALIDATION_SEED_OFFSET, Checkpoint, search
@@ -27,7 +27,7 @@ from attacks.dagger.eot.views import DrawnView, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.detectors.given import as_detectors
 from attacks.evaluation.comparison import usual_label
-from attacks.evaluation.views import as_saved, detect_views
+from attacks.evaluation.views import as_saved
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, check_objective
 from attacks.pgd import Step
@@ -100,18 +100,17 @@ def _judged(
     attacked = problem.applied(parameters)
     generator = Generator().manual_seed(config.seed + 1)
     noisy = [problem.applied(budget.noise(parameters, reference, generator)) for _ in range(config.noise_draws)]
-    held_out = judged.views(config.judge_seed, config.held_out)
     in_file = dataclasses.replace(problem, subset=GaussianSubset.of(as_saved(attacked), subset.rows))
     return EotResult(
         scene=attacked,
-        judgement=judge(problem, attacked, noisy, held_out),
+        judgement=judge(problem, attacked, noisy, judged, seed=config.judge_seed, count=config.held_out),
         trace=found.trace,
         best=found.best_line or found.trace[0],
         used=budget.measure(parameters, reference),
         used_in_file=budget.measure(in_file.reference(config.attributes, config.sh_degree), reference),
         object_gaussians=len(subset.rows),
         changed_gaussians=subset.changed(attacked),
-        redraws=_redraws(views, config, held_out),
+        redraws=_redraws(views, config, judged.views(config.judge_seed, config.held_out)),
         originals=problem.originals,
         warnings=(),
         objective=problem.objective,
@@ -136,12 +135,11 @@ def _check_detectors(detectors: Sequence[Detector], objective: Objective) -> Non
 
 def _originals(views: ViewDistribution, detectors: Sequence[Detector], config: EotConfig) -> dict[str, str | None]:
     """What each detector calls the clean object in most of the validation views."""
-    some = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
-    cameras, boxes = [view.camera for view in some], [view.box for view in some]
-    render = changing(views.render, some)
-    found = list(detect_views(views.scene, cameras, detectors, render=render, boxes=boxes, batch=1))
+    seed = config.seed + VALIDATION_SEED_OFFSET
+    found = clean_detections(views, detectors, seed=seed, count=config.validation)
     return {
-        detector.name: usual_label([one for one in found if one.detector == detector.name]) for detector in detectors
+        detector.name: usual_label([one for (_, name), one in found.items() if name == detector.name])
+        for detector in detectors
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,8 +11,8 @@ import torch
 from torch import Tensor
 
 from attacks.dagger.eot.problem import EotProblem
-from attacks.dagger.eot.views import DrawnView
-from attacks.detectors.base import Detections
+from attacks.dagger.eot.views import DrawnView, ViewDistribution
+from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.rates import Rate
 from attacks.evaluation.views import ViewDetections, as_saved, detect_views
 from attacks.evaluation.visibility import ImageChange, image_change
@@ -93,7 +94,13 @@ class Judgement:
 
 
 def judge(
-    problem: EotProblem, attacked: GaussianScene, noisy: Sequence[GaussianScene], views: Sequence[DrawnView]
+    problem: EotProblem,
+    attacked: GaussianScene,
+    noisy: Sequence[GaussianScene],
+    distribution: ViewDistribution,
+    *,
+    seed: int,
+    count: int,
 ) -> Judgement:
     """Judge an attacked scene, the clean one and noisy ones on the same views, each as its file holds it.
 
@@ -101,10 +108,14 @@ def judge(
         problem: The detectors, the aim and the renderer.
         attacked: The attacked scene.
         noisy: Scenes with random noise in the place of the attack.
-        views: Held-out views.
+        distribution: Where the held-out views are drawn from.
+        seed: Of the held-out views.
+        count: Their number.
     """
-    scenes = [as_saved(scene) for scene in (problem.subset.scene, attacked, *noisy)]
-    seen = [_detections(problem, scene, views) for scene in scenes]
+    views = distribution.views(seed, count)
+    scenes = [as_saved(scene) for scene in (distribution.scene, attacked, *noisy)]
+    benign = clean_detections(distribution, problem.detectors, seed=seed, count=count)
+    seen = [benign, *(_detections(problem.detectors, scene, problem.render, views) for scene in scenes[1:])]
     plain = [_plain_pictures(problem, scene, views, found) for scene, found in zip(scenes, seen, strict=True)]
     weights = [view.weight for view in views]
     detectors = {detector.name: detector for detector in problem.detectors}
@@ -140,14 +151,36 @@ def changing(render: RenderFn, views: Sequence[DrawnView]) -> RenderFn:
     return changed
 
 
-def _detections(
-    problem: EotProblem, scene: GaussianScene, views: Sequence[DrawnView]
+def clean_detections(
+    distribution: ViewDistribution, detectors: Sequence[Detector], *, seed: int, count: int
 ) -> dict[tuple[int, str], ViewDetections]:
-    """What the detectors report on the changed pictures, by the view's number and the detector's name."""
+    """What detectors report on the clean scene, by the view's number and the detector's name; looked at once.
+
+    Args:
+        distribution: The scene and its views.
+        detectors: Those asked.
+        seed: Of the views.
+        count: Their number.
+    """
+
+    def look(detector: Detector) -> dict[tuple[int, str], ViewDetections]:
+        views = distribution.views(seed, count)
+        return _detections([detector], as_saved(distribution.scene), distribution.render, views)
+
+    found: dict[tuple[int, str], ViewDetections] = {}
+    for detector in detectors:
+        key = ("clean", detector.name, detector.fingerprint, seed, count)
+        found |= distribution.remembered(key, functools.partial(look, detector))
+    return found
+
+
+def _detections(
+    detectors: Sequence[Detector], scene: GaussianScene, render: RenderFn, views: Sequence[DrawnView]
+) -> dict[tuple[int, str], ViewDetections]:
+    """What detectors report on the changed pictures, by the view's number and the detector's name."""
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
     # One picture at a time: the same bits whatever the number of views.
-    render, batch = changing(problem.render, views), 1
-    found = detect_views(scene, cameras, problem.detectors, render=render, boxes=boxes, batch=batch)
+    found = detect_views(scene, cameras, detectors, render=changing(render, views), boxes=boxes, batch=1)
     return {(views[one.view].index, one.detector): one for one in found}
 
 

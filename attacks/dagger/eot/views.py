@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -18,6 +20,8 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene
+
+T = TypeVar("T")
 
 _ATTEMPTS = 200
 """Cameras drawn for one view before we say that the region does not show the object."""
@@ -86,6 +90,7 @@ class ViewDistribution:
         self._subset = GaussianSubset.of(scene, mask)
         self.centre, self.radius = bounds(scene.select(self._subset.rows))
         self._kept: dict[tuple[int, int], DrawnView] = {}
+        self._memory: dict[Hashable, Any] = {}
 
     def view(self, seed: int, index: int, *, keep: bool = True) -> DrawnView:
         """One view.
@@ -104,6 +109,13 @@ class ViewDistribution:
         if keep:
             self._kept[seed, index] = view
         return view
+
+    def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` returns, made once for each key: for what several attacks on the same views have to know."""
+        if key not in self._memory:
+            self._memory[key] = make()
+        found: T = self._memory[key]
+        return found
 
     def views(self, seed: int, count: int) -> list[DrawnView]:
         """The first `count` views of a seed."""
