@@ -13,7 +13,7 @@ from attacks.dagger.eot.jobs import EotJob, EotJobRunner
 from attacks.dagger.eot.study import GROUPS, StudySetup
 from attacks.dagger.eot.tables import write_eot_tables
 from attacks.dagger.jobs import AttackScene
-from attacks.dagger.study import JOBS, run_jobs
+from attacks.dagger.study import JOBS, run_jobs, stored_records
 from attacks.detectors import load_detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
@@ -31,7 +31,6 @@ def run(options: DaggerEotStudyOptions) -> int:
         if group not in GROUPS:
             raise InvalidValueError(message("groups", f"some of {', '.join(GROUPS)}", group, "name one of these"))
     setup = _setup(options)
-    records: dict[str, dict[str, Any]] = {}
     with progress("attacking") as advance:
         runner = EotJobRunner(
             lambda name: _read(options.scenes / f"{name}.xml"),
@@ -43,14 +42,14 @@ def run(options: DaggerEotStudyOptions) -> int:
         def ask(job: EotJob) -> Mapping[str, Any]:
             advance(job.name)
             (record,) = run_jobs([job], options.out, runner.run, fingerprint=runner.fingerprint)
-            records[job.name] = record
-            write_eot_tables(list(records.values()), options.out)
+            write_eot_tables(stored_records(options.out), options.out)
             result: Mapping[str, Any] = record["result"]
             return result
 
         for group in groups:
             GROUPS[group](ask, setup)
-    files = [str(path) for path in write_eot_tables(list(records.values()), options.out)]
+    records = stored_records(options.out)
+    files = [str(path) for path in write_eot_tables(records, options.out)]
     if options.json:
         show_json({"jobs": len(records), "files": files})
     else:

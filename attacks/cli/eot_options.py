@@ -61,7 +61,8 @@ class DaggerEotStudyOptions:
     """Run many attacks on all cameras of a region: the paper's pairs, smallest radii, curves; make tables.
 
     A study that was interrupted goes on where it stopped when the same command is given again. Writes jobs/, results/
-    (pictures and splats), table.md and table.json into --out. Curves are made for the first of the pairs.
+    (pictures and splats), table.md and table.json into --out. The tables show all that is in jobs/, so a second command
+    adds another detector to them. Curves are made for the first of the pairs.
     """
 
     groups: tuple[str, ...] = ()

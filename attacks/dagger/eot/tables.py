@@ -82,7 +82,9 @@ def shown(records: Sequence[Record]) -> list[Record]:
     """The records that a table shows: of a search for a PSNR the attack that came nearest."""
     found = [record for record in records if not record["job"]["group"].startswith("attributes")]
     for psnr in PSNRS:
-        found += nearest_to([r for r in records if r["job"]["group"] == f"attributes{psnr:.0f}"], psnr)
+        some = [record for record in records if record["job"]["group"] == f"attributes{psnr:.0f}"]
+        for names in sorted({tuple(record["job"]["detectors"]) for record in some}):
+            found += nearest_to([record for record in some if tuple(record["job"]["detectors"]) == names], psnr)
     return found
 
 
@@ -131,7 +133,9 @@ def markdown(records: Sequence[Record]) -> str:
                 for line in smallest_radii(records)
             ],
         )
-    for group in dict.fromkeys(line["group"] for line in rows):
+    rows.sort(key=lambda line: (line["detectors"], line["object"], line["target"] or ""))
+    known = {line["group"] for line in rows}
+    for group in [*(title for title in TITLES if title in known), *sorted(known - set(TITLES))]:
         lines += ["", f"## {TITLES.get(group, group)}", ""]
         lines += grid(_COLUMNS, [_cells(line) for line in rows if line["group"] == group])
     return "\n".join(lines) + "\n"
