@@ -18,7 +18,7 @@ from mi_splat.errors import MiSplatError, message
 from mi_splat.io.atomic import atomic_write, write_all
 
 FORMAT = 1
-_GROUPS = ("point", "velocity", "best")
+_GROUPS = ("point", "velocity", "square", "best")
 
 
 class CheckpointError(MiSplatError):
@@ -57,7 +57,7 @@ def save_state(state: SearchState, path: Path, *, key: str) -> None:
     Raises:
         SplatFileError: The file cannot be written.
     """
-    groups = (state.point, state.optimiser.velocity, state.best)
+    groups = (state.point, state.optimiser.velocity, state.optimiser.square, state.best)
     tensors = {
         f"{group}/{name}": value.detach().contiguous().clone()
         for group, values in zip(_GROUPS, groups, strict=True)
@@ -96,14 +96,14 @@ def load_state(path: Path, *, key: str) -> SearchState | None:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if notes["format"] != FORMAT or notes["key"] != key:
             raise CheckpointError(message(what, "one of this very attack", "one of another", do))
-        point, velocity, best = (
+        point, velocity, square, best = (
             {name.partition("/")[2]: value for name, value in tensors.items() if name.startswith(f"{group}/")}
             for group in _GROUPS
         )
         line = notes["best_line"]
         return SearchState(
             point=point,
-            optimiser=OptimiserState(index=notes["index"], velocity=velocity),
+            optimiser=OptimiserState(index=notes["index"], velocity=velocity, square=square),
             best=best,
             best_line=None if line is None else Step(**line),
             trace=tuple(Step(**one) for one in notes["trace"]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from attacks.dagger.config import Perturbation, check_share
-from attacks.limits import SCHEDULES, NormName, Schedule
+from attacks.limits import OPTIMISERS, SCHEDULES, NormName, OptimiserName, Schedule
 from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
 
@@ -20,6 +20,7 @@ class EotConfig(Perturbation):
         norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
         steps: Number of steps.
         step_factor: The first step is eps * step_factor / steps long.
+        optimiser: What makes a step of the gradients: their steepest direction with momentum (MI-FGSM), or Adam.
         schedule: How the steps become shorter.
         momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
         batch: Views drawn for each step.
@@ -45,6 +46,7 @@ class EotConfig(Perturbation):
     steps: int = 150
     step_factor: float = 3.0
     noise_draws: int = 1
+    optimiser: OptimiserName = "adam"
     schedule: Schedule = "linear"
     momentum: float = 0.8
     batch: int = 3
@@ -62,6 +64,9 @@ class EotConfig(Perturbation):
         check_share(self, "required_views", *([] if self.stop_at is None else ["stop_at"]))
         if self.schedule not in SCHEDULES:
             raise InvalidValueError(message("schedule", f"one of {', '.join(SCHEDULES)}", self.schedule, "choose one"))
+        if self.optimiser not in OPTIMISERS:
+            expected = f"one of {', '.join(OPTIMISERS)}"
+            raise InvalidValueError(message("optimiser", expected, self.optimiser, "choose one"))
         if not 0 <= self.momentum < 1:
             raise InvalidValueError(message("momentum", "a fraction in [0, 1)", self.momentum, "0 is none"))
         if self.judge_seed == self.seed:

@@ -11,8 +11,8 @@ from attacks.dagger.eot.checkpoint import SearchState, load_state, save_state
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.problem import EotProblem, joined
 from attacks.dagger.eot.views import DrawnView, ViewDistribution, batch_indices
-from attacks.optimisers import START, MomentumDescent
-from attacks.pgd import Ball, Evaluation, Parameters, Step, pgd, rank
+from attacks.optimisers import START, AdamDescent, MomentumDescent
+from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd, rank
 
 NOT_JUDGED = -1.0
 """Score of a step that the validation views did not look at."""
@@ -67,17 +67,10 @@ def search(
     begun = None if checkpoint is None else load_state(checkpoint.path, key=key)
     if begun is None:
         begun = SearchState(point=reference, optimiser=START, best=reference, best_line=None, trace=(), seconds=0.0)
-    update = MomentumDescent(
-        budget,
-        config.step,
-        decay=config.momentum,
-        schedule=config.schedule,
-        steps=config.steps,
-        state=begun.optimiser,
-    )
+    update = _update(config, begun)
     run = _Run(problem, views, config, begun, update, key, checkpoint, on_step)
 
-    def same_memory(ball: Ball, step: object) -> MomentumDescent:
+    def same_memory(ball: Ball, step: object) -> Update:
         return update
 
     pgd(
@@ -95,6 +88,22 @@ def search(
     return run.state()
 
 
+def _update(config: EotConfig, begun: SearchState) -> MomentumDescent | AdamDescent:
+    """What makes the steps, with the memory of the state."""
+    if config.optimiser == "adam":
+        return AdamDescent(
+            config.step, decay=config.momentum, schedule=config.schedule, steps=config.steps, state=begun.optimiser
+        )
+    return MomentumDescent(
+        config.budget,
+        config.step,
+        decay=config.momentum,
+        schedule=config.schedule,
+        steps=config.steps,
+        state=begun.optimiser,
+    )
+
+
 class _Run:
     """What a search has found so far, and what `pgd` asks of it."""
 
@@ -104,7 +113,7 @@ class _Run:
         views: ViewDistribution,
         config: EotConfig,
         begun: SearchState,
-        update: MomentumDescent,
+        update: MomentumDescent | AdamDescent,
         key: str,
         checkpoint: Checkpoint | None,
         on_step: Callable[[Step], None] | None,
