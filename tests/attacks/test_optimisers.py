@@ -7,7 +7,7 @@ import torch
 
 from attacks.budgets import Budget
 from attacks.limits import SCHEDULES, Schedule
-from attacks.optimisers import LENGTHS, MomentumDescent, momentum
+from attacks.optimisers import LENGTHS, AdamDescent, MomentumDescent, momentum, normalised
 from attacks.pgd import Evaluation, Parameters, pgd, steepest_descent
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
@@ -93,6 +93,49 @@ def test_a_state_goes_on_where_another_run_was() -> None:
     half({"sh": gradients[0]})
     half({"sh": gradients[1]})
     resumed = descent(schedule="linear")
+    resumed.state = half.state
+    assert torch.equal(resumed({"sh": gradients[2]})["sh"], changes[2])
+    assert torch.equal(resumed({"sh": gradients[3]})["sh"], changes[3])
+
+
+def adam(**settings: float | str) -> AdamDescent:
+    values = {"decay": 0.8, "schedule": "linear", "steps": 6, **settings}
+    return AdamDescent({"sh": 0.5}, **values)  # type: ignore[arg-type]
+
+
+def test_adam_is_torch_s_on_normalised_gradients() -> None:
+    generator = torch.Generator().manual_seed(2)
+    leaf = torch.zeros(5, requires_grad=True)
+    theirs = torch.optim.Adam([leaf], lr=0.5, betas=(0.8, 0.99), eps=1e-12)
+    schedule = torch.optim.lr_scheduler.LambdaLR(theirs, lambda k: LENGTHS["linear"](k / 6))
+    ours, point = adam(), torch.zeros(5)
+    for _ in range(6):
+        gradient = torch.randn(5, generator=generator)
+        leaf.grad = normalised({"sh": gradient})["sh"]
+        theirs.step()
+        schedule.step()
+        point = point + ours({"sh": gradient})["sh"]
+        torch.testing.assert_close(point, leaf.detach(), atol=1e-5, rtol=1e-5)
+
+
+def test_adam_moves_a_steady_coefficient_by_the_step_and_a_wavering_one_less() -> None:
+    update = adam(schedule="constant", decay=0.9)
+    for k in range(40):
+        change = update({"sh": torch.tensor([1.0, (-1.0) ** k])})["sh"]
+    assert float(change[0]) == pytest.approx(-0.5, rel=1e-4)
+    assert abs(float(change[1])) < 0.05
+
+
+def test_adam_without_a_gradient_stays() -> None:
+    assert adam()({"sh": torch.zeros(2)})["sh"].tolist() == [0, 0]
+
+
+def test_adam_goes_on_where_another_run_was() -> None:
+    gradients = torch.randn(4, 5, generator=torch.Generator().manual_seed(1))
+    whole, half, resumed = adam(), adam(), adam()
+    changes = [whole({"sh": gradient})["sh"] for gradient in gradients]
+    for gradient in gradients[:2]:
+        half({"sh": gradient})
     resumed.state = half.state
     assert torch.equal(resumed({"sh": gradients[2]})["sh"], changes[2])
     assert torch.equal(resumed({"sh": gradients[3]})["sh"], changes[3])

@@ -38,15 +38,23 @@ def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> 
     )
 
 
-@pytest.mark.parametrize("killed_at", [2, 5, 8])
-@pytest.mark.parametrize("pool", [0, 6])
-def test_an_interrupted_search_finds_the_same_bits(tmp_path: Path, killed_at: int, pool: int) -> None:
+@pytest.mark.parametrize(
+    ("killed_at", "settings"),
+    [
+        (2, {}),
+        (5, {"pool": 0}),
+        (5, {"optimiser": "momentum"}),
+        (8, {"norm": "l2", "eps": (9.0,), "schedule": "cosine"}),
+    ],
+    ids=str,
+)
+def test_an_interrupted_search_finds_the_same_bits(tmp_path: Path, killed_at: int, settings: dict[str, Any]) -> None:
     path = tmp_path / "search.checkpoint"
-    whole = run(None, pool=pool)
+    whole = run(None, **settings)
     with pytest.raises(KilledError):
-        run(path, killed_at=killed_at, pool=pool)
+        run(path, killed_at=killed_at, **settings)
     assert path.exists()
-    resumed = run(path, pool=pool)
+    resumed = run(path, **settings)
     for before, after in zip(whole.scene.tensors(), resumed.scene.tensors(), strict=True):
         assert torch.equal(before, after)
     assert resumed.trace == whole.trace
