@@ -20,12 +20,24 @@ Change = Callable[[list[str]], "list[str] | None"]
 """From the values that a flag has on the page, none if it is not there, to those that it is run with; None: no flag."""
 
 FAST = {
-    *("capture", "convert", "dagger", "detect", "detectors", "evaluate", "info", "render", "select", "train"),
+    *(
+        "capture",
+        "convert",
+        "dagger",
+        "dagger-eot",
+        "detect",
+        "detectors",
+        "evaluate",
+        "info",
+        "render",
+        "select",
+        "train",
+    ),
     *("--help", "view --export", "cloak --forecast"),
 }
 """Commands that are run in every test run."""
 NIGHTLY = {
-    *("cloak", "cloak-experiment", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
+    *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
     *("dagger-pairs", "dagger-sanity", "dagger-transfer"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
@@ -139,12 +151,27 @@ TINY: dict[str, dict[str, Change]] = {
     "select": {"--cameras": fewer_cameras(2)},
     "detect": {"--cameras": fewer_cameras(1), "--size": to("64", "64")},
     "dagger": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--steps": to("1"), "--noise-draws": to("1")},
+    "dagger-eot": {
+        "--size": to("64", "64"),
+        "--steps": to("2"),
+        "--pool": to("2"),
+        "--validation": to("1"),
+        "--held-out": to("2"),
+    },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
     "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
     "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
+    "dagger-eot-study": {
+        "--groups": to("pairs"),
+        "--pairs": to("0"),
+        "--steps": to("2"),
+        "--pool": to("2"),
+        "--validation": to("1"),
+        "--held-out": to("2"),
+    },
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
     "cloak-experiment": {"--every": to("8")},
 }
