@@ -12,11 +12,11 @@ from scipy.stats import chi2
 
 from attacks import cli
 from attacks.detectors.base import Detections
+from attacks.detectors.evaluation.false_positives import FalsePositives, false_positives, poisson_interval
+from attacks.detectors.evaluation.held_out import evaluate_sets, figures
 from attacks.detectors.torchvision import random_detector
 from attacks.detectors.training.backgrounds import background_pictures, background_sets
 from attacks.detectors.training.config import BACKGROUNDS, BackgroundConfig
-from attacks.detectors.training.evaluate import evaluate_sets, figures
-from attacks.detectors.training.false_positives import FalsePositives, false_positives, poisson_interval
 from attacks.detectors.training.pictures import LabelledPicture
 from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector

@@ -48,8 +48,8 @@ def average_precision(scores: Tensor, correct: Tensor, objects: int) -> float:
     return float((best_later * hits).sum() / objects)
 
 
-def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
-    """(D,) bool: which detections, best first, overlap an object that no better one has taken.
+def assign(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
+    """(D,) int64: which object each detection matches, or -1; the best ones choose first, and no object is taken twice.
 
     Args:
         boxes: (D, 4) detections of one class in one picture.
@@ -57,16 +57,21 @@ def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.
         truth: (B, 4) objects of that class in the picture.
         threshold: Least intersection over union.
     """
-    correct = torch.zeros(len(boxes), dtype=torch.bool)
+    taken = torch.full((len(boxes),), -1)
     if len(truth) == 0 or len(boxes) == 0:
-        return correct
+        return taken
     overlap = box_iou(boxes, truth)
     for i in torch.argsort(scores, descending=True, stable=True).tolist():
         best, j = overlap[i].max(0)
         if float(best) >= threshold:
-            correct[i] = True
+            taken[i] = j
             overlap[:, j] = -1
-    return correct
+    return taken
+
+
+def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
+    """(D,) bool: which detections match an object. As in `assign`."""
+    return assign(boxes, scores, truth, threshold=threshold) >= 0
 
 
 def score(results: Sequence[Detections], pictures: Sequence[LabelledPicture], classes: Sequence[str]) -> Score:

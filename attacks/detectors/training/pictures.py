@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.conditions import ViewingConditions, viewing_conditions
 from attacks.detectors.training.config import SPLITS, PictureSetConfig
 from attacks.detectors.training.surroundings import backdrop, scatter
 from mi_splat.assets import build, street
@@ -58,11 +59,13 @@ class LabelledPicture:
         image: (H, W, 3) uint8 sRGB.
         boxes: (B, 4) float32 pixels, tight around visible pixels.
         labels: (B,) int64, 1 + position in SMALL_CLASSES.
+        conditions: How each of the B objects is seen; empty where that is not known.
     """
 
     image: Tensor
     boxes: Tensor
     labels: Tensor
+    conditions: tuple[ViewingConditions, ...] = ()
 
 
 def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
@@ -171,17 +174,19 @@ class SceneRenderer:
 
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
-        boxes, labels = [], []
+        boxes, labels, conditions = [], [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
         for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):
             rows, columns = np.nonzero(seen)
             if len(rows) >= _LEAST_PIXELS and fraction >= self._config.least_visible:
                 boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
                 labels.append(1 + SMALL_CLASSES.index(asset.name))
+                conditions.append(viewing_conditions(asset.body.vertices, camera, self.contents.light))
         return LabelledPicture(
             (image.clamp(0, 1) * 255).round().to(torch.uint8),
             torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
             torch.tensor(labels, dtype=torch.int64),
+            tuple(conditions),
         )
 
     def _any_camera(self) -> Camera:
@@ -229,3 +234,10 @@ def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPictur
     renderer = SceneRenderer(config, number)
     cameras = [renderer.choose_camera() for _ in range(config.shots)]
     return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
+
+
+def scene_labels(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
+    """As in `scene_pictures`, with black pictures: what is seen how, at the cost of some rays a pixel."""
+    renderer = SceneRenderer(config, number)
+    black = torch.zeros(config.size, config.size, 3)
+    return [renderer.label(camera, black) for camera in [renderer.choose_camera() for _ in range(config.shots)]]
