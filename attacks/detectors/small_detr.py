@@ -56,9 +56,9 @@ class DETR(nn.Module):
         super().__init__()
         self.backbone = Backbone()
         self.level = nn.Parameter(torch.randn(len(_LEVELS), _WIDTH) * 0.1)
-        layer = {"nhead": _HEADS, "dim_feedforward": _FEED_FORWARD, "dropout": 0.0, "batch_first": True}
-        self.encoder = nn.ModuleList(nn.TransformerEncoderLayer(_WIDTH, **layer) for _ in range(_ENCODERS))
-        self.decoder = nn.ModuleList(nn.TransformerDecoderLayer(_WIDTH, **layer) for _ in range(_DECODERS))
+        sizes = (_WIDTH, _HEADS, _FEED_FORWARD, 0.0)
+        self.encoder = nn.ModuleList(nn.TransformerEncoderLayer(*sizes, batch_first=True) for _ in range(_ENCODERS))
+        self.decoder = nn.ModuleList(nn.TransformerDecoderLayer(*sizes, batch_first=True) for _ in range(_DECODERS))
         self.query = nn.Linear(_WIDTH, _WIDTH)
         self.logits = nn.ModuleList(_rare(nn.Linear(_WIDTH, classes)) for _ in range(1 + _DECODERS))
         self.shifts = nn.ModuleList(_shift() for _ in range(1 + _DECODERS))

@@ -71,7 +71,9 @@ def test_the_gradient_agrees_with_finite_differences() -> None:
     torch.manual_seed(2)
     model = small_detr.build()
     for layer in model.shifts:
-        torch.nn.init.normal_(layer[-1].weight, std=0.1)
+        for part in layer.modules():
+            if isinstance(part, torch.nn.Linear):
+                part.reset_parameters()
     with torch.no_grad():
         for _ in range(30):  # the norms need the statistics of something
             model(torch.rand(2, 3, 64, 64))

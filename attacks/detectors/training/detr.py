@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from scipy.optimize import linear_sum_assignment
@@ -13,10 +13,8 @@ from attacks.detectors import small_detr
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_SIDE
 from attacks.detectors.small_detr import DETR, DETRDetector, Guesses, resized
-from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Targets
-from attacks.detectors.training.pictures import LabelledPicture
-from attacks.detectors.training.pretraining import pretrain
+from attacks.detectors.training.pretraining import CutOutTrainer
 
 _WEIGHTS = {"class": 2.0, "distance": 5.0, "overlap": 2.0}
 """Those of Deformable DETR, in the match and in the loss."""
@@ -25,7 +23,7 @@ _CELLS_EACH = 4
 _ALPHA, _GAMMA = 0.25, 2.0
 
 
-class DETRTrainer:
+class DETRTrainer(CutOutTrainer):
     """The small detection transformer."""
 
     name = "detr_small"
@@ -57,24 +55,6 @@ class DETRTrainer:
                 for name, value in set_losses(guesses, boxes, labels, each=1 if number else _CELLS_EACH).items():
                     total[name] = total[name] + _WEIGHTS[name] * value
         return total
-
-    def pretrain(
-        self,
-        model: nn.Module,
-        samples: Sequence[LabelledPicture],
-        config: TrainConfig,
-        on_step: Callable[[int, int, float], None] | None,
-    ) -> float | None:
-        """As in `DetectorTrainer`: classify cut-outs; see `attacks.detectors.training.pretraining`."""
-        assert isinstance(model, DETR)
-        return pretrain(
-            model.backbone,
-            samples,
-            steps=config.pretraining,
-            seed=config.seed,
-            mixed=config.mixed_precision,
-            on_step=on_step,
-        )
 
     def detector(self, model: nn.Module) -> Detector:
         """See `DetectorTrainer`."""
@@ -136,4 +116,5 @@ def matched(logits: Tensor, boxes: Tensor, true: Tensor, labels: Tensor, each: i
 
 
 def _corners(boxes: Tensor) -> Tensor:
-    return box_convert(boxes, "cxcywh", "xyxy")
+    corners: Tensor = box_convert(boxes, "cxcywh", "xyxy")
+    return corners

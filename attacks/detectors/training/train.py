@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
@@ -29,6 +30,13 @@ from attacks.detectors.training.splat_pictures import splat_set
 OnWork = Callable[[str, int, int], None]
 """Called with what is going on, the units of it that are done, and the number wanted."""
 
+_TRAINERS = {
+    "fasterrcnn_small": ("faster_rcnn", "FasterRCNNTrainer"),
+    "fcos_small": ("fcos", "FCOSTrainer"),
+    "detr_small": ("detr", "DETRTrainer"),
+    "yolov8n_small": ("yolo", "YOLOTrainer"),
+}
+
 TRAINING_SPLATS = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
 """Splats of the training set, coarser than those of the evaluation."""
 
@@ -42,13 +50,9 @@ def trainer_of(name: str) -> DetectorTrainer:
     Raises:
         DetectorError: It needs a package that is not there.
     """
-    from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
-
-    if name == FasterRCNNTrainer.name:
-        return FasterRCNNTrainer()
-    from attacks.detectors.training.yolo import YOLOTrainer
-
-    return YOLOTrainer()
+    module, trainer = _TRAINERS[name]
+    found: DetectorTrainer = getattr(import_module(f"attacks.detectors.training.{module}"), trainer)()
+    return found
 
 
 def training_pictures(
