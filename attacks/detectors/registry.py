@@ -161,7 +161,7 @@ def _small_rcnn(weights: Path | None) -> Detector:
     return load_small(weights)
 
 
-def _published_rcnn(name: str, weights: Path | None) -> Detector:
+def _published_torchvision(name: str, weights: Path | None) -> Detector:
     from attacks.detectors.torchvision import load_published
 
     return load_published(name, weights)
@@ -197,7 +197,7 @@ for _name, _file in TORCHVISION_FILES.items():
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_rcnn, _name),
+            load=partial(_published_torchvision, _name),
             classes=COCO_CLASSES,
             origin="torchvision's hub, trained on COCO",
             licence="BSD-3-Clause",

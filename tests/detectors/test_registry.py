@@ -16,7 +16,8 @@ from attacks import cli
 from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detector, register_detector
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.registry import _REGISTRY
-from attacks.detectors.torchvision import _PUBLISHED, random_detector
+from attacks.detectors.torchvision import random_detector
+from attacks.detectors.torchvision.published import PUBLISHED
 from attacks.detectors.weight_files import TORCHVISION_FILES, torch_download
 from attacks.detectors.weights import fingerprint
 from tests.fakes import ColourDetector
@@ -167,11 +168,11 @@ def test_the_list_imports_no_library() -> None:
     assert '"available": true' in done.stdout
 
 
-def test_torchvision_s_files_and_classes_are_the_library_s(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert TORCHVISION_FILES.keys() == _PUBLISHED.keys()
-    for name, weights in _PUBLISHED.items():
-        assert weights.url.rsplit("/", 1)[-1] == TORCHVISION_FILES[name]
-        categories = [label for label in weights.meta["categories"] if label not in ("__background__", "N/A")]
+def test_torchvision_s_files_and_classes_are_the_library_s() -> None:
+    assert TORCHVISION_FILES.keys() == PUBLISHED.keys()
+    for name, published in PUBLISHED.items():
+        assert published.weights.url.rsplit("/", 1)[-1] == TORCHVISION_FILES[name]
+        categories = [label for label in published.weights.meta["categories"] if label not in ("__background__", "N/A")]
         assert DETECTORS[name].classes == COCO_CLASSES == tuple(categories)
 
 

@@ -13,7 +13,6 @@ from typing import Any
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.evaluation.false_positives import FalsePositives, false_positives
 from attacks.detectors.evaluation.recall import (
     CONDITIONS,
     ObjectResult,
@@ -27,6 +26,7 @@ from attacks.detectors.training.average_precision import Score, detect_all, scor
 from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from attacks.detectors.training.dataset import fill_conditions, load, make
+from attacks.detectors.training.false_positives import FalsePositives, false_positives
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.splat_pictures import splat_set
 from mi_splat.errors import message

@@ -54,15 +54,20 @@ def save_pictures(pictures: Sequence[LabelledPicture], folder: Path, note: dict[
 
 
 def check_note(folder: Path, note: dict[str, object]) -> None:
-    """Raise unless a data set was made as `note` says.
+    """Raise unless a data set was made as `note` says; what is None is as good as absent, as in older sets.
 
     Raises:
         InvalidValueError: It was made otherwise.
     """
     noted = json.loads((folder / "labels.json").read_text())["recipe"]
-    if noted != json.loads(json.dumps(note)):
+    if _without_none(noted) != _without_none(json.loads(json.dumps(note))):
         do = "choose an empty folder or the same configuration"
         raise InvalidValueError(message(f"folder {folder}", note, noted, do))
+
+
+def _without_none(note: dict[str, Any]) -> dict[str, Any]:
+    pairs = ((key, _without_none(value) if isinstance(value, dict) else value) for key, value in note.items())
+    return {key: value for key, value in pairs if value is not None}
 
 
 def _single_thread() -> None:

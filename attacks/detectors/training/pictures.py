@@ -19,7 +19,7 @@ from torch import Tensor
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.training.conditions import ViewingConditions, viewing_conditions
 from attacks.detectors.training.config import SPLITS, PictureSetConfig
-from attacks.detectors.training.surroundings import backdrop, scatter
+from attacks.detectors.training.surroundings import backdrop, of_kind, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.cameras import Camera, View, orbit_pose, project_points
@@ -81,7 +81,9 @@ def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
     radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
     light = daylight(int(rng.integers(1 << 30)))
-    if rng.random() < config.street:
+    if config.around is not None:
+        around = of_kind(config.around, int(rng.integers(low, high)), rng, radius)
+    elif rng.random() < config.street:
         around = street.backdrop(int(rng.integers(low, high)))
         around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
     else:
@@ -129,7 +131,7 @@ def _camera(points: Floats, rng: Generator, config: PictureSetConfig) -> Camera:
         pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
         pixels, _ = project_points(cloud, Camera(to_world=pose, focal=focal, width=size, height=size))
         spread = float((pixels.amax(0) - pixels.amin(0)).max())
-        distance = max(distance * spread / extent, 1.1 * half)
+        distance = max(min(distance * spread / extent, config.farthest or math.inf), 1.1 * half)
     pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
     roll = math.radians(rng.normal(0, 4))
     turn = torch.eye(4, dtype=torch.float64)
