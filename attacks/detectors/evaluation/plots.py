@@ -32,10 +32,11 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
         lines = [(which, several[0], which) for which in (PATH_TRACED, SPLAT_RENDERS)]
     else:
         lines = [(found["detector"], found, PATH_TRACED) for found in several]
+    lines = [(name, found, which) for name, found, which in lines if "recall_by" in found["sets"].get(which, {})]
     figure = new_figure(11, 3.1)
     for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
         for number, (name, found, which) in enumerate(lines):
-            bins = found["sets"].get(which, {}).get("recall_by", {}).get(condition, {}).get("all", [])
+            bins = found["sets"][which]["recall_by"].get(condition, {}).get("all", [])
             _draw_line(axes, bins, name, shift=0.06 * (number - (len(lines) - 1) / 2))
         names = [name.replace(" or more", "+").replace(" to ", "-") for name in bin_names(condition)]
         axes.set_xticks(range(len(names)), names, fontsize=7)
