@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from attacks import cli
@@ -91,6 +92,7 @@ def test_detectors_side_by_side() -> None:
     )
     assert text.count("| `two` | ") == 3, "and recall of objects and of cars"
     assert "splat renders:" not in text, "no detector has seen any"
+    assert "cars, path traced and splat renders together:" in text
 
 
 def test_figures_are_read_from_both_kinds_of_files(tmp_path: Path) -> None:
@@ -111,7 +113,7 @@ def test_a_line_for_each_detector_or_each_set() -> None:
     several = [document("one"), document("two"), document("three")]
     axes = draw_recall(several).axes[0]
     assert [line.get_label() for line in axes.containers] == ["one", "two", "three"]
-    assert list(axes.containers[0].lines[0].get_ydata()) == [0.5], "empty bins are left out"
+    assert np.asarray(axes.get_lines()[0].get_ydata()).tolist() == [0.5], "empty bins are left out"
     single = draw_recall(several[:1]).axes[0]
     assert [line.get_label() for line in single.containers] == ["path traced"]
 

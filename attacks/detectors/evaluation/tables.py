@@ -10,13 +10,13 @@ from typing import Any
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.evaluation.held_out import BACKGROUND, PATH_TRACED, SPLAT_RENDERS
 from attacks.detectors.evaluation.recall import UNITS, bin_names
+from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError, message
 
 Document = Mapping[str, Any]
 """What the command wrote."""
 
 _STREET = f"{BACKGROUND}street"
-_GROUPS = ((PATH_TRACED, "all"), (SPLAT_RENDERS, "all"), (PATH_TRACED, "car"), (SPLAT_RENDERS, "car"))
 
 
 def read_figures(path: Path) -> dict[str, Any]:
@@ -48,14 +48,18 @@ def comparison(several: Sequence[Document]) -> str:
     rows = [_compared(found) for found in several]
     heads = ["detector", "mAP path traced", "mAP splats", "false positives: with objects", "streets", "no objects"]
     parts = [table(heads, rows)]
-    for which in (PATH_TRACED, SPLAT_RENDERS):
-        for group in ("all", "car"):
-            rates = [(found, _bins(found, which, "elevation", group)) for found in several]
-            rows = [[_name(found), *map(rate, some)] for found, some in rates if some]
-            if rows:
-                objects = "objects" if group == "all" else "cars"
-                parts.append(f"Recall of {objects} by elevation in degrees, {which}:")
-                parts.append(table(["detector", *bin_names("elevation")], rows))
+    both = (PATH_TRACED, SPLAT_RENDERS)
+    for title, group, sets in (
+        *((f"objects, {which}", "all", (which,)) for which in both),
+        ("cars, path traced and splat renders together", "car", both),
+    ):
+        rows = []
+        for found in several:
+            bins = [some for which in sets if (some := _bins(found, which, "elevation", group))]
+            if bins:
+                rows.append([_name(found), *(rate(_together(some)) for some in zip(*bins, strict=True))])
+        if rows:
+            parts += [f"Recall by elevation in degrees, {title}:", table(["detector", *bin_names("elevation")], rows)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -133,20 +137,24 @@ def _false_positives(found: Document) -> str:
 
 
 def _recall(found: Document) -> str:
-    """Recall by the bins of every condition: all objects and cars, path traced and splats."""
-    groups = [(which, group) for which, group in _GROUPS if _bins(found, which, "size", group)]
-    if not groups:
-        return ""
+    """Recall by the bins of every condition: all objects of each set, and the cars of both together."""
+    sets = [which for which in (PATH_TRACED, SPLAT_RENDERS) if _bins(found, which, "size", "all")]
     rows = []
     for condition, unit in UNITS.items():
-        columns = [_bins(found, which, condition, group) for which, group in groups]
-        if not any(columns):
-            continue
-        rows.append([f"**{condition.replace('_', ' ')}**, {unit}", *[""] * len(groups)])
-        for number, name in enumerate(bin_names(condition)):
-            rows.append([name, *(rate(bins[number]) if bins else "-" for bins in columns)])
-    heads = [f"{'objects' if group == 'all' else 'cars'}, {which}" for which, group in groups]
-    return table(["seen", *heads], rows)
+        columns = [_bins(found, which, condition, "all") for which in sets]
+        cars = [some for which in sets if (some := _bins(found, which, condition, "car"))]
+        if any(columns):
+            rows.append([f"**{condition.replace('_', ' ')}**, {unit}", *[""] * (len(sets) + 1)])
+            for number, name in enumerate(bin_names(condition)):
+                together = _together([some[number] for some in cars])
+                rows.append([name, *(rate(bins[number]) if bins else "-" for bins in columns), rate(together)])
+    heads = ["seen", *(f"objects, {which}" for which in sets), "cars, both" if len(sets) > 1 else "cars"]
+    return table(heads, rows) if rows else ""
+
+
+def _together(bins: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """One bin of several sets."""
+    return Rate(successes=sum(one["successes"] for one in bins), total=sum(one["total"] for one in bins)).as_dict()
 
 
 def _reported_as(found: Document) -> str:

@@ -70,7 +70,7 @@ def assign(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0
 
 
 def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
-    """(D,) bool: which detections match an object. As in `assign`."""
+    """As in `assign`: (D,) bool, which detections match an object."""
     return assign(boxes, scores, truth, threshold=threshold) >= 0
 
 
