@@ -89,7 +89,7 @@ COMMANDS = {
         "attacks.cli",
         "DetectorsOptions",
         "detectors",
-        "the detectors, their classes, and whether the weights are there",
+        "the detectors, their classes, and whether the weights are there; get some of others",
     ),
     "train-detector": Command(
         "attacks.cli",

@@ -39,7 +39,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "cloak scenes/cloak_demo.toml --out out/cloak",
     ),
     "cloak-experiment": ("cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",),
-    "detectors": ("detectors", "detectors --json"),
+    "detectors": (
+        "detectors",
+        "detectors --json",
+        "detectors --get centernet_coco nanodet_coco",
+        "detectors --from vladmandic-human-3.3.6.tgz",
+    ),
     "train-detector": ("train-detector --detector fasterrcnn_small --out out/detector",),
     "evaluate-detector": (
         "evaluate-detector --weights out/detector/best.safetensors",

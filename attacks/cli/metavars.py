@@ -76,6 +76,7 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "target": ("CLASS",),
     "detector": ("DETECTOR",),
     "detectors": ("DETECTOR",),
+    "get": ("DETECTOR",),
     "stages": ("FOLDER",),
     "results": ("FOLDER",),
     "DaggerStudyOptions.scenes": ("FOLDER",),

