@@ -56,11 +56,12 @@ def run(options: EvaluateDetectorOptions) -> int:
         for path in options.scenes:
             sets[str(path)] = scene_pictures(path)
         advance("detecting")
-        results = evaluate_sets(detector, sets)
+        results = evaluate_sets(detector, sets, confidence=options.confidence)
     found = {
         "detector": detector.name,
         "fingerprint": detector.fingerprint,
         "min_confidence": detector.min_confidence,
+        "confidence": options.confidence,
         "false_positives": total_false_positives(results),
         "sets": figures(results),
     }

@@ -46,10 +46,10 @@ class TrainDetectorOptions:
 class EvaluateDetectorOptions:
     """Score a detector on objects, cameras, lights and surroundings that the project's own were not trained on.
 
-    Average precision by class; recall by elevation, distance, size, brightness and sun, at a confidence of 0.5; and
-    false positives per picture: of pictures with objects, and of streets, parks, rooms, grounds and random surroundings
-    without any. A detector of more classes, for instance one trained on COCO, is scored on the project's eight; what
-    else it reports is listed.
+    Average precision by class; recall by elevation, distance, size, brightness and sun; and false positives per
+    picture: of pictures with objects, and of streets, parks, rooms, grounds and random surroundings without any. A
+    detector of more classes, for instance one trained on COCO, is scored on the project's eight; what else it reports
+    is listed.
     """
 
     detector: str = "fasterrcnn_small"
@@ -70,6 +70,8 @@ class EvaluateDetectorOptions:
     """How splats are made."""
     backgrounds: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Pictures without any object."""
+    confidence: float = 0.5
+    """Least confidence of an object that is found, and of a false positive."""
     scenes: tuple[Path, ...] = ()
     """Scene XMLs of splats to score as well, from all their cameras; shapes whose id is a class are their objects."""
     processes: int = 2

@@ -33,7 +33,7 @@ def false(total: int, pictures: int) -> FalsePositives:
     return FalsePositives(pictures=pictures, pictures_with=min(total, pictures), by_class={"car": 0, "tv": total})
 
 
-def document(name: str = "one") -> dict[str, Any]:
+def document(name: str = "one", *, confidence: float = 0.5) -> dict[str, Any]:
     score = Score(ap={"car": 0.75}, recall={"car": 0.5}, counts={"car": 4})
     results = {
         "path traced": HeldOutResult(
@@ -47,6 +47,7 @@ def document(name: str = "one") -> dict[str, Any]:
         "detector": name,
         "fingerprint": "0" * 16,
         "min_confidence": 0.05,
+        "confidence": confidence,
         "false_positives": total_false_positives(results),
         "sets": figures(results),
     }
@@ -95,6 +96,13 @@ def test_detectors_side_by_side() -> None:
     assert "cars, path traced and splat renders together:" in text
 
 
+def test_another_confidence_is_named() -> None:
+    text = comparison([document("one"), document("two", confidence=0.3)])
+    assert "| `one` |" in text
+    assert "| `two` at 0.3 |" in text
+    assert "from a confidence of 0.3" in detector_tables(document(confidence=0.3))
+
+
 def test_figures_are_read_from_both_kinds_of_files(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(document()))
     (tmp_path / "card.json").write_text(json.dumps({"history": [], "held_out": document()}))
@@ -112,7 +120,7 @@ def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
 def test_a_line_for_each_detector_or_each_set() -> None:
     several = [document("one"), document("two"), document("three")]
     axes = draw_recall(several).axes[0]
-    assert [line.get_label() for line in axes.containers] == ["one", "two", "three"]
+    assert [line.get_label() for line in axes.containers] == ["one at 0.5", "two at 0.5", "three at 0.5"]
     assert np.asarray(axes.get_lines()[0].get_ydata()).tolist() == [0.5], "empty bins are left out"
     single = draw_recall(several[:1]).axes[0]
     assert [line.get_label() for line in single.containers] == ["path traced"]

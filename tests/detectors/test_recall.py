@@ -86,6 +86,7 @@ def test_recall_is_that_of_the_score() -> None:
         seen.append(Detections(moved, torch.rand(6, generator=generator), names))
     objects = object_results(seen, truths, SMALL_CLASSES)
     expected = score(seen, truths, SMALL_CLASSES)
+    assert score(seen, truths, SMALL_CLASSES, confidence=0.0).recall["car"] > expected.recall["car"]
     for name, recall in expected.recall.items():
         rate = Rate.of((one for one in objects if one.label == name), lambda one: one.found)
         assert rate.total == expected.counts[name]

@@ -50,9 +50,9 @@ class HeldOutResult:
 
     Attributes:
         score: Average precision and recall; None for a set without objects.
-        false_positives: At a confidence of 0.5 and an intersection over union of 0.5.
+        false_positives: At an intersection over union of 0.5.
         objects: What it makes of each object, by the same thresholds.
-        other_classes: Class that no object of the project has to the number of detections at a confidence of 0.5.
+        other_classes: Class that no object of the project has to the number of detections.
     """
 
     score: Score | None
@@ -185,7 +185,7 @@ def evaluate_sets(
         results = detect_all(detector, pictures)
         any_object = any(len(picture.labels) for picture in pictures)
         found[name] = HeldOutResult(
-            score=score(results, pictures, SMALL_CLASSES) if any_object else None,
+            score=score(results, pictures, SMALL_CLASSES, confidence=confidence) if any_object else None,
             false_positives=false_positives(results, pictures, SMALL_CLASSES, confidence=confidence),
             objects=tuple(object_results(results, pictures, SMALL_CLASSES, confidence=confidence)),
             other_classes=other_classes(results, SMALL_CLASSES, confidence=confidence),

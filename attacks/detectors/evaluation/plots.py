@@ -31,7 +31,7 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
     if len(several) == 1:
         lines = [(which, several[0], which) for which in (PATH_TRACED, SPLAT_RENDERS)]
     else:
-        lines = [(found["detector"], found, PATH_TRACED) for found in several]
+        lines = [(f"{found['detector']} at {found['confidence']:g}", found, PATH_TRACED) for found in several]
     lines = [(name, found, which) for name, found, which in lines if "recall_by" in found["sets"].get(which, {})]
     figure = new_figure(11, 3.1)
     for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
@@ -43,7 +43,7 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
         axes.set(xlabel=f"{condition}, {UNITS[condition]}", ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3)
     first = figure.axes[0]
-    first.set_ylabel("recall at 0.5, IoU 0.5")
+    first.set_ylabel("recall at IoU 0.5")
     figure.legend(*first.get_legend_handles_labels(), loc="outside upper center", ncols=min(len(lines), 6), fontsize=8)
     return figure
 

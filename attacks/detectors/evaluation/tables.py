@@ -16,6 +16,9 @@ from mi_splat.errors import InvalidValueError, message
 Document = Mapping[str, Any]
 """What the command wrote."""
 
+USUAL_CONFIDENCE = 0.5
+"""Confidence from which detections count where nothing else is said."""
+
 _STREET = f"{BACKGROUND}street"
 
 
@@ -28,7 +31,7 @@ def read_figures(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text())
         found = found.get("held_out", found)
-        if {"detector", "sets", "false_positives"} <= set(found):
+        if {"detector", "confidence", "sets", "false_positives"} <= set(found):
             return dict(found)
         reason = "others"
     except (ValueError, AttributeError, TypeError) as error:
@@ -39,7 +42,15 @@ def read_figures(path: Path) -> dict[str, Any]:
 
 def detector_tables(found: Document) -> str:
     """Average precision, false positives, recall by how objects are seen, and what else is reported on them."""
-    parts = [_precision(found), _false_positives(found), _recall(found), _reported_as(found), _other_classes(found)]
+    first = f"A detection counts from a confidence of {found['confidence']:g}; the average precision takes all."
+    parts = [
+        first,
+        _precision(found),
+        _false_positives(found),
+        _recall(found),
+        _reported_as(found),
+        _other_classes(found),
+    ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -84,7 +95,8 @@ def false_positive_rate(one: Mapping[str, Any]) -> str:
 
 
 def _name(found: Document) -> str:
-    return f"`{found['detector']}`"
+    usual = found["confidence"] == USUAL_CONFIDENCE
+    return f"`{found['detector']}`" if usual else f"`{found['detector']}` at {found['confidence']:g}"
 
 
 def _bins(found: Document, which: str, condition: str, group: str) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ class Score:
 
     Attributes:
         ap: Class name to average precision; classes without an object in the pictures are absent.
-        recall: Class name to the fraction of its objects that were found with confidence of at least 0.5.
+        recall: Class name to the fraction of its objects that were found with enough confidence.
         counts: Class name to number of objects.
     """
 
@@ -74,8 +74,21 @@ def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.
     return assign(boxes, scores, truth, threshold=threshold) >= 0
 
 
-def score(results: Sequence[Detections], pictures: Sequence[LabelledPicture], classes: Sequence[str]) -> Score:
-    """Compare detections with labelled pictures, whose labels count from 1 in `classes`."""
+def score(
+    results: Sequence[Detections],
+    pictures: Sequence[LabelledPicture],
+    classes: Sequence[str],
+    *,
+    confidence: float = 0.5,
+) -> Score:
+    """Compare detections with labelled pictures.
+
+    Args:
+        results: What a detector reports, picture by picture.
+        pictures: The pictures with their objects; labels count from 1 in `classes`.
+        classes: That objects may have.
+        confidence: Least confidence with which an object counts as found.
+    """
     ap, recall, counts = {}, {}, {}
     for number, name in enumerate(classes, start=1):
         confidences, correct, objects = [torch.empty(0)], [torch.empty(0, dtype=torch.bool)], 0
@@ -89,7 +102,7 @@ def score(results: Sequence[Detections], pictures: Sequence[LabelledPicture], cl
         if objects:
             every, right = torch.cat(confidences), torch.cat(correct)
             ap[name] = average_precision(every, right, objects)
-            recall[name] = float((right & (every >= 0.5)).sum()) / objects
+            recall[name] = float((right & (every >= confidence)).sum()) / objects
             counts[name] = objects
     return Score(ap=ap, recall=recall, counts=counts)
 
