@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
 from mi_splat.io.images import to_bytes
+from mi_splat.provenance import commit, versions
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
 
@@ -42,11 +44,12 @@ def run(options: EvaluateDetectorOptions) -> int:
     check_writable(options.out.parent)
     check_suffix("--out", options.out, ".json")
     torch.set_num_threads(options.threads)
+    pictures = PictureSetConfig(split="held-out", count=options.pictures, samples=options.samples)
     with progress("loading the detector") as advance:
         detector = load_for_evaluation(options.detector, options.weights)
         sets = held_out_sets(
             options.data,
-            PictureSetConfig(split="held-out", count=options.pictures, samples=options.samples),
+            pictures,
             splats=options.splats,
             splat=options.splat,
             backgrounds=options.backgrounds,
@@ -64,6 +67,14 @@ def run(options: EvaluateDetectorOptions) -> int:
         "confidence": options.confidence,
         "false_positives": total_false_positives(results),
         "sets": figures(results),
+        "pictures": {
+            "path_traced": asdict(pictures),
+            "splats": options.splats,
+            "splat": asdict(options.splat),
+            "backgrounds": asdict(options.backgrounds),
+        },
+        "versions": versions(),
+        "commit": commit(),
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
     save_json(found, options.out)

@@ -168,6 +168,9 @@ def test_the_command_scores_pictures_backgrounds_and_scenes(tmp_path: Path, caps
     assert (street["pictures"], street["counts"]) == (6, {"car": 6})
     assert street["recall"]["car"] == 1.0
     assert len(shown["fingerprint"]) == 16
+    assert shown["sets"]["path traced"]["recall_by"]["elevation"]["all"]
+    assert shown["pictures"]["backgrounds"]["scenes"] == 1
+    assert "| background: street |" in (tmp_path / "figures.md").read_text()
     assert cli.main(words) == 0
     assert "background: street: 2 pictures\n  false positives per picture: " in capsys.readouterr().out
 

@@ -24,7 +24,10 @@ FAST = {
     *("--help", "view --export", "cloak --forecast"),
 }
 """Commands that are run in every test run."""
-NIGHTLY = {"cloak", "cloak-experiment", "dagger-study", "doctor", "evaluate-detector", "view", "python"}
+NIGHTLY = {
+    *("cloak", "cloak-experiment", "compare-detectors", "dagger-study", "doctor", "evaluate-detector", "view"),
+    "python",
+}
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
 """Pages whose lines need what long lines have made."""
