@@ -136,7 +136,14 @@ COMMANDS = {
         "attacks.cli",
         "EvaluateDetectorOptions",
         "evaluate_detector",
-        "mAP and false positives per picture of a small detector on held-out pictures",
+        "mAP, recall and false positives of a detector on held-out pictures",
+        options_module="training_options",
+    ),
+    "compare-detectors": Command(
+        "attacks.cli",
+        "CompareDetectorsOptions",
+        "compare_detectors",
+        "the figures of several detectors side by side",
         options_module="training_options",
     ),
     "plot-detector-training": Command(

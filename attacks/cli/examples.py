@@ -66,7 +66,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "detectors --from vladmandic-human-3.3.6.tgz",
     ),
     "train-detector": ("train-detector --detector fasterrcnn_small --out out/detector",),
-    "evaluate-detector": ("evaluate-detector --weights out/detector/best.safetensors",),
+    "evaluate-detector": (
+        "evaluate-detector --weights out/detector/best.safetensors",
+        "evaluate-detector --detector centernet_coco --out out/centernet.json",
+    ),
+    "compare-detectors": ("compare-detectors out/detector/held-out.json out/centernet.json --out out/detectors.md",),
     "plot-detector-training": ("plot-detector-training out/detector/curves.json --out curves.png",),
     "doctor": ("doctor",),
 }
@@ -94,7 +98,8 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "cloak-experiment": ("cloak",),
     "detectors": ("dagger", "doctor"),
     "train-detector": ("evaluate-detector", "plot-detector-training"),
-    "evaluate-detector": ("train-detector",),
+    "evaluate-detector": ("compare-detectors", "train-detector"),
+    "compare-detectors": ("evaluate-detector", "detectors"),
     "plot-detector-training": ("train-detector",),
     "doctor": ("detectors",),
 }

@@ -121,6 +121,7 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "SelectOptions.out": ("FILE",),
     "ConvertOptions.out": ("FILE",),
     "EvaluateDetectorOptions.out": ("FILE",),
+    "CompareDetectorsOptions.out": ("FILE",),
     "PlotDetectorTrainingOptions.out": ("FILE",),
 }
 """Name of an option to what its values are called; several where the option takes other numbers of values elsewhere."""

@@ -38,7 +38,7 @@ FAST = {
 """Commands that are run in every test run."""
 NIGHTLY = {
     *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
-    *("dagger-pairs", "dagger-sanity", "dagger-transfer"),
+    *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
