@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -19,7 +20,8 @@ from torchvision.ops import box_convert, clip_boxes_to_image
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.small import Backbone
-from attacks.detectors.weights import fingerprint
+from attacks.detectors.weight_files import SMALL_DETR_WEIGHTS
+from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 
 _WIDTH, _HEADS, _FEED_FORWARD = 96, 4, 256
 _ENCODERS, _DECODERS, _QUERIES = 2, 3, 40
@@ -200,3 +202,14 @@ def resized(planes: Tensor, side: int) -> Tensor:
 def build() -> DETR:
     """The network with random weights, in training mode."""
     return DETR(len(SMALL_CLASSES))
+
+
+def load_small(weights: Path | None = None) -> DETRDetector:
+    """The detector, with the shipped weights unless told otherwise.
+
+    Raises:
+        DetectorError: There are no weights, or they do not fit.
+    """
+    model, path = build(), SMALL_DETR_WEIGHTS if weights is None else Path(weights)
+    apply_weights(model, read_weights(path), path)
+    return DETRDetector("detr_small", model)

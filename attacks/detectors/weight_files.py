@@ -7,6 +7,10 @@ from pathlib import Path
 
 SMALL_RCNN_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
 """Weights of `fasterrcnn_small`, a part of the package."""
+SMALL_FCOS_WEIGHTS = Path(__file__).with_name("fcos_small.safetensors")
+"""Weights of `fcos_small`, a part of the package."""
+SMALL_DETR_WEIGHTS = Path(__file__).with_name("detr_small.safetensors")
+"""Weights of `detr_small`, a part of the package."""
 SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
 """Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
 TORCHVISION_FILES = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,20 @@ import torch
 from torch import nn
 from torchvision.models.detection import FasterRCNN
 
-from attacks.detectors import small
+from attacks.detectors import small, small_fcos
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.torchvision.adapter import BACKGROUND, TorchvisionDetector, threshold_holder
 from attacks.detectors.torchvision.faster_rcnn import RCNNDetector
 from attacks.detectors.torchvision.one_stage import OneStageDetector
 from attacks.detectors.torchvision.published import PUBLISHED, build_published, freeze_norms, from_hub, published_labels
-from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS
+from attacks.detectors.weight_files import SMALL_FCOS_WEIGHTS, SMALL_RCNN_WEIGHTS
 from attacks.detectors.weights import apply_weights, read_weights
+
+_SMALL: dict[str, tuple[Callable[[], nn.Module], Path]] = {
+    "fasterrcnn_small": (small.build, SMALL_RCNN_WEIGHTS),
+    "fcos_small": (small_fcos.build, SMALL_FCOS_WEIGHTS),
+}
+"""Name to what builds the network, and to the file of its weights."""
 
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
@@ -32,12 +38,20 @@ def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetec
     return adapter(name, model, labels)
 
 
-def load_small(weights: Path | None = None) -> RCNNDetector:
-    """The project's own small Faster R-CNN, with the shipped weights unless told otherwise."""
-    model = small.build()
-    path = SMALL_RCNN_WEIGHTS if weights is None else Path(weights)
+def load_small(weights: Path | None = None, *, name: str = "fasterrcnn_small") -> TorchvisionDetector:
+    """One of the project's own small detectors, with the shipped weights unless told otherwise.
+
+    Args:
+        weights: File of its weights; None: those of the package.
+        name: fasterrcnn_small or fcos_small.
+
+    Raises:
+        DetectorError: There are no weights, or they do not fit.
+    """
+    build, shipped = _SMALL[name]
+    model, path = build(), shipped if weights is None else Path(weights)
     apply_weights(model, read_weights(path), path)
-    return RCNNDetector("fasterrcnn_small", model, (BACKGROUND, *SMALL_CLASSES))
+    return wrap(name, model, (BACKGROUND, *SMALL_CLASSES))
 
 
 def load_published(name: str, weights: Path | None = None) -> TorchvisionDetector:
@@ -63,8 +77,8 @@ def random_detector(name: str, *, seed: int = 0) -> TorchvisionDetector:
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        if name == "fasterrcnn_small":
-            model = small.build()
+        if name in _SMALL:
+            model = _SMALL[name][0]()
             warm_up(model.eval())
             return wrap(name, model, (BACKGROUND, *SMALL_CLASSES))
         model = PUBLISHED[name].builder(weights=None, weights_backbone=None)
