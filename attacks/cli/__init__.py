@@ -63,6 +63,13 @@ COMMANDS = {
     "dagger": Command(
         "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
     ),
+    "dagger-eot": Command(
+        "attacks.cli",
+        "DaggerEotOptions",
+        "dagger_eot",
+        "the same attack for all cameras of a region at once, judged on held-out views",
+        options_module="eot_options",
+    ),
     "detect": Command("attacks.cli", "DetectOptions", "detect", "what detectors see in pictures, splats and scenes"),
     "evaluate": Command(
         "attacks.cli",
@@ -87,6 +94,19 @@ COMMANDS = {
         "whether DAGGER is a sane attack on an object and a detector, line by line",
         options_module="transfer_options",
     ),
+    "dagger-pairs": Command(
+        "attacks.cli",
+        "DaggerPairsOptions",
+        "dagger_pairs",
+        "the paper's six attacks on several detectors, side by side",
+    ),
+    "dagger-eot-study": Command(
+        "attacks.cli",
+        "DaggerEotStudyOptions",
+        "dagger_eot_study",
+        "many attacks on all cameras of a region, and tables of what comes of them",
+        options_module="eot_options",
+    ),
     "cloak": Command(
         "attacks.cli",
         "CloakOptions",
@@ -103,7 +123,7 @@ COMMANDS = {
         "attacks.cli",
         "DetectorsOptions",
         "detectors",
-        "the detectors, their classes, and whether the weights are there",
+        "the detectors, their classes, and whether the weights are there; get some of others",
     ),
     "train-detector": Command(
         "attacks.cli",
@@ -116,7 +136,14 @@ COMMANDS = {
         "attacks.cli",
         "EvaluateDetectorOptions",
         "evaluate_detector",
-        "mAP and false positives per picture of a small detector on held-out pictures",
+        "mAP, recall and false positives of a detector on held-out pictures",
+        options_module="training_options",
+    ),
+    "compare-detectors": Command(
+        "attacks.cli",
+        "CompareDetectorsOptions",
+        "compare_detectors",
+        "the figures of several detectors side by side",
         options_module="training_options",
     ),
     "plot-detector-training": Command(

@@ -5,27 +5,20 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
+from attacks.cli.aims import DEFAULT_OBJECT, aim, chosen_object, write_parts
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import DaggerOptions
 from attacks.dagger.attack import attack
 from attacks.dagger.report import summary, write_files
 from attacks.dagger.result import Result
-from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import Chosen, choose
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import SplatScene, open_scene
-from mi_splat.scene_writing import write_scene
-from mi_splat.selection.config import Selection
-from mi_splat.selection.masks import save_mask
 from mi_splat.selection.select import doubts, require_visible
-
-DEFAULT_OBJECT = "car"
-"""Part that is attacked if nothing else is said."""
 
 
 def run(options: DaggerOptions) -> int:
@@ -35,7 +28,7 @@ def run(options: DaggerOptions) -> int:
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
-        chosen = choose(loaded, object_of(loaded, options.selection), options.view)
+        chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
         weights = chosen.weights(loaded)
         require_visible(weights)
         detectors = load_detectors(options.detector, options.weights, flag="--detector")
@@ -45,7 +38,7 @@ def run(options: DaggerOptions) -> int:
             chosen.mask,
             list(chosen.cameras.values()),
             detectors,
-            _objective(options),
+            aim(options.objective, options.target, options.confidence),
             render=chosen.render,
             config=config,
             on_step=_follow(advance),
@@ -56,7 +49,7 @@ def run(options: DaggerOptions) -> int:
             warnings=(*doubts(chosen.mask, weights), *result.warnings),
         )
         with new_folder(options.out, force=options.force) as folder:
-            written = [*write_files(result, folder), *_write_parts(loaded, chosen, result, folder)]
+            written = [*write_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
         files = {path.name: options.out / path.name for path in written}
     if options.json:
         show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
@@ -65,39 +58,13 @@ def run(options: DaggerOptions) -> int:
     return 0
 
 
-def _objective(options: DaggerOptions) -> Objective:
-    """The attacker's aim."""
-    aims: dict[str, Callable[..., Objective]] = {
-        "relabel": lambda **limit: relabel(options.target, **limit),
-        "hide": hide,
-        "untargeted": untargeted,
-    }
-    limit = {} if options.confidence is None else {"confidence": options.confidence}
-    return aims[options.objective](**limit)
-
-
-def object_of(loaded: SplatScene, selection: Selection) -> Selection:
-    """What the options select; the part called car if they say nothing and there is one."""
-    nothing = selection.is_empty and DEFAULT_OBJECT in loaded.objects
-    return dataclasses.replace(selection, object=DEFAULT_OBJECT) if nothing else selection
-
-
 def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[str, Any]:
     """What was attacked, and from which cameras, for the record."""
     return {
         "scene": str(options.scene),
-        "selection": object_of(loaded, options.selection).as_dict(),
+        "selection": chosen_object(loaded, options.selection).as_dict(),
         "cameras": list(chosen.cameras),
     }
-
-
-def _write_parts(loaded: SplatScene, chosen: Chosen, result: Result, folder: Path) -> list[Path]:
-    """The object's mask, and of a scene file its parts and the XML that names them."""
-    mask = folder / "mask.npy"
-    save_mask(chosen.mask, mask)
-    # A bare splat has no cameras, and so makes no scene file.
-    parts = write_scene(loaded, result.scene, folder / "attacked.xml") if loaded.cameras else []
-    return [mask, *parts]
 
 
 def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:

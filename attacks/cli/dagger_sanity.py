@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 
-from attacks.cli.dagger import object_of
+from attacks.cli.aims import chosen_object
 from attacks.cli.dagger_transfer import loadable
 from attacks.cli.transfer_options import DaggerSanityOptions
 from attacks.dagger.config import DaggerConfig
@@ -58,7 +58,7 @@ def run(options: DaggerSanityOptions) -> int:
 def _case(options: DaggerSanityOptions) -> Case:
     """What the options ask to check."""
     loaded = open_scene(options.scene)
-    chosen = choose(loaded, object_of(loaded, options.selection), options.view)
+    chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
     require_visible(chosen.weights(loaded))
     camera = next(iter(chosen.cameras.values()))
     centre = loaded.scene.means[chosen.mask].mean(0)

@@ -65,6 +65,19 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "seed": ("SEED",),
     "seeds": ("SEED",),
     "DaggerStudyOptions.seeds": ("COUNT",),
+    # distributions of views
+    **dict.fromkeys(("azimuths", "elevations", "fovs"), ("LEAST MOST",)),
+    "distances": ("LEAST MOST",),
+    "distance_unit": ("LENGTH",),
+    "roll": ("DEGREES",),
+    "aim": ("FRACTION",),
+    "exposure": ("STOPS",),
+    "blur": ("PIXELS",),
+    "resize": ("FACTOR",),
+    "jpeg": ("QUALITY",),
+    "stop_at": ("FRACTION",),
+    "EotConfig.validate_every": ("STEPS",),
+    "judge_seed": ("SEED",),
     # attacks
     "eps": ("RADIUS",),
     "steps": ("STEPS",),
@@ -77,6 +90,7 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "target": ("CLASS",),
     "detector": ("DETECTOR",),
     "detectors": ("DETECTOR",),
+    "get": ("DETECTOR",),
     "stages": ("FOLDER",),
     "results": ("FOLDER",),
     "DaggerStudyOptions.scenes": ("FOLDER",),
@@ -86,6 +100,9 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "surrogate": ("DETECTOR",),
     "judges": ("DETECTOR",),
     "DaggerStudyOptions.groups": ("TABLE",),
+    "DaggerEotStudyOptions.scenes": ("FOLDER",),
+    "DaggerEotStudyOptions.groups": ("TABLE",),
+    "pairs": ("NUMBER",),
     "host": ("HOST",),
     "port": ("PORT",),
     # training of detectors
@@ -104,6 +121,7 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "SelectOptions.out": ("FILE",),
     "ConvertOptions.out": ("FILE",),
     "EvaluateDetectorOptions.out": ("FILE",),
+    "CompareDetectorsOptions.out": ("FILE",),
     "PlotDetectorTrainingOptions.out": ("FILE",),
 }
 """Name of an option to what its values are called; several where the option takes other numbers of values elsewhere."""

@@ -147,6 +147,12 @@ def as_json(job: NamedJob) -> dict[str, Any]:
     return values
 
 
+def stored_records(out: Path) -> list[dict[str, Any]]:
+    """Every whole record of a study's ledger, by the names of the files."""
+    found = (_stored(path) for path in sorted((out / JOBS).glob("*.json")))
+    return [record for record in found if record is not None]
+
+
 def _stored(path: Path) -> dict[str, Any] | None:
     """The record in a file; None if there is none, or not a whole one."""
     try:

@@ -47,10 +47,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
         "attacks.limits",
-        *("attacks.pgd", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
+        "attacks.rate",
+        *("attacks.pgd", "attacks.optimisers", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
     ),
     "detectors": ("attacks.detectors",),
     "subset": ("attacks.gaussian_subset",),
+    "transformations": ("attacks.transformations",),
     "evaluation": ("attacks.evaluation",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "study of CLOAK": ("attacks.cloak.study",),
