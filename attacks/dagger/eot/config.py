@@ -46,7 +46,7 @@ class EotConfig(Perturbation):
     steps: int = 150
     step_factor: float = 3.0
     noise_draws: int = 1
-    optimiser: OptimiserName = "adam"
+    optimiser: OptimiserName = "momentum"
     schedule: Schedule = "linear"
     momentum: float = 0.8
     batch: int = 3
