@@ -15,6 +15,19 @@ NormName = Literal["linf", "l2", "l2_per_gaussian"]
 
 NORM_NAMES: tuple[NormName, ...] = get_args(NormName)
 
+Schedule = Literal["constant", "linear", "cosine"]
+"""How the steps of a search become shorter: not at all, along a line to 0, or along half a cosine to 0."""
+
+SearchName = Literal["paper", "strong"]
+"""How the six pairs are searched (`attacks.dagger.pairs.SEARCHES`)."""
+
+OptimiserName = Literal["momentum", "adam"]
+"""What makes a step of the gradients (`attacks.optimisers`)."""
+
+OPTIMISERS: tuple[OptimiserName, ...] = get_args(OptimiserName)
+
+SCHEDULES: tuple[Schedule, ...] = get_args(Schedule)
+
 
 def check_limits(radius: Mapping[str, float], norm: str) -> None:
     """Refuse what no budget can be made of.

@@ -44,7 +44,7 @@ class Evaluation:
         loss: Lower is better for the attacker.
         gradients: Derivative of the loss by each parameter.
         success: Whether the attack has its aim here, judged by what counts, which is not the loss.
-        score: How near it is, in [0, 1].
+        score: How near it is, in [0, 1]; -1 where nothing judged the point.
         unambiguous: Whether it has its aim and nothing speaks against it; an early stop waits for this.
     """
 
@@ -62,7 +62,7 @@ class Step:
     Attributes:
         index: 0 is the start of a run; after n steps the index is n.
         loss: Lower is better for the attacker.
-        score: In [0, 1], higher is better for the attacker.
+        score: In [0, 1], higher is better for the attacker; -1 where nothing judged the point.
         success: Whether the attack has its aim here.
         unambiguous: Whether it has its aim and nothing speaks against it.
         zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero.

@@ -63,6 +63,13 @@ COMMANDS = {
     "dagger": Command(
         "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
     ),
+    "dagger-eot": Command(
+        "attacks.cli",
+        "DaggerEotOptions",
+        "dagger_eot",
+        "the same attack for all cameras of a region at once, judged on held-out views",
+        options_module="eot_options",
+    ),
     "detect": Command("attacks.cli", "DetectOptions", "detect", "what detectors see in pictures, splats and scenes"),
     "evaluate": Command(
         "attacks.cli",
@@ -72,6 +79,33 @@ COMMANDS = {
     ),
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
+    ),
+    "dagger-transfer": Command(
+        "attacks.cli",
+        "DaggerTransferOptions",
+        "dagger_transfer",
+        "attacks on some detectors judged by others: the transfer matrix",
+        options_module="transfer_options",
+    ),
+    "dagger-sanity": Command(
+        "attacks.cli",
+        "DaggerSanityOptions",
+        "dagger_sanity",
+        "whether DAGGER is a sane attack on an object and a detector, line by line",
+        options_module="transfer_options",
+    ),
+    "dagger-pairs": Command(
+        "attacks.cli",
+        "DaggerPairsOptions",
+        "dagger_pairs",
+        "the paper's six attacks on several detectors, side by side",
+    ),
+    "dagger-eot-study": Command(
+        "attacks.cli",
+        "DaggerEotStudyOptions",
+        "dagger_eot_study",
+        "many attacks on all cameras of a region, and tables of what comes of them",
+        options_module="eot_options",
     ),
     "cloak": Command(
         "attacks.cli",

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from attacks.cli.aims import DEFAULT_OBJECT, aim, chosen_object, write_parts
+from attacks.cli.loading import load_detectors
 from attacks.cli.options import DaggerOptions
 from attacks.dagger.attack import attack
 from attacks.dagger.report import summary, write_files
 from attacks.dagger.result import Result
-from attacks.detectors import load_detector
-from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import Chosen, choose
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import SplatScene, open_scene
-from mi_splat.scene_writing import write_scene
-from mi_splat.selection.config import Selection
-from mi_splat.selection.masks import save_mask
 from mi_splat.selection.select import doubts, require_visible
-
-DEFAULT_OBJECT = "car"
-"""Part that is attacked if nothing else is said."""
 
 
 def run(options: DaggerOptions) -> int:
@@ -35,17 +28,17 @@ def run(options: DaggerOptions) -> int:
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
-        chosen = choose(loaded, _selection(loaded, options), options.view)
+        chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
         weights = chosen.weights(loaded)
         require_visible(weights)
-        detector = load_detector(options.detector, weights=options.weights)
+        detectors = load_detectors(options.detector, options.weights, flag="--detector")
         advance("attacking", 0)
         result = attack(
             loaded.scene,
             chosen.mask,
             list(chosen.cameras.values()),
-            detector,
-            _objective(options),
+            detectors,
+            aim(options.objective, options.target, options.confidence),
             render=chosen.render,
             config=config,
             on_step=_follow(advance),
@@ -56,7 +49,7 @@ def run(options: DaggerOptions) -> int:
             warnings=(*doubts(chosen.mask, weights), *result.warnings),
         )
         with new_folder(options.out, force=options.force) as folder:
-            written = [*write_files(result, folder), *_write_parts(loaded, chosen, result, folder)]
+            written = [*write_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
         files = {path.name: options.out / path.name for path in written}
     if options.json:
         show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
@@ -65,39 +58,13 @@ def run(options: DaggerOptions) -> int:
     return 0
 
 
-def _objective(options: DaggerOptions) -> Objective:
-    """The attacker's aim."""
-    aims: dict[str, Callable[..., Objective]] = {
-        "relabel": lambda **limit: relabel(options.target, **limit),
-        "hide": hide,
-        "untargeted": untargeted,
-    }
-    limit = {} if options.confidence is None else {"confidence": options.confidence}
-    return aims[options.objective](**limit)
-
-
-def _selection(loaded: SplatScene, options: DaggerOptions) -> Selection:
-    """What the options select; the part called car if they say nothing and there is one."""
-    nothing = options.selection.is_empty and DEFAULT_OBJECT in loaded.objects
-    return dataclasses.replace(options.selection, object=DEFAULT_OBJECT) if nothing else options.selection
-
-
 def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[str, Any]:
     """What was attacked, and from which cameras, for the record."""
     return {
         "scene": str(options.scene),
-        "selection": _selection(loaded, options).as_dict(),
+        "selection": chosen_object(loaded, options.selection).as_dict(),
         "cameras": list(chosen.cameras),
     }
-
-
-def _write_parts(loaded: SplatScene, chosen: Chosen, result: Result, folder: Path) -> list[Path]:
-    """The object's mask, and of a scene file its parts and the XML that names them."""
-    mask = folder / "mask.npy"
-    save_mask(chosen.mask, mask)
-    # A bare splat has no cameras, and so makes no scene file.
-    parts = write_scene(loaded, result.scene, folder / "attacked.xml") if loaded.cameras else []
-    return [mask, *parts]
 
 
 def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
@@ -110,14 +77,24 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     found = summary(result)
     aim = {"relabel": f"see a {options.target}", "hide": "see nothing"}.get(options.objective, "see something else")
     radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
-    views = found["views"]
-    reached = sum(view["success"] for view in views)
     outcome = "SUCCESS" if result.success else "FAILED"
-    show(f"{outcome}: {options.detector} shall {aim} in place of {_name(options)}; {reached} of {len(views)} views.")
-    show(
-        f"{_seen(views[0], found['target'])} after {found['steps']} of {options.config.steps} steps "
+    several = len(result.detectors) > 1
+    counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
+    reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
+    show(f"{outcome}: {' and '.join(options.detector)} shall {aim} in place of {_name(options)}; {reached}.")
+    effort = (
+        f"after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
     )
+    if several:
+        for one in found["detectors"]:
+            seen = [view for view in found["views"] if view["detector"] == one["detector"]]
+            show(
+                f"{one['detector']}, {sum(view['success'] for view in seen)} of {len(seen)} views: {_seen(found, seen)}"
+            )
+        show(f"This is {effort}")
+    else:
+        show(f"{_seen(found, found['views'])} {effort}")
     psnr = found["image_psnr"]
     change = "No picture changed" if psnr is None else f"The picture changed to a PSNR of {psnr:.1f} dB"
     noise = f"{found['noise']['successes']} of {found['noise']['draws']} draws"
@@ -135,8 +112,9 @@ def _name(options: DaggerOptions) -> str:
     return "the selection" if options.selection.object is None else f"the {options.selection.object}"
 
 
-def _seen(view: Mapping[str, Any], target: str | None) -> str:
-    """What the detector makes of the object in one view, before and after."""
+def _seen(found: Mapping[str, Any], views: Sequence[Mapping[str, Any]]) -> str:
+    """What a detector makes of the object in the first of its views, before and after."""
+    view, target = views[0], found["target"]
     before = f"{view['original']} at {view['clean_confidence']:.0%}" if view["original"] else "nothing"
     after = [f"{target} at {view['target_confidence']:.0%}"] if target else []
     if view["original"] not in (None, target):

@@ -125,7 +125,7 @@ class AttackProblem:
         gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
         for view in views:
             leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
-            picture = _bounded(self.render(self.subset.scene_with(leaves), view.camera))
+            picture = bounded(self.render(self.subset.scene_with(leaves), view.camera))
             candidates = self.detector.candidates(picture[None])[0]
             here = self.objective(candidates, view.target) / len(views)
             found = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
@@ -189,6 +189,7 @@ class _Bounded(torch.autograd.Function):
         return torch.where(stuck, 0.0, gradient)
 
 
-def _bounded(image: Tensor) -> Tensor:
-    bounded: Tensor = _Bounded.apply(image)
-    return bounded
+def bounded(image: Tensor) -> Tensor:
+    """A picture clamped to [0, 1], with the derivative of a projection where it was outside."""
+    inside: Tensor = _Bounded.apply(image)
+    return inside

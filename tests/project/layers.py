@@ -48,10 +48,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "interfaces of attacks": (
         "attacks.limits",
         "attacks.rate",
-        *("attacks.pgd", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
+        *("attacks.pgd", "attacks.optimisers", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
     ),
     "detectors": ("attacks.detectors",),
     "subset": ("attacks.gaussian_subset",),
+    "transformations": ("attacks.transformations",),
     "evaluation": ("attacks.evaluation",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "study of CLOAK": ("attacks.cloak.study",),

@@ -49,9 +49,12 @@ def keep(boxes: Tensor, scores: Tensor, least: float) -> tuple[Tensor, Tensor]:
         scores: (A, C) of all cells.
         least: Lowest score that is kept.
     """
-    side = int(len(scores) ** 0.5)
-    maps = scores.T.reshape(1, -1, side, side)
-    peak = maps == functional.max_pool2d(maps, 3, 1, 1)
-    order = (scores * peak.reshape(scores.shape[1], -1).T).reshape(-1).sort(descending=True, stable=True)
-    kept = order.indices[:MOST][order.values[:MOST] >= least]
+    side, found = int(len(scores) ** 0.5), torch.zeros_like(scores, dtype=torch.bool)
+    likely = (scores >= least).any(0)  # few classes, and what follows is slow for all 80
+    maps = scores[:, likely].T.reshape(1, -1, side, side)
+    if len(maps[0]):
+        peak = (maps == functional.max_pool2d(maps, 3, 1, 1)) & (maps >= least)
+        found[:, likely] = peak.reshape(len(maps[0]), -1).T
+    places = found.flatten().nonzero()[:, 0]
+    kept = places[scores.flatten()[places].sort(descending=True, stable=True).indices[:MOST]]
     return kept // scores.shape[1], kept % scores.shape[1]

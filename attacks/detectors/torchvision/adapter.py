@@ -12,10 +12,8 @@ from torchvision.models.detection.transform import resize_boxes
 from torchvision.ops.boxes import clip_boxes_to_image
 
 from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.classes import BACKGROUND, UNUSED
 from attacks.detectors.weights import fingerprint
-
-BACKGROUND, UNUSED = "__background__", "N/A"
-"""The library's names of the two kinds of label numbers that mean no class."""
 
 _Self = TypeVar("_Self", bound="TorchvisionDetector")
 

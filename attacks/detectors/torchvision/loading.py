@@ -11,8 +11,8 @@ from torch import nn
 from torchvision.models.detection import FasterRCNN
 
 from attacks.detectors import small, small_fcos
-from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.torchvision.adapter import BACKGROUND, TorchvisionDetector, threshold_holder
+from attacks.detectors.classes import BACKGROUND, SMALL_CLASSES
+from attacks.detectors.torchvision.adapter import TorchvisionDetector, threshold_holder
 from attacks.detectors.torchvision.faster_rcnn import RCNNDetector
 from attacks.detectors.torchvision.one_stage import OneStageDetector
 from attacks.detectors.torchvision.published import PUBLISHED, build_published, freeze_norms, from_hub, published_labels

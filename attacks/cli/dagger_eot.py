@@ -1,0 +1,107 @@
+"""`mi-splat dagger-eot`: attack one object from all cameras of a region at once, and judge that on held-out views."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from attacks.cli.aims import aim, chosen_object, write_parts
+from attacks.cli.eot_options import DaggerEotOptions
+from attacks.cli.loading import load_detectors
+from attacks.dagger.eot.attack import attack_views
+from attacks.dagger.eot.report import CONTACT, eot_summary, write_eot_files
+from attacks.dagger.eot.result import EotResult
+from attacks.dagger.eot.search import NOT_JUDGED, Checkpoint
+from attacks.dagger.eot.views import ViewDistribution
+from attacks.evaluation.rates import Rate
+from attacks.pgd import Step
+from attacks.transformations.config import Transformations
+from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.cli.selecting import choose
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.scene_files import open_scene
+
+
+def run(options: DaggerEotOptions) -> int:
+    """Attack, write the report, and say in four lines what happened."""
+    if options.view.up != (0.0, 0.0, 1.0):
+        raise InvalidValueError(message("up", "0 0 1", options.view.up, "turn the splat: regions have world z upwards"))
+    check_new_folder(options.out, force=options.force)
+    limit_threads((os.cpu_count() or 1) // 2)
+    config, checkpoint = options.config, Checkpoint(path=options.checkpoint or _beside(options.out))
+    with progress("loading the scene and the detectors", total=config.steps + 1) as advance:
+        loaded = open_scene(options.scene)
+        selection = chosen_object(loaded, options.selection)
+        chosen = choose(loaded, selection, options.view)
+        detectors = load_detectors(options.detectors, options.weights)
+        views = ViewDistribution(
+            loaded.scene,
+            chosen.mask,
+            next(iter(chosen.cameras.values())),
+            Transformations(cameras=options.region, pictures=options.pictures),
+            render=chosen.render,
+        )
+        advance("looking at the object", 0)
+        checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
+        objective = aim(options.objective, options.target, options.confidence)
+        result = attack_views(
+            views, detectors, objective, config=config, checkpoint=checkpoint, on_step=follow(advance)
+        )
+        origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)[:1]}
+        result = dataclasses.replace(result, origin={**result.origin, **origin})
+        with new_folder(options.out, force=options.force) as folder:
+            written = [*write_eot_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
+        files = {path.name: options.out / path.name for path in written}
+    if options.json:
+        show_json({**eot_summary(result), "files": {name: str(path) for name, path in files.items()}})
+    else:
+        _tell(result, options)
+    return 0
+
+
+def _beside(out: Path) -> Path:
+    """Where the search is kept while it runs."""
+    return out.with_name(f"{out.name}.checkpoint")
+
+
+def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
+    """A callback that shows each step of the attack, and how it did when it was last judged."""
+    judged = ""
+
+    def note(step: Step) -> None:
+        nonlocal judged
+        if step.score != NOT_JUDGED:
+            judged = f", validation {step.score:.0%}"
+        advance(f"attacking: step {step.index}, loss {step.loss:.3f}{judged}")
+
+    return note
+
+
+def _tell(result: EotResult, options: DaggerEotOptions) -> None:
+    """What happened, warnings if there are some, and where to look."""
+    aims = {"relabel": f"see a {options.target}", "hide": "see nothing"}
+    radii = ", ".join(f"{name} {eps:g}" for name, eps in result.config.radius.items())
+    show(
+        f"{'SUCCESS' if result.success else 'FAILED'}: {', '.join(options.detectors)} shall "
+        f"{aims.get(options.objective, 'see something else')}; {_words(result.rate)} held-out views, "
+        f"{result.config.required_views:.0%} are needed."
+    )
+    show(
+        f"Step {result.best.index} of {result.config.steps} was best by the validation views "
+        f"(budget in {result.config.norm}: {radii}; {result.seconds:.0f} s)."
+    )
+    psnr, noise = result.judgement.image.psnr, result.judgement.noise()
+    change = "No picture changed" if psnr is None else f"The held-out pictures changed to a PSNR of {psnr:.1f} dB"
+    show(f"{change}; random noise of the same size: {_words(noise)}; no attack: {_words(result.judgement.clean())}.")
+    for warning in result.warnings:
+        show(f"warning: {warning}")
+    show(f"Look at {options.out / CONTACT} first. Beside it: the splat (attacked.ply), the object (mask.npy) and every")
+    show("number (result.json).")
+
+
+def _words(rate: Rate) -> str:
+    low, high = rate.interval
+    return f"{rate.successes} of {rate.total} ({low:.0%} to {high:.0%})"

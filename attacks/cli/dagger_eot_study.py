@@ -1,0 +1,79 @@
+"""`mi-splat dagger-eot-study`: many attacks on distributions of views, and tables of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from attacks.cli.dagger_eot import follow
+from attacks.cli.eot_options import DaggerEotStudyOptions
+from attacks.dagger.eot.jobs import EotJob, EotJobRunner
+from attacks.dagger.eot.study import GROUPS, StudySetup
+from attacks.dagger.eot.tables import write_eot_tables
+from attacks.dagger.jobs import AttackScene
+from attacks.dagger.study import JOBS, run_jobs, stored_records
+from attacks.detectors import load_detector
+from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.folders import check_own_folder
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import read_scene
+
+
+def run(options: DaggerEotStudyOptions) -> int:
+    """Run the study, or what is missing of it, and write its tables."""
+    check_own_folder(options.out, JOBS)
+    limit_threads((os.cpu_count() or 1) // 2)
+    groups = options.groups or tuple(GROUPS)
+    for group in groups:
+        if group not in GROUPS:
+            raise InvalidValueError(message("groups", f"some of {', '.join(GROUPS)}", group, "name one of these"))
+    setup = _setup(options)
+    with progress("attacking") as advance:
+        runner = EotJobRunner(
+            lambda name: _read(options.scenes / f"{name}.xml"),
+            load_detector,
+            keep=options.out / "results",
+            on_step=follow(advance),
+        )
+
+        def ask(job: EotJob) -> Mapping[str, Any]:
+            advance(job.name)
+            (record,) = run_jobs([job], options.out, runner.run, fingerprint=runner.fingerprint)
+            write_eot_tables(stored_records(options.out), options.out)
+            result: Mapping[str, Any] = record["result"]
+            return result
+
+        for group in groups:
+            GROUPS[group](ask, setup)
+    records = stored_records(options.out)
+    files = [str(path) for path in write_eot_tables(records, options.out)]
+    if options.json:
+        show_json({"jobs": len(records), "files": files})
+    else:
+        show("\n".join(files))
+    return 0
+
+
+def _setup(options: DaggerEotStudyOptions) -> StudySetup:
+    """What all attacks of the study have in common."""
+    setup = StudySetup(detectors=options.detectors, confidence=options.confidence, config=options.config)
+    chosen = tuple(setup.pairs[number] for number in options.pairs if number < len(setup.pairs))
+    if len(chosen) != len(options.pairs):
+        expected = f"numbers in 0..{len(setup.pairs) - 1}"
+        raise InvalidValueError(message("pairs", expected, options.pairs, "0 is the first of docs/dagger.md"))
+    if not chosen:
+        return setup
+    return StudySetup(detectors=options.detectors, confidence=options.confidence, config=options.config, pairs=chosen)
+
+
+def _read(path: Path) -> AttackScene:
+    loaded = read_scene(path)
+    return AttackScene(
+        scene=loaded.scene,
+        objects=loaded.objects,
+        cameras=tuple(loaded.cameras.values()),
+        render=Renderer(loaded.settings),
+    )

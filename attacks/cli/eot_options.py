@@ -1,0 +1,83 @@
+"""The options of DAGGER on distributions of views; light, so that --help is fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from attacks.dagger.eot.config import EotConfig
+from attacks.transformations.config import CameraRegion, PictureChanges
+from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.selection.config import Selection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerEotOptions:
+    """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
+
+    Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
+    attacked.ply, mask.npy (the object) and result.json into --out; of a scene XML also attacked.xml with its parts.
+    An attack that was interrupted goes on where it stopped when the same command is given again. The exit status is 0
+    also when the attack fails: that is a result.
+    """
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats, or a splat file."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
+    region: OmitArgPrefixes[CameraRegion] = field(default_factory=CameraRegion)
+    """Where the object is looked at from."""
+    pictures: OmitArgPrefixes[PictureChanges] = field(default_factory=PictureChanges)
+    """What happens to the pictures between renderer and detector; by default nothing."""
+    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
+    """The aim: another class (--target), no detection at all, or any but the right class."""
+    target: str = "person"
+    """Class that the detectors shall see there (relabel)."""
+    confidence: float | None = None
+    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    config: OmitArgPrefixes[EotConfig] = field(default_factory=EotConfig)
+    """How to attack."""
+    checkpoint: Path | None = None
+    """File that keeps the search while it runs; None is one beside --out."""
+    out: Path = Path("out/dagger-eot")
+    """Folder for the results: a new one, written whole when the attack has ended."""
+    force: bool = False
+    """Replace an older result in --out."""
+    json: bool = False
+    """Print the result as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerEotStudyOptions:
+    """Run many attacks on all cameras of a region: the paper's pairs, smallest radii, curves; make tables.
+
+    A study that was interrupted goes on where it stopped when the same command is given again. Writes jobs/, results/
+    (pictures and splats), table.md and table.json into --out. The tables show all that is in jobs/, so a second command
+    adds another detector to them. Curves are made for the first of the pairs.
+    """
+
+    groups: tuple[str, ...] = ()
+    """Tables to make, all if none is named: pairs, smallest, curve, pool, degree, changes, attributes."""
+    pairs: tuple[int, ...] = ()
+    """Numbers of the paper's six pairs, all if none is named."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
+    confidence: float | None = None
+    """Confidence of the target class that counts as success; 0.7 if None."""
+    config: OmitArgPrefixes[EotConfig] = field(default_factory=EotConfig)
+    """How to attack."""
+    out: Path = Path("out/studies/dagger-eot")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print the names of the files as one JSON document on stdout."""

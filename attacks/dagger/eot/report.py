@@ -1,0 +1,169 @@
+"""What an attack on a distribution of views leaves behind: held-out pictures, the attacked splat, and one JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from attacks.dagger.eot.judging import JudgedView
+from attacks.dagger.eot.result import EotResult, by_angle, found_rate
+from attacks.dagger.eot.search import NOT_JUDGED
+from attacks.evaluation.drawing import annotated, stacked
+from mi_splat.io import save_splat
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.folders import RECORD, new_folder
+
+CONTACT = "held_out.png"
+_AZIMUTHS, _ELEVATIONS = 8, 4
+
+
+def write_eot_report(result: EotResult, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
+    """Write held_out.png, attacked.ply and result.json. The folder appears whole or not at all.
+
+    Args:
+        result: What the attack did.
+        folder: A new folder; those above it are made.
+        force: Whether it may replace an older result.
+
+    Returns:
+        Path of every file by its name.
+
+    Raises:
+        SplatFileError: The folder is in use or cannot be written.
+    """
+    with new_folder(folder, force=force) as place:
+        names = [path.name for path in write_eot_files(result, place)]
+    return {name: Path(folder) / name for name in names}
+
+
+def write_eot_files(result: EotResult, folder: Path) -> list[Path]:
+    """Write the files of `write_eot_report` into a folder that is there; returns their paths."""
+    save_png(contact_sheet(result), folder / CONTACT)
+    save_splat(result.scene, folder / "attacked.ply")
+    save_json(eot_summary(result), folder / RECORD)
+    return [folder / name for name in (CONTACT, "attacked.ply", RECORD)]
+
+
+def eot_summary(result: EotResult) -> dict[str, Any]:
+    """The result as JSON can hold it; keys are explained in `EotResult` and `EotConfig`."""
+    config, judgement = result.config, result.judgement
+    region = result.judged.cameras
+    return {
+        "attack": "dagger-eot",
+        "objective": result.objective.name,
+        "target": result.objective.label,
+        "success": result.success,
+        "rate": result.rate.as_dict(),
+        "rates": {name: _rates(result, name) for name in result.detectors},
+        "clean_rate": judgement.clean().as_dict(),
+        "noise_rate": judgement.noise().as_dict(),
+        "unambiguous_rate": judgement.unambiguous().as_dict(),
+        "image_psnr": judgement.image.psnr,
+        "psnr_definition": "of the mean squared error over all pixels of all held-out views, 8 bits, in dB",
+        "image": dataclasses.asdict(judgement.image),
+        "noise_psnr": [image.psnr for image in judgement.noise_images],
+        "steps": result.best.index,
+        "norm": config.norm,
+        "eps": config.eps[0] if len(config.eps) == 1 else None,
+        "radius": config.radius,
+        "used": result.used,
+        "used_in_file": result.used_in_file,
+        "space": "splat file: SH, world units, log-scales, quaternions before normalisation, logit opacities",
+        "changed_gaussians": result.changed_gaussians,
+        "object_gaussians": result.object_gaussians,
+        "redraws": result.redraws,
+        "by_azimuth": by_angle(result, lambda one: one.view.direction.azimuth, (0.0, 360.0), _AZIMUTHS),
+        "by_elevation": by_angle(result, lambda one: one.view.direction.elevation, region.elevations, _ELEVATIONS),
+        "warnings": list(result.warnings),
+        "views": [_view(result, one) for one in judgement.views],
+        "trace": [_line(dataclasses.asdict(line)) for line in result.trace],
+        "seed": config.seed,
+        "config": {
+            **dataclasses.asdict(config),
+            "transformations": dataclasses.asdict(result.transformations),
+            "judged": dataclasses.asdict(result.judged),
+            "objective": dataclasses.asdict(result.objective) if dataclasses.is_dataclass(result.objective) else {},
+        },
+        **result.origin,
+        "seconds": round(result.seconds, 3),
+    }
+
+
+def _rates(result: EotResult, detector: str) -> dict[str, Any]:
+    """What one detector reports."""
+    judgement = result.judgement
+    return {
+        "original": result.originals[detector],
+        "success": judgement.success(detector).as_dict(),
+        "noise": judgement.noise(detector).as_dict(),
+        "clean": judgement.clean(detector).as_dict(),
+        "found_clean": found_rate(result, detector, attacked=False).as_dict(),
+        "found_attacked": found_rate(result, detector, attacked=True).as_dict(),
+    }
+
+
+def _view(result: EotResult, one: JudgedView) -> dict[str, Any]:
+    label, original = result.objective.label, result.originals[one.detector]
+    direction = one.view.direction
+    return {
+        "index": one.view.index,
+        "detector": one.detector,
+        "azimuth": round(direction.azimuth, 2),
+        "elevation": round(direction.elevation, 2),
+        "position": [round(x, 4) for x in one.view.camera.position.tolist()],
+        "change": dataclasses.asdict(one.view.change),
+        "success": one.verdict.success,
+        "unambiguous": one.verdict.unambiguous,
+        "score": round(one.verdict.score, 4),
+        "clean_score": round(one.clean_verdict.score, 4),
+        "noise_scores": [round(verdict.score, 4) for verdict in one.noise],
+        "target_confidence": round(one.confidence(label, attacked=True), 4) if label else None,
+        "clean_confidence": round(one.confidence(original, attacked=False), 4) if original else 0.0,
+        "original_confidence": round(one.confidence(original, attacked=True), 4) if original else 0.0,
+        "box": [round(float(x), 2) for x in one.view.box],
+    }
+
+
+def _line(line: dict[str, Any]) -> dict[str, Any]:
+    """A line of the trace; what was not judged has no verdict."""
+    if line["score"] == NOT_JUDGED:
+        return {"index": line["index"], "loss": line["loss"]}
+    return {name: line[name] for name in ("index", "loss", "score", "success")}
+
+
+def contact_sheet(
+    result: EotResult, *, most: int = 8, columns: int = 2, side: int = 384, min_confidence: float = 0.3
+) -> NDArray[np.uint8]:
+    """Held-out views with boxes, evenly around the object: the clean picture beside the attacked one.
+
+    Args:
+        result: The attack.
+        most: Views shown, by the first detector.
+        columns: Pairs of pictures beside each other.
+        side: Width of a picture, pixels.
+        min_confidence: Confidence from which a detection is drawn, in [0, 1].
+    """
+    views = [one for one in result.judgement.views if one.detector == result.detectors[0]]
+    views.sort(key=lambda one: one.view.direction.azimuth)
+    count = min(most, len(views))
+    pairs = [_pair(views[place * len(views) // count], side, min_confidence) for place in range(count)]
+    rows = [pairs[first : first + columns] for first in range(0, count, columns)]
+    return stacked([np.concatenate(row, axis=1) for row in rows])
+
+
+def _pair(one: JudgedView, side: int, min_confidence: float) -> NDArray[np.uint8]:
+    """One view: clean beside attacked, each `side` pixels wide."""
+    direction = one.view.direction
+    sides = ((one.images[0], one.clean, "clean"), (one.images[1], one.attacked, "attacked"))
+    found = []
+    for image, detections, name in sides:
+        title = f"{name}, {direction.azimuth:.0f} / {direction.elevation:.0f}"
+        large = Image.fromarray(annotated(image, detections, title, min_confidence=min_confidence))
+        small = large.resize((side, max(1, round(large.height * side / large.width))), Image.Resampling.LANCZOS)
+        found.append(np.asarray(small))
+    return np.concatenate(found, axis=1)

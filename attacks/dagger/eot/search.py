@@ -1,0 +1,176 @@
+"""The search for a perturbation that holds over a distribution of views: PGD on mini-batches, resumable to the bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from attacks.dagger.eot.checkpoint import SearchState, load_state, save_state
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.problem import EotProblem, joined
+from attacks.dagger.eot.views import DrawnView, ViewDistribution, batch_indices
+from attacks.optimisers import START, AdamDescent, MomentumDescent
+from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd, rank
+
+NOT_JUDGED = -1.0
+"""Score of a step that the validation views did not look at."""
+
+VALIDATION_SEED_OFFSET = 500_000_000
+"""Added to the attack's seed for its validation views."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint:
+    """Where a search is kept while it runs.
+
+    Attributes:
+        path: The file; removed when the search has ended.
+        every: Steps between two writings.
+    """
+
+    path: Path
+    every: int = 10
+
+
+def search(
+    problem: EotProblem,
+    views: ViewDistribution,
+    config: EotConfig,
+    *,
+    key: str = "",
+    checkpoint: Checkpoint | None = None,
+    on_step: Callable[[Step], None] | None = None,
+) -> SearchState:
+    """Search until the last step, or until enough validation views are deceived.
+
+    A search whose checkpoint is there goes on from it, to the bits that it would have found without the break, on the
+    same number of torch threads.
+
+    Args:
+        problem: Losses and verdicts.
+        views: Where views are drawn from.
+        config: How to attack.
+        key: What tells this attack from others, for the checkpoint.
+        checkpoint: Where to keep the search; None for nowhere.
+        on_step: Called with every line of the trace as it happens.
+
+    Returns:
+        The state at the end; its `best` is the outcome.
+
+    Raises:
+        CheckpointError: The checkpoint is one of another attack.
+        BudgetError: The best point is outside the ball.
+    """
+    reference, budget = problem.reference(config.attributes, config.sh_degree), config.budget
+    begun = None if checkpoint is None else load_state(checkpoint.path, key=key)
+    if begun is None:
+        begun = SearchState(point=reference, optimiser=START, best=reference, best_line=None, trace=(), seconds=0.0)
+    update = _update(config, begun)
+    run = _Run(problem, views, config, begun, update, key, checkpoint, on_step)
+
+    def same_memory(ball: Ball, step: object) -> Update:
+        return update
+
+    pgd(
+        run.evaluate,
+        reference,
+        budget,
+        step=config.step,
+        steps=config.steps - begun.optimiser.index,
+        starts=[begun.point],
+        optimiser=same_memory,
+        early_stop=config.stop_at is not None,
+        on_step=run.note,
+    )
+    budget.check(run.best, reference)
+    return run.state()
+
+
+def _update(config: EotConfig, begun: SearchState) -> MomentumDescent | AdamDescent:
+    """What makes the steps, with the memory of the state."""
+    if config.optimiser == "adam":
+        return AdamDescent(
+            config.step, decay=config.momentum, schedule=config.schedule, steps=config.steps, state=begun.optimiser
+        )
+    return MomentumDescent(
+        config.budget,
+        config.step,
+        decay=config.momentum,
+        schedule=config.schedule,
+        steps=config.steps,
+        state=begun.optimiser,
+    )
+
+
+class _Run:
+    """What a search has found so far, and what `pgd` asks of it."""
+
+    def __init__(
+        self,
+        problem: EotProblem,
+        views: ViewDistribution,
+        config: EotConfig,
+        begun: SearchState,
+        update: MomentumDescent | AdamDescent,
+        key: str,
+        checkpoint: Checkpoint | None,
+        on_step: Callable[[Step], None] | None,
+    ) -> None:
+        self._problem, self._views, self._config = problem, views, config
+        self._update, self._key, self._checkpoint, self._on_step = update, key, checkpoint, on_step
+        self._first, self._earlier, self._clock = begun.optimiser.index, begun.seconds, time.perf_counter()
+        self._trace, self.best, self._best_line = list(begun.trace), begun.best, begun.best_line
+        self._point = begun.point
+        self._validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
+
+    def state(self) -> SearchState:
+        """The search as it stands."""
+        return SearchState(
+            point=self._point,
+            optimiser=self._update.state,
+            best=self.best,
+            best_line=self._best_line,
+            trace=tuple(self._trace),
+            seconds=self._earlier + time.perf_counter() - self._clock,
+        )
+
+    def evaluate(self, point: Parameters) -> Evaluation:
+        """Loss and gradients over the step's views; the verdict where the step is one of those that are judged."""
+        self._point, config = point, self._config
+        index = self._update.state.index
+        kept = self._checkpoint
+        if kept is not None and index > self._first and index % kept.every == 0:
+            save_state(self.state(), kept.path, key=self._key)
+        loss, gradients = self._problem.loss(point, self._batch(index))
+        if (index == 0 or index % config.validate_every) and index != config.steps:
+            return Evaluation(loss=loss, gradients=gradients, success=False, score=NOT_JUDGED, unambiguous=False)
+        successes, score = joined(self._problem.verdicts(point, self._validation))
+        share = successes / len(self._validation)
+        enough = config.stop_at is not None and share >= config.stop_at - 1e-9
+        success = share >= config.required_views - 1e-9
+        return Evaluation(loss=loss, gradients=gradients, success=success, score=score, unambiguous=success and enough)
+
+    def note(self, line: Step) -> None:
+        """A line of the trace, numbered from the beginning of the search."""
+        numbered = Step(
+            index=self._first + line.index,
+            loss=line.loss,
+            score=line.score,
+            success=line.success,
+            unambiguous=line.unambiguous,
+            zero_gradient_fraction=line.zero_gradient_fraction,
+        )
+        self._trace.append(numbered)
+        judged = line.score != NOT_JUDGED
+        if judged and (self._best_line is None or rank(numbered) > rank(self._best_line)):
+            self.best, self._best_line = self._point, numbered
+        if self._on_step is not None:
+            self._on_step(numbered)
+
+    def _batch(self, index: int) -> Sequence[DrawnView]:
+        """The views of a step."""
+        config = self._config
+        numbers = batch_indices(index, seed=config.seed, batch=config.batch, pool=config.pool)
+        return [self._views.view(config.seed, number, keep=config.pool > 0) for number in numbers]

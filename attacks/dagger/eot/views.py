@@ -1,0 +1,168 @@
+"""Views of one object, drawn by seed and number from a distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from attacks.evaluation.visibility import visible_box, visible_weight
+from attacks.gaussian_subset import GaussianSubset, Mask
+from attacks.transformations.cameras import draw_camera
+from attacks.transformations.config import Transformations
+from attacks.transformations.pictures import PictureChange, change_picture, draw_change
+from mi_splat.bounds import bounds
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.directions import Direction, direction_of
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene, check_scene
+
+T = TypeVar("T")
+
+_ATTEMPTS = 200
+"""Cameras drawn for one view before we say that the region does not show the object."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DrawnView:
+    """One view of the object.
+
+    Attributes:
+        index: Number of the draw.
+        camera: Where from.
+        change: What happens to the picture.
+        box: (4,) x0, y0, x1, y1 in pixels: where the object shows.
+        weight: (H, W) fraction of each pixel that the object makes up.
+        direction: Of the camera, from the object's middle.
+        redraws: Cameras that were drawn before and did not show the object.
+    """
+
+    index: int
+    camera: Camera
+    change: PictureChange
+    box: Tensor
+    weight: Tensor
+    direction: Direction
+    redraws: int
+
+    def changed(self, picture: Tensor) -> Tensor:
+        """What becomes of a rendered (H, W, 3) picture of this view before a detector sees it; values in [0, 1]."""
+        return change_picture(picture, self.change)
+
+
+class ViewDistribution:
+    """The views that an attack is made for: an object, its renderer, and what is random about them.
+
+    A view depends on the seed and the number alone, so the views of one seed are the same whoever asks, and in whatever
+    order. Views that were asked for are kept, unless told otherwise.
+
+    Attributes:
+        scene: The clean splat.
+        mask: The object's Gaussians.
+        reference: Camera that gives the size of the pictures, the field of view and the unit of distances.
+        transformations: What is random.
+        render: The renderer.
+        centre: (3,) middle of the object, world units.
+        radius: Of the object, world units.
+    """
+
+    def __init__(
+        self,
+        scene: GaussianScene,
+        mask: Mask,
+        reference: Camera,
+        transformations: Transformations | None = None,
+        *,
+        render: RenderFn,
+    ) -> None:
+        """The distribution; see the attributes.
+
+        Raises:
+            InvalidValueError: The mask does not fit the scene or selects nothing.
+        """
+        check_scene("scene", scene)
+        self.scene, self.mask, self.reference, self.render = scene, mask, reference, render
+        self.transformations = transformations or Transformations()
+        self._subset = GaussianSubset.of(scene, mask)
+        self.centre, self.radius = bounds(scene.select(self._subset.rows))
+        self._kept: dict[tuple[int, int], DrawnView] = {}
+        self._memory: dict[Hashable, Any] = {}
+
+    def view(self, seed: int, index: int, *, keep: bool = True) -> DrawnView:
+        """One view.
+
+        Args:
+            seed: Of all views that belong together.
+            index: Number of the view, 0 or more.
+            keep: Whether to keep it for the next time.
+
+        Raises:
+            InvalidValueError: No camera of the region shows the object.
+        """
+        if (seed, index) in self._kept:
+            return self._kept[seed, index]
+        view = self._draw(seed, index)
+        if keep:
+            self._kept[seed, index] = view
+        return view
+
+    def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` returns, made once for each key: for what several attacks on the same views have to know."""
+        if key not in self._memory:
+            self._memory[key] = make()
+        found: T = self._memory[key]
+        return found
+
+    def views(self, seed: int, count: int) -> list[DrawnView]:
+        """The first `count` views of a seed."""
+        return [self.view(seed, index) for index in range(count)]
+
+    def _draw(self, seed: int, index: int) -> DrawnView:
+        least = self.transformations.cameras.least_visible
+        for attempt in range(_ATTEMPTS):
+            generator = np.random.default_rng((seed, index, attempt))
+            change = draw_change(self.transformations.pictures, generator)
+            camera = draw_camera(
+                self.transformations.cameras,
+                generator,
+                centre=self.centre,
+                radius=self.radius,
+                reference=self.reference,
+            )
+            weight = visible_weight(self._subset, camera, self.render)
+            box = visible_box(weight)
+            if box is not None and float((weight >= 0.5).to(torch.float32).mean()) >= least:
+                return DrawnView(
+                    index=index,
+                    camera=camera,
+                    change=change,
+                    box=box,
+                    weight=weight,
+                    direction=direction_of(camera, self.centre),
+                    redraws=attempt,
+                )
+        expected = f"one of {_ATTEMPTS} cameras that shows the object on {least:.1%} of the picture"
+        raise InvalidValueError(message("region of the cameras", expected, "none", "move it, or lower least_visible"))
+
+
+def batch_indices(step: int, *, seed: int, batch: int, pool: int) -> list[int]:
+    """Numbers of the views of one step: a function of the step, so that a run can be taken up again.
+
+    Args:
+        step: Number of the step, 0 or more.
+        seed: Of the order.
+        batch: Views a step.
+        pool: Number of different views, each of which comes once before one comes again; 0 for new ones at each step.
+    """
+    first = step * batch
+    if not pool:
+        return list(range(first, first + batch))
+    orders = {
+        turn: np.random.default_rng((seed, turn)).permutation(pool)
+        for turn in range(first // pool, 1 + (first + batch - 1) // pool)
+    }
+    return [int(orders[place // pool][place % pool]) for place in range(first, first + batch)]

@@ -1,0 +1,145 @@
+"""What happens to a picture between the renderer and the detector.
+
+The attack and the judge use the same functions. Where the real thing has no derivative (8 bits, JPEG), the derivative
+is that of doing nothing: a straight-through estimate (Bengio et al. 2013; BPDA, Athalye et al. 2018).
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from attacks.transformations.config import PictureChanges
+from mi_splat.io.images import to_bytes
+
+_BEST_QUALITY = 95
+_DARK = 1e-4
+"""Pictures are kept this far from 0 where a power has no derivative."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureChange:
+    """One draw from `PictureChanges`; the fields are named alike.
+
+    Attributes:
+        gains: Factors of red, green and blue, in linear light; exposure and white balance together.
+        gamma: Exponent of the picture.
+        blur: Standard deviation, pixels.
+        resize: Factor.
+        noise: Standard deviation.
+        noise_seed: Seed of the noise.
+        jpeg: Quality; 0 for none.
+    """
+
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gamma: float = 1.0
+    blur: float = 0.0
+    resize: float = 1.0
+    noise: float = 0.0
+    noise_seed: int = 0
+    jpeg: int = 0
+
+
+def draw_change(changes: PictureChanges, generator: np.random.Generator) -> PictureChange:
+    """What happens to one picture.
+
+    Args:
+        changes: How much may happen.
+        generator: Source of the draw; the same number of values is taken from it whatever the changes.
+    """
+    exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(size=9).tolist()
+    light = 2.0 ** (changes.exposure * (2 * exposure - 1))
+    red, blue = (1 + changes.white_balance * (2 * share - 1) for share in (red, blue))
+    return PictureChange(
+        gains=(light * red, light, light * blue),
+        gamma=math.exp(changes.gamma * (2 * gamma - 1)),
+        blur=changes.blur * blur,
+        resize=1 - (1 - changes.resize) * resize,
+        noise=changes.noise * noise,
+        noise_seed=int(seed * 2**31),
+        jpeg=changes.jpeg and changes.jpeg + round((_BEST_QUALITY - changes.jpeg) * jpeg),
+    )
+
+
+def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
+    """The changed picture, differentiable in the picture.
+
+    Args:
+        picture: (H, W, 3) sRGB in [0, 1].
+        change: What happens to it.
+
+    Returns:
+        (H, W, 3) sRGB in [0, 1].
+    """
+    if change.gains != (1.0, 1.0, 1.0):
+        picture = _to_srgb(_to_linear(picture) * picture.new_tensor(change.gains))
+    if change.gamma != 1.0:
+        picture = picture.clamp(min=_DARK) ** change.gamma
+    if change.blur > 0:
+        picture = _blurred(picture, change.blur)
+    if change.resize < 1:
+        picture = _resized(picture, change.resize)
+    if change.noise > 0:
+        generator = torch.Generator().manual_seed(change.noise_seed)
+        picture = picture + change.noise * torch.randn(picture.shape, generator=generator).to(picture)
+    picture = picture.clamp(0, 1)
+    if change.jpeg:
+        compressed: Tensor = _Jpeg.apply(picture, change.jpeg)
+        return compressed
+    return picture
+
+
+def _to_linear(picture: Tensor) -> Tensor:
+    """IEC 61966-2-1, from sRGB."""
+    high = ((picture.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
+    return torch.where(picture <= 0.04045, picture / 12.92, high)
+
+
+def _to_srgb(light: Tensor) -> Tensor:
+    """IEC 61966-2-1, to sRGB."""
+    high = 1.055 * light.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(light <= 0.0031308, 12.92 * light, high)
+
+
+def _blurred(picture: Tensor, sigma: float) -> Tensor:
+    """Gaussian blur; the edge pixels go on beyond the edge."""
+    reach = max(1, math.ceil(3 * sigma))
+    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1).to(picture) / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).expand(3, 1, 1, -1)
+    planes = torch.nn.functional.pad(picture.permute(2, 0, 1)[None], (reach,) * 4, mode="replicate")
+    planes = torch.nn.functional.conv2d(planes, kernel, groups=3)
+    planes = torch.nn.functional.conv2d(planes, kernel.transpose(2, 3), groups=3)
+    return planes[0].permute(1, 2, 0)
+
+
+def _resized(picture: Tensor, factor: float) -> Tensor:
+    """Made smaller, each new pixel the mean of the old ones, and back to its size, so that boxes stay in place."""
+    height, width = picture.shape[:2]
+    small = (max(1, round(height * factor)), max(1, round(width * factor)))
+    planes = picture.permute(2, 0, 1)[None]
+    planes = torch.nn.functional.interpolate(planes, small, mode="bilinear", antialias=True)
+    planes = torch.nn.functional.interpolate(planes, (height, width), mode="bilinear")
+    return planes[0].permute(1, 2, 0)
+
+
+class _Jpeg(torch.autograd.Function):
+    """A real JPEG file forwards, and backwards as if it were not there."""
+
+    @staticmethod
+    def forward(ctx: Any, picture: Tensor, quality: int) -> Tensor:
+        buffer = io.BytesIO()
+        Image.fromarray(to_bytes(picture)).save(buffer, format="JPEG", quality=quality)
+        with Image.open(buffer) as read:
+            pixels = np.asarray(read.convert("RGB"), dtype=np.float32) / 255
+        return torch.from_numpy(pixels).to(picture)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        return gradients[0], None

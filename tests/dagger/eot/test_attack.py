@@ -1,0 +1,179 @@
+"""DAGGER on distributions of views, on fakes: what holds on held-out views, what may not move, controls, warnings."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from attacks.dagger.eot.attack import attack_views
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.problem import joined
+from attacks.dagger.eot.result import by_angle
+from attacks.evaluation.views import as_saved
+from attacks.limits import NORM_NAMES, NormName
+from attacks.objectives import Verdict, hide, relabel, untargeted
+from attacks.transformations.config import PictureChanges
+from mi_splat.attributes import Attribute
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.images import through_png
+from mi_splat.scene import ATTRIBUTES
+from tests.dagger.eot.toy import QUICK, quick, toy_views
+from tests.fakes import ColourDetector, blobs, toy_scene
+
+
+def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
+    found = quick()
+    assert found.success
+    assert found.rate.successes == found.rate.total == 8
+    assert found.judgement.clean().successes == found.judgement.noise().successes == 0
+    assert found.warnings == ()
+    assert found.originals == {"fake_colour": "car"}
+    attacked = {(view.index, 0) for view in toy_views().views(0, 6)}
+    assert len(attacked) == 6
+    held_out = [view.camera.to_world for view in toy_views().views(1000, 8)]
+    assert torch.equal(held_out[0], found.judgement.views[0].view.camera.to_world)
+
+
+@pytest.mark.parametrize("norm", NORM_NAMES)
+@pytest.mark.parametrize("attribute", ATTRIBUTES)
+def test_only_the_attribute_moves_and_stays_in_its_ball(attribute: Attribute, norm: NormName) -> None:
+    scene, mask = toy_scene()
+    found = quick(untargeted(), attributes=(attribute,), norm=norm, eps=(0.4,), steps=3, sh_degree=1, held_out=2)
+    assert 0 < found.used[attribute] <= 0.4
+    assert found.changed_gaussians <= int(mask.sum())
+    for name in ATTRIBUTES:
+        before, after = getattr(scene, name), getattr(found.scene, name)
+        assert torch.equal(before[~mask], after[~mask])
+        assert torch.equal(before, after) == (name != attribute)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_sh_changes_up_to_a_degree(degree: int) -> None:
+    found = quick(sh_degree=degree)
+    scene, mask = toy_scene()
+    assert found.scene.degree == max(degree, 1)
+    before = scene.with_degree(found.scene.degree).sh[mask]
+    moved = (found.scene.sh[mask] != before).any(-1).any(0)
+    assert moved.tolist() == [k < (degree + 1) ** 2 for k in range(before.shape[1])]
+
+
+def test_the_control_moves_what_the_attack_moves_by_as_much() -> None:
+    found = quick(sh_degree=0, norm="l2", eps=(12.0,))
+    assert len(found.judgement.noise_images) == 1
+    assert found.used_in_file["sh"] == pytest.approx(found.used["sh"], rel=1e-5)
+    assert found.judgement.noise_images[0].outside == pytest.approx(found.judgement.image.outside, abs=0.02)
+
+
+def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:
+    found, views = quick(), toy_views()
+    clean, attacked = views.scene.with_degree(3), as_saved(found.scene)
+    errors = [
+        (through_png(blobs(clean, view.camera)) - through_png(blobs(attacked, view.camera))).double().square().mean()
+        for view in views.views(1000, 8)
+    ]
+    assert found.judgement.image.psnr == pytest.approx(-10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3)
+
+
+def test_picture_changes_are_seen_by_the_detector_and_not_by_the_psnr() -> None:
+    changes = PictureChanges(exposure=0.2, blur=0.5, noise=0.02, jpeg=60)
+    found = quick(views=toy_views(changes))
+    judged = attack_views(
+        toy_views(), ColourDetector(), relabel("person"), config=EotConfig(**QUICK), judged=toy_views(changes)
+    )
+    plain = quick()
+    assert found.rate.successes >= 6
+    assert judged.judgement.image.psnr == pytest.approx(plain.judgement.image.psnr)
+    assert not torch.equal(judged.judgement.views[0].images[0], plain.judgement.views[0].images[0])
+    assert judged.judged.pictures == changes
+    assert judged.transformations.pictures.are_none
+
+
+def test_several_detectors_have_to_be_deceived_together() -> None:
+    class Shy(ColourDetector):
+        """Never reports a person."""
+
+        name = "shy"
+
+        def detect(self, images: torch.Tensor) -> list[Any]:
+            return [
+                dataclasses.replace(one, boxes=one.boxes[:0], scores=one.scores[:0], labels=())
+                for one in super().detect(images)
+            ]
+
+    found = attack_views(toy_views(), [ColourDetector(), Shy()], relabel("person"), config=EotConfig(**QUICK))
+    assert found.judgement.success("fake_colour").successes == 8
+    assert found.judgement.success("shy").successes == found.rate.successes == 0
+    assert found.rate.total == 8
+    assert not found.success
+    assert any("shy finds the clean object in 0 of 8" in warning for warning in found.warnings)
+
+
+def test_the_same_seeds_find_the_same_bits() -> None:
+    first, second, other = quick(), quick(), quick(seed=5)
+    assert torch.equal(first.scene.sh, second.scene.sh)
+    assert not torch.equal(first.scene.sh, other.scene.sh)
+
+
+def test_the_best_step_is_the_validation_s() -> None:
+    found = quick()
+    judged = [line for line in found.trace if line.score >= 0]
+    assert [line.index for line in judged] == [3, 6, 8]
+    assert found.best.score == max(line.score for line in judged)
+    assert found.best.index > 0
+
+
+def test_enough_success_can_end_the_search() -> None:
+    found = quick(stop_at=1.0, steps=30)
+    assert found.success
+    assert found.trace[-1].index < 30
+
+
+def test_scores_order_by_successes_first() -> None:
+    def row(success: bool, score: float) -> list[Verdict]:
+        return [Verdict(success=success, score=score, unambiguous=success)]
+
+    assert joined([row(True, 0.7), row(False, 0.0)])[0] == 1
+    assert joined([row(True, 0.7), row(False, 0.0)])[1] > joined([row(False, 0.69), row(False, 0.69)])[1]
+    assert joined([row(True, 0.9), row(False, 0.0)])[1] > joined([row(True, 0.7), row(False, 0.0)])[1]
+
+
+def test_success_over_an_angle_counts_every_view_once() -> None:
+    found = quick()
+    parts = by_angle(found, lambda one: one.view.direction.elevation, (0.0, 30.0), 3)
+    assert sum(part["total"] for part in parts) == 8
+    assert [part["from"] for part in parts] == [0.0, 10.0, 20.0]
+    assert by_angle(found, lambda one: 1.0, (5.0, 5.0), 3) == []
+
+
+def test_hiding_works_as_well() -> None:
+    assert quick(hide()).success
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"judge_seed": 0}, "judge_seed"),
+        ({"momentum": 1.0}, "momentum"),
+        ({"schedule": "steep"}, "schedule"),
+        ({"batch": 0}, "batch"),
+        ({"stop_at": 0.0}, "stop_at"),
+        ({"required_views": 1.5}, "required_views"),
+        ({"eps": (1.0, 2.0)}, "eps"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
+        EotConfig(**settings)
+
+
+def test_detectors_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(InvalidValueError, match="a class of fake_colour"):
+        quick(relabel("zebra"))
+    with pytest.raises(InvalidValueError, match="at least one, of different names"):
+        attack_views(toy_views(), [ColourDetector()] * 2, hide())
+    with pytest.raises(InvalidValueError, match="at least one"):
+        attack_views(toy_views(), [], hide())

@@ -1,0 +1,39 @@
+"""DAGGER over distributions of views with the real renderer and the shipped detector, small."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from attacks.dagger.eot.attack import attack_views
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.views import ViewDistribution
+from attacks.detectors import load_detector
+from attacks.objectives import relabel
+from attacks.transformations.config import CameraRegion, Transformations
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import read_scene
+
+SCENE = Path(__file__).resolve().parents[3] / "scenes" / "car_street.xml"
+
+
+@pytest.mark.slow
+def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() -> None:
+    loaded = read_scene(SCENE)
+    front = next(iter(loaded.cameras.values()))
+    small = dataclasses.replace(front, width=128, height=128, focal=front.fx / 2)
+    region = CameraRegion(azimuths=(-20.0, 20.0), elevations=(5.0, 20.0))
+    views = ViewDistribution(
+        loaded.scene,
+        loaded.objects["car"],
+        small,
+        Transformations(cameras=region),
+        render=Renderer(loaded.settings),
+    )
+    config = EotConfig(steps=25, step_factor=4.0, pool=32, validation=4, validate_every=5, held_out=10)
+    found = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)
+    assert found.rate.successes >= 7
+    assert found.judgement.noise().successes <= 1
+    assert found.judgement.clean().successes <= 1

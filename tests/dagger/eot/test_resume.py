@@ -1,0 +1,96 @@
+"""A search that was interrupted goes on to the same bits; a checkpoint of another attack is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from attacks.dagger.eot.attack import attack_views
+from attacks.dagger.eot.checkpoint import CheckpointError
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.result import EotResult
+from attacks.dagger.eot.search import Checkpoint
+from attacks.objectives import relabel
+from attacks.pgd import Step
+from tests.dagger.eot.toy import QUICK, toy_views
+from tests.fakes import ColourDetector
+
+
+class KilledError(Exception):
+    """The end of a process."""
+
+
+def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> EotResult:
+    def kill(line: Step) -> None:
+        if line.index == killed_at:
+            raise KilledError
+
+    return attack_views(
+        toy_views(),
+        ColourDetector(),
+        relabel("person"),
+        config=EotConfig(**{**QUICK, **settings}),
+        checkpoint=None if path is None else Checkpoint(path=path, every=2),
+        on_step=kill,
+    )
+
+
+@pytest.mark.parametrize(
+    ("killed_at", "settings"),
+    [
+        (2, {}),
+        (5, {"pool": 0}),
+        (5, {"optimiser": "momentum"}),
+        (8, {"norm": "l2", "eps": (9.0,), "schedule": "cosine"}),
+    ],
+    ids=str,
+)
+def test_an_interrupted_search_finds_the_same_bits(tmp_path: Path, killed_at: int, settings: dict[str, Any]) -> None:
+    path = tmp_path / "search.checkpoint"
+    whole = run(None, **settings)
+    with pytest.raises(KilledError):
+        run(path, killed_at=killed_at, **settings)
+    assert path.exists()
+    resumed = run(path, **settings)
+    for before, after in zip(whole.scene.tensors(), resumed.scene.tensors(), strict=True):
+        assert torch.equal(before, after)
+    assert resumed.trace == whole.trace
+    assert resumed.best == whole.best
+    assert not path.exists()  # the search has ended
+
+
+def test_a_search_goes_on_and_does_not_begin_anew(tmp_path: Path) -> None:
+    path, seen = tmp_path / "search.checkpoint", []
+    with pytest.raises(KilledError):
+        run(path, killed_at=5)
+    attack_views(
+        toy_views(),
+        ColourDetector(),
+        relabel("person"),
+        config=EotConfig(**QUICK),
+        checkpoint=Checkpoint(path=path, every=2),
+        on_step=lambda line: seen.append(line.index),
+    )
+    assert seen == [4, 5, 6, 7, 8]
+
+
+def test_a_checkpoint_of_another_attack_is_refused_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "search.checkpoint"
+    with pytest.raises(KilledError):
+        run(path, killed_at=5)
+    with pytest.raises(CheckpointError, match="one of this very attack"):
+        run(path, eps=(1.0,))
+    assert path.exists()
+    # How it is judged is not part of the search.
+    assert run(path, held_out=3).rate.total == 3
+
+
+def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "search.checkpoint"
+    path.write_bytes(b"something else")
+    with pytest.raises(CheckpointError, match="expected a checkpoint"):
+        run(path)
+    assert path.read_bytes() == b"something else"

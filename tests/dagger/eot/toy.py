@@ -1,0 +1,40 @@
+"""A toy object, its views and a quick attack on fakes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from attacks.dagger.eot.attack import attack_views
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.result import EotResult
+from attacks.dagger.eot.views import ViewDistribution
+from attacks.objectives import Objective, relabel
+from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
+
+REGION = CameraRegion(azimuths=(-120.0, -60.0), elevations=(0.0, 30.0), distances=(0.9, 1.1))
+QUICK: dict[str, Any] = {
+    "eps": (2.0,),
+    "steps": 8,
+    "step_factor": 4.0,
+    "batch": 2,
+    "pool": 6,
+    "validation": 4,
+    "validate_every": 3,
+    "held_out": 8,
+}
+
+
+def toy_views(pictures: PictureChanges | None = None, *, region: CameraRegion = REGION) -> ViewDistribution:
+    scene, mask = toy_scene()
+    transformations = Transformations(cameras=region, pictures=pictures or PictureChanges())
+    return ViewDistribution(scene, mask, camera(), transformations, render=blobs)
+
+
+def quick(objective: Objective | None = None, *, views: ViewDistribution | None = None, **settings: Any) -> EotResult:
+    return attack_views(
+        views or toy_views(),
+        ColourDetector(),
+        objective or relabel("person"),
+        config=EotConfig(**{**QUICK, **settings}),
+    )

@@ -1,0 +1,131 @@
+"""Cameras of a region: every number in its interval, drawn by seed, nothing else changed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from attacks.transformations.cameras import draw_camera
+from attacks.transformations.config import CameraRegion, PictureChanges
+from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.directions import direction_of
+from mi_splat.errors import InvalidValueError
+
+CENTRE = (1.0, -2.0, 0.5)
+REFERENCE = Camera(to_world=look_at((4.0, -2.0, 0.5), CENTRE), focal=(50.0, 60.0), width=64, height=48)
+
+
+def draws(region: CameraRegion, count: int = 50, *, seed: int = 0) -> list[Camera]:
+    return [
+        draw_camera(region, np.random.default_rng((seed, index)), centre=CENTRE, radius=0.5, reference=REFERENCE)
+        for index in range(count)
+    ]
+
+
+def distance(camera: Camera) -> float:
+    return math.dist(camera.position.tolist(), CENTRE)
+
+
+def test_every_number_is_in_its_interval_and_fills_it() -> None:
+    region = CameraRegion(azimuths=(20, 80), elevations=(10, 30), distances=(0.5, 2.0))
+    found = [direction_of(camera, CENTRE) for camera in draws(region)]
+    for name, (low, high) in (("azimuth", (20, 80)), ("elevation", (10, 30))):
+        values = [getattr(direction, name) for direction in found]
+        assert low <= min(values) < low + 0.2 * (high - low)
+        assert high - 0.2 * (high - low) < max(values) <= high
+    lengths = [distance(camera) for camera in draws(region)]
+    assert 1.5 <= min(lengths) < 2.4  # the reference stands 3 away
+    assert 5.1 < max(lengths) <= 6.0
+
+
+def test_distances_can_be_world_units() -> None:
+    region = CameraRegion(distances=(7.0, 7.0), distance_unit=1.0)
+    assert distance(draws(region, 1)[0]) == pytest.approx(7.0)
+
+
+def test_cameras_look_at_the_centre_with_the_reference_s_lens_and_without_roll() -> None:
+    for camera in draws(CameraRegion(), 5):
+        pixels, _ = project_points(torch.tensor([CENTRE], dtype=torch.float64), camera)
+        assert pixels[0].tolist() == pytest.approx([camera.cx, camera.cy])
+        assert (camera.fx, camera.fy, camera.width, camera.height) == (50.0, 60.0, 64, 48)
+        assert float(camera.to_world[2, 0]) == pytest.approx(0.0, abs=1e-9)  # the picture's rows are level
+
+
+def test_roll_turns_the_picture_about_its_middle() -> None:
+    plain, rolled = draws(CameraRegion(), 20), draws(CameraRegion(roll=30.0), 20)
+    angles = []
+    for before, after in zip(plain, rolled, strict=True):
+        assert torch.allclose(before.to_world[:, 2:], after.to_world[:, 2:])
+        angles.append(math.degrees(math.acos(min(1.0, float(before.to_world[:3, 0] @ after.to_world[:3, 0])))))
+    assert 20 < max(angles) <= 30
+
+
+def test_field_of_view_keeps_the_shape_of_pixels() -> None:
+    for camera in draws(CameraRegion(fovs=(30.0, 60.0)), 10):
+        assert 30 <= 2 * math.degrees(math.atan(camera.width / 2 / camera.fx)) <= 60
+        assert camera.fy / camera.fx == pytest.approx(1.2)
+
+
+def test_aim_moves_the_point_looked_at_within_the_ball() -> None:
+    moved = [
+        (after.position - before.position).norm().item()
+        for before, after in zip(draws(CameraRegion()), draws(CameraRegion(aim=0.4)), strict=True)
+    ]
+    assert 0.1 < max(moved) <= 0.4 * 0.5 + 1e-9
+
+
+def test_a_draw_depends_on_the_seed_alone() -> None:
+    first, again, other = (draws(CameraRegion(roll=5), 3, seed=seed) for seed in (1, 1, 2))
+    for a, b, c in zip(first, again, other, strict=True):
+        assert torch.equal(a.to_world, b.to_world)
+        assert not torch.allclose(a.to_world, c.to_world)
+
+
+def test_what_one_option_draws_does_not_move_the_others() -> None:
+    narrow = [direction_of(camera, CENTRE).azimuth for camera in draws(CameraRegion(), 5)]
+    wide = [direction_of(camera, CENTRE).azimuth for camera in draws(CameraRegion(roll=9, fovs=(20, 70)), 5)]
+    assert narrow == pytest.approx(wide)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"azimuths": (10, 5)}, "azimuths"),
+        ({"elevations": (0, 91)}, "elevations"),
+        ({"distances": (0, 1)}, "distances"),
+        ({"distances": (1.0,)}, "distances"),
+        ({"azimuths": 5}, "azimuths"),
+        ({"azimuths": (0, math.nan)}, "azimuths"),
+        ({"fovs": (20, 180)}, "fovs"),
+        ({"roll": -1}, "roll"),
+        ({"distance_unit": 0.0}, "distance_unit"),
+    ],
+)
+def test_regions_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
+        CameraRegion(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"jpeg": 96}, "jpeg"),
+        ({"resize": 0.0}, "resize"),
+        ({"white_balance": 1.0}, "white_balance"),
+        ({"blur": -1}, "blur"),
+    ],
+)
+def test_changes_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
+        PictureChanges(**settings)
+
+
+def test_a_reference_in_the_middle_of_the_object_gives_no_unit() -> None:
+    inside = dataclasses.replace(REFERENCE, to_world=look_at(CENTRE, (5, 5, 5)))
+    with pytest.raises(InvalidValueError, match="distance_unit"):
+        draw_camera(CameraRegion(), np.random.default_rng(0), centre=CENTRE, radius=1.0, reference=inside)
