@@ -60,11 +60,10 @@ def test_the_paper_s_pairs(
         assert torch.equal(after[others], before[others])
 
 
-@pytest.mark.parametrize(("scene", "name", "left"), [("car_street", "car", 0.3), ("stop_sign", "stop_sign", 0.6)])
-def test_the_object_is_found_before_and_less_after(
-    scene: str, name: str, left: float, scenes: dict[str, SplatScene], detector: Detector
+@pytest.mark.parametrize(("scene", "name"), [("car_street", "car"), ("stop_sign", "stop_sign")])
+def test_the_object_is_found_before_and_hidden_after(
+    scene: str, name: str, scenes: dict[str, SplatScene], detector: Detector
 ) -> None:
-    """The car is hidden (less than 0.3 is left); of the sign 0.55 of 1.00 is left at this radius."""
     loaded = scenes[scene]
     camera = next(iter(loaded.cameras.values()))
     config = DaggerConfig(noise_draws=0)
@@ -73,5 +72,5 @@ def test_the_object_is_found_before_and_less_after(
     (view,) = found.views
     assert view.before.target.original == name.replace("_", " ")
     assert view.confidence(view.before.target.original, attacked=False) >= 0.5
-    assert 1 - found.score <= left
-    assert found.success == (left == 0.3)
+    assert 1 - found.score <= 0.3
+    assert found.success
