@@ -158,7 +158,7 @@ def _plot(
         half: Of a group's width, degrees.
         label: Of the axis.
     """
-    figure, axes = new_axes(len(detectors))
+    figure, axes = new_axes(len(detectors), columns=2 if len(detectors) > 1 else 1)
     attack = overhead(pipeline.study)
     for axis, name in zip(axes, detectors, strict=True):
         for shift, pictures in zip((-0.06, 0.0, 0.06), PICTURES, strict=True):
