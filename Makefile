@@ -37,7 +37,7 @@ demo-cloak: $(STAMP)
 
 demo-coco: $(STAMP)
 	@$(BIN)/mi-splat detectors --get centernet_coco nanodet_coco
-	@$(BIN)/mi-splat dagger-pairs --detectors centernet_coco nanodet_coco --eps 10 --steps 40 --out $(OUT)-coco
+	@$(BIN)/mi-splat dagger-pairs --detectors centernet_coco nanodet_coco --search strong --eps 10 --steps 40 --out $(OUT)-coco
 
 test: lint types pytest
 

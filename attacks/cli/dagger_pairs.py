@@ -8,7 +8,7 @@ from collections.abc import Callable
 from attacks.cli.attack_scenes import read_attack_scene
 from attacks.cli.options import DaggerPairsOptions
 from attacks.dagger.jobs import AttackScene, Job, JobRunner
-from attacks.dagger.pairs import SUMMARY, Attack, ledger, pairs_table, run_pairs, write_summary
+from attacks.dagger.pairs import SEARCHES, SUMMARY, Attack, ledger, pairs_table, run_pairs, write_summary
 from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
 from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json
@@ -31,18 +31,24 @@ def run(options: DaggerPairsOptions) -> int:
             scenes[name] = read_attack_scene(options.scenes / f"{name}.xml")
         return scenes[name]
 
+    objective = {"confidence": options.confidence, **SEARCHES[options.search].objective}
     detectors = [load_detector(name) for name in options.detectors]
     total = len(detectors) * len(PAIRS) * options.seeds * len(options.eps)
     with progress("attacking", total=None if options.radii else total) as advance:
         for detector in detectors:
-            runner = JobRunner(read, detector, confidence=options.confidence)
+            runner = JobRunner(read, detector, objective=objective)
             attacks[detector.name] = ledger(
                 runner,
                 options.out / detector.name,
                 on_job=_follow(advance, detector.name),
             )
         found = run_pairs(
-            attacks, eps=options.eps, steps=options.steps, seeds=range(options.seeds), radii=sorted(options.radii)
+            attacks,
+            eps=options.eps,
+            steps=options.steps,
+            seeds=range(options.seeds),
+            radii=sorted(options.radii),
+            search=options.search,
         )
     write_summary(found, options.out)
     if options.json:

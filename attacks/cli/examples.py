@@ -47,7 +47,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detector yolov8n_small --seeds 5 --out out/sanity",
     ),
     "dagger-pairs": (
-        "dagger-pairs --detectors centernet_coco nanodet_coco --eps 10 --steps 40 --out out/pairs",
+        "dagger-pairs --detectors centernet_coco nanodet_coco --search strong --eps 10 --steps 40 --out out/pairs",
         "dagger-pairs --radii 1 2 3 4 5 --seeds 3 --out out/smallest",
     ),
     "dagger-eot-study": ("dagger-eot-study --groups pairs --out out/studies/dagger-eot",),

@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
+from attacks.limits import SearchName
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.selection.config import Selection
 
@@ -149,6 +150,8 @@ class DaggerPairsOptions:
     """Radii of the l2 ball over the SH of the object; every pair is attacked with each."""
     steps: int = 11
     """Steps of each attack."""
+    search: SearchName = "paper"
+    """How the attacker searches: steps of one length, or momentum and shorter steps towards one box."""
     confidence: float = 0.5
     """Confidence from which the class wanted counts as seen."""
     seeds: int = 1

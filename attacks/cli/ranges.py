@@ -39,6 +39,7 @@ ALL_RANGES: dict[str, Range] = {
     "pairs": Range(0, 5, unit="whole"),
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),
+    "gradient_power": FRACTION,
     "radii": above(0, "units of the splat file"),
     "every": at_least(1, "cameras"),
     "port": Range(0, 65535, do="0 takes a free one"),

@@ -7,6 +7,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -81,14 +82,18 @@ class AttackScene:
 class JobRunner:
     """Runs jobs on scenes that `read` finds by name, against one detector.
 
-    The confidence that counts as success is the objective's own unless one is given.
+    Settings of the objective are its own unless some are given, by the names of its fields.
     """
 
     def __init__(
-        self, read: Callable[[str], AttackScene], detector: Detector, *, confidence: float | None = None
+        self,
+        read: Callable[[str], AttackScene],
+        detector: Detector,
+        *,
+        objective: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self._read, self._detector = read, detector
-        self._limit = {} if confidence is None else {"confidence": confidence}
+        self._settings = dict(objective)
         self._scenes: dict[str, AttackScene] = {}
         self._fingerprints: dict[str, str] = {}
 
@@ -97,7 +102,7 @@ class JobRunner:
         if job.scene not in self._fingerprints:
             place = self._scene(job)
             words = [scene_hash(place.scene), str(place.cameras), self._detector.name, self._detector.fingerprint]
-            words += [f"{name} {value:g}" for name, value in self._limit.items()]
+            words += [f"{name} {value:g}" for name, value in self._settings.items()]
             self._fingerprints[job.scene] = hashlib.sha256("\n".join(words).encode()).hexdigest()
         return self._fingerprints[job.scene]
 
@@ -112,7 +117,8 @@ class JobRunner:
         centre = place.scene.means[rows].mean(0)
         chosen = place.cameras[job.camera :][: job.views or None]
         cameras = [jittered(camera, centre, seed=job.config.seed) for camera in chosen]
-        objective: Objective = hide(**self._limit) if job.target is None else relabel(job.target, **self._limit)
+        usual = hide() if job.target is None else relabel(job.target)
+        objective: Objective = dataclasses.replace(usual, **self._settings)
         return attack(place.scene, rows, cameras, self._detector, objective, render=place.render, config=job.config)
 
     def _scene(self, job: Job) -> AttackScene:

@@ -7,8 +7,8 @@ from torchvision.models.detection import FCOS
 
 from attacks.detectors import small_fcos
 from attacks.detectors.base import Detector
-from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
-from attacks.detectors.torchvision import BACKGROUND, wrap
+from attacks.detectors.classes import BACKGROUND, SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.torchvision import wrap
 from attacks.detectors.training.loop import Targets
 from attacks.detectors.training.pretraining import CutOutTrainer
 
