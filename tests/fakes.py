@@ -69,6 +69,15 @@ class ColourDetector:
         return results
 
 
+class CoarseDetector(ColourDetector):
+    """Another one, with a coarser grid and fewer sizes."""
+
+    name = "fake_coarse"
+    fingerprint = "00000000c0a45e00"
+    sizes = (14, 22)
+    stride = 3
+
+
 def camera(size: int = 32, *, offset: float = 0.0) -> Camera:
     """Looks along world +y at the origin from three metres."""
     return Camera(to_world=look_at((offset, -3.0, 0.0), (0.0, 0.0, 0.0)), focal=1.2 * size, width=size, height=size)

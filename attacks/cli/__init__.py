@@ -80,6 +80,26 @@ COMMANDS = {
     "dagger-study": Command(
         "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
     ),
+    "dagger-transfer": Command(
+        "attacks.cli",
+        "DaggerTransferOptions",
+        "dagger_transfer",
+        "attacks on some detectors judged by others: the transfer matrix",
+        options_module="transfer_options",
+    ),
+    "dagger-sanity": Command(
+        "attacks.cli",
+        "DaggerSanityOptions",
+        "dagger_sanity",
+        "whether DAGGER is a sane attack on an object and a detector, line by line",
+        options_module="transfer_options",
+    ),
+    "dagger-pairs": Command(
+        "attacks.cli",
+        "DaggerPairsOptions",
+        "dagger_pairs",
+        "the paper's six attacks on several detectors, side by side",
+    ),
     "dagger-eot-study": Command(
         "attacks.cli",
         "DaggerEotStudyOptions",
@@ -103,7 +123,7 @@ COMMANDS = {
         "attacks.cli",
         "DetectorsOptions",
         "detectors",
-        "the detectors, their classes, and whether the weights are there",
+        "the detectors, their classes, and whether the weights are there; get some of others",
     ),
     "train-detector": Command(
         "attacks.cli",
@@ -116,7 +136,14 @@ COMMANDS = {
         "attacks.cli",
         "EvaluateDetectorOptions",
         "evaluate_detector",
-        "mAP and false positives per picture of a small detector on held-out pictures",
+        "mAP, recall and false positives of a detector on held-out pictures",
+        options_module="training_options",
+    ),
+    "compare-detectors": Command(
+        "attacks.cli",
+        "CompareDetectorsOptions",
+        "compare_detectors",
+        "the figures of several detectors side by side",
         options_module="training_options",
     ),
     "plot-detector-training": Command(

@@ -256,6 +256,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
 EXTRAS = {
     "figures": "matplotlib",
     "meshes": "trimesh",
+    "transformers": "transformers",
     "video": "imageio_ffmpeg",
     "view": "viser",
     "yolo": "ultralytics",

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+from attacks.cli.loading import load_detectors
 from attacks.cli.options import CloakExperimentOptions
+from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
+from attacks.cloak.experiments.sightings import finished_splats, watch
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.figure_files import need_matplotlib
+from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.setup import near_of, target_of
 from attacks.cloak.study.study_file import read_study
-from attacks.detectors import load_detector
-from mi_splat.cli.console import limit_threads, progress, show_json
+from attacks.detectors.base import Detector
+from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.rendering import Renderer, RenderSettings
 
 
@@ -20,22 +30,52 @@ def run(options: CloakExperimentOptions) -> int:
     """Do one experiment and print what it found."""
     limit_threads(1)
     study = read_study(options.study)
-    with progress(options.experiment):
-        if options.experiment == "paint-direction":
-            found = measure_paint_directions(study)
-        elif options.experiment == "transition-limit":
-            found = measure_transition_limit(study)
-        else:
-            if options.results is None:
-                do = "pass the folder that mi-splat cloak has written"
-                raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
-            splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
-            near = near_of(study, target_of(study.scene))
-            render = Renderer(RenderSettings(background=study.scene.background, near=near))
-            if options.experiment == "surroundings":
-                found = measure_surroundings(study, splats, render=render, every=options.every)
-            else:
-                detectors = [load_detector(name) for name in study.evaluation.detectors]
-                found = measure_distances(study, splats, detectors, render=render, every=options.every)
+    with progress(options.experiment) as advance:
+        found = _found(options, study, advance)
     show_json({"study": study.name, "experiment": options.experiment, "found": found})
     return 0
+
+
+def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> Any:
+    if options.experiment == "paint-direction":
+        return measure_paint_directions(study)
+    if options.experiment == "transition-limit":
+        return measure_transition_limit(study)
+    if options.results is None:
+        do = "pass the folder that mi-splat cloak has written"
+        raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
+    if options.experiment == "detection-curve":
+        return _detection_curve(options, study, options.results, advance)
+    splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
+    render = Renderer(RenderSettings(background=study.scene.background, near=near_of(study, target_of(study.scene))))
+    if options.experiment == "surroundings":
+        return measure_surroundings(study, splats, render=render, every=options.every)
+    return measure_distances(study, splats, _detectors(options, study), render=render, every=options.every)
+
+
+def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Detector]:
+    return load_detectors(options.detectors or study.evaluation.detectors, options.weights)
+
+
+def _detection_curve(
+    options: CloakExperimentOptions, study: StudyConfig, results: Path, advance: Advance
+) -> dict[str, Any]:
+    """Look, write the folder, and return what it says; what was seen stays among the stages."""
+    if options.out is None:
+        raise InvalidValueError(message("--out", "a folder to write into", "none", "name one"))
+    check_new_folder(options.out)
+    need_matplotlib()
+    stages = options.stages or results / "stages"
+    splats, detectors = finished_splats(study, results, stages), _detectors(options, study)
+    now = [""]
+
+    def follow(text: str, done: int, total: int) -> None:
+        if text != now[0]:
+            now[0] = text
+            warn(text)
+        advance(f"{text}, {done:,} of {total:,}")
+
+    pipeline = StudyPipeline(study=study, folder=stages, on_step=follow)
+    found = watch(pipeline, splats, detectors, every=options.every)
+    with new_folder(options.out, record=FILES[0]) as folder:
+        return write_detection_curve(pipeline, found, splats, detectors, folder, every=options.every)

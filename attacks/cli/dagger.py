@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from attacks.cli.aims import DEFAULT_OBJECT, aim, chosen_object, write_parts
+from attacks.cli.loading import load_detectors
 from attacks.cli.options import DaggerOptions
 from attacks.dagger.attack import attack
 from attacks.dagger.report import summary, write_files
 from attacks.dagger.result import Result
-from attacks.detectors import load_detector
 from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import Chosen, choose
@@ -31,13 +31,13 @@ def run(options: DaggerOptions) -> int:
         chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
         weights = chosen.weights(loaded)
         require_visible(weights)
-        detector = load_detector(options.detector, weights=options.weights)
+        detectors = load_detectors(options.detector, options.weights, flag="--detector")
         advance("attacking", 0)
         result = attack(
             loaded.scene,
             chosen.mask,
             list(chosen.cameras.values()),
-            detector,
+            detectors,
             aim(options.objective, options.target, options.confidence),
             render=chosen.render,
             config=config,
@@ -77,14 +77,24 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     found = summary(result)
     aim = {"relabel": f"see a {options.target}", "hide": "see nothing"}.get(options.objective, "see something else")
     radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
-    views = found["views"]
-    reached = sum(view["success"] for view in views)
     outcome = "SUCCESS" if result.success else "FAILED"
-    show(f"{outcome}: {options.detector} shall {aim} in place of {_name(options)}; {reached} of {len(views)} views.")
-    show(
-        f"{_seen(views[0], found['target'])} after {found['steps']} of {options.config.steps} steps "
+    several = len(result.detectors) > 1
+    counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
+    reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
+    show(f"{outcome}: {' and '.join(options.detector)} shall {aim} in place of {_name(options)}; {reached}.")
+    effort = (
+        f"after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
     )
+    if several:
+        for one in found["detectors"]:
+            seen = [view for view in found["views"] if view["detector"] == one["detector"]]
+            show(
+                f"{one['detector']}, {sum(view['success'] for view in seen)} of {len(seen)} views: {_seen(found, seen)}"
+            )
+        show(f"This is {effort}")
+    else:
+        show(f"{_seen(found, found['views'])} {effort}")
     psnr = found["image_psnr"]
     change = "No picture changed" if psnr is None else f"The picture changed to a PSNR of {psnr:.1f} dB"
     noise = f"{found['noise']['successes']} of {found['noise']['draws']} draws"
@@ -102,8 +112,9 @@ def _name(options: DaggerOptions) -> str:
     return "the selection" if options.selection.object is None else f"the {options.selection.object}"
 
 
-def _seen(view: Mapping[str, Any], target: str | None) -> str:
-    """What the detector makes of the object in one view, before and after."""
+def _seen(found: Mapping[str, Any], views: Sequence[Mapping[str, Any]]) -> str:
+    """What a detector makes of the object in the first of its views, before and after."""
+    view, target = views[0], found["target"]
     before = f"{view['original']} at {view['clean_confidence']:.0%}" if view["original"] else "nothing"
     after = [f"{target} at {view['target_confidence']:.0%}"] if target else []
     if view["original"] not in (None, target):

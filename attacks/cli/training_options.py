@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
 
-SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
+SmallDetector = Literal["fasterrcnn_small", "fcos_small", "detr_small", "yolov8n_small"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,20 +44,22 @@ class TrainDetectorOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvaluateDetectorOptions:
-    """Score a small detector on objects, cameras, lights and surroundings that it was not trained on.
+    """Score a detector on objects, cameras, lights and surroundings that the project's own were not trained on.
 
-    Average precision by class, and false positives per picture at a confidence of 0.5: of pictures with objects, and of
-    streets, parks, rooms, grounds and random surroundings without any.
+    Average precision by class; recall by elevation, distance, size, brightness and sun; and false positives per
+    picture: of pictures with objects, and of streets, parks, rooms, grounds and random surroundings without any. A
+    detector of more classes, for instance one trained on COCO, is scored on the project's eight; what else it reports
+    is listed.
     """
 
-    detector: SmallDetector = "fasterrcnn_small"
-    """Which one; yolov8n_small needs the extra `yolo`."""
+    detector: str = "fasterrcnn_small"
+    """Name of a detector that knows the eight classes (see `mi-splat detectors`)."""
     weights: Path | None = None
-    """Weights to score; None takes the shipped ones."""
+    """Weights to score; None takes the usual ones."""
     data: Path = Path("out/detector-data")
     """Folder of the pictures; what is missing in it is made first."""
     out: Path = Path("out/detector/held-out.json")
-    """JSON file for the figures."""
+    """JSON file for the figures; tables (.md) and a picture of recall (.png, extra `figures`) are written beside it."""
     pictures: int = 240
     """Path-traced pictures with objects."""
     samples: int = 24
@@ -68,6 +70,8 @@ class EvaluateDetectorOptions:
     """How splats are made."""
     backgrounds: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Pictures without any object."""
+    confidence: float = 0.5
+    """Least confidence of an object that is found, and of a false positive."""
     scenes: tuple[Path, ...] = ()
     """Scene XMLs of splats to score as well, from all their cameras; shapes whose id is a class are their objects."""
     processes: int = 2
@@ -76,6 +80,16 @@ class EvaluateDetectorOptions:
     """Threads of torch."""
     json: bool = False
     """Print the figures as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareDetectorsOptions:
+    """Put the figures of several detectors side by side: mAP, false positives, and recall by elevation."""
+
+    figures: Positional[tuple[Path, ...]] = ()
+    """Files that `mi-splat evaluate-detector` wrote; at least one."""
+    out: Path = Path("out/detector/comparison.md")
+    """File for the tables; a picture of recall (.png, extra `figures`) is written beside it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from typing import Any
 from torch import Generator
 
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.problem import AttackProblem, AttackView, joint_verdict
+from attacks.dagger.ensemble import Ensemble
 from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
 from attacks.detectors.given import as_detectors
@@ -23,7 +23,8 @@ from attacks.evaluation.views import as_saved
 from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective, check_objective
-from attacks.pgd import Outcome, Parameters, Step, pgd
+from attacks.optimisers import momentum
+from attacks.pgd import Optimiser, Outcome, Parameters, Step, pgd, steepest_descent
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
@@ -34,7 +35,7 @@ def attack(
     scene: GaussianScene,
     mask: Mask,
     cameras: Camera | Sequence[Camera],
-    detector: Detector | str,
+    detector: Detector | str | Sequence[Detector | str],
     objective: Objective,
     *,
     render: RenderFn,
@@ -47,7 +48,8 @@ def attack(
         scene: The clean splat.
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
         cameras: Views that are attacked together, or one.
-        detector: The one attacked, or its name; its weights are known (white box).
+        detector: The one attacked, or several to be deceived at once, or their names; their weights are known (white
+            box).
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
@@ -55,40 +57,33 @@ def attack(
 
     Raises:
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
-            the detector does not know the target class, or a gradient is not finite.
+            a detector does not know the target class, two have one name, or a gradient is not finite.
     """
     config = config or DaggerConfig()
     begun = time.perf_counter()
-    cameras, (detector,) = as_cameras(cameras), as_detectors(detector)
+    cameras, detectors = as_cameras(cameras), as_detectors(detector)
     check_scene("scene", scene)
     check_objective(objective)
     if not callable(render):
         do = "pass for instance Renderer()"
         raise InvalidValueError(message("render", "a function of scene and camera", type(render).__name__, do))
-    if objective.label is not None and objective.label not in detector.classes:
-        raise InvalidValueError(
-            message("target", f"one of {', '.join(detector.classes)}", objective.label, "choose a class that it knows")
-        )
     if not cameras:
         raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the detector looks from"))
     clean_hash = scene_hash(scene)
     if config.sh_degree is not None and "sh" in config.attributes and scene.degree < config.sh_degree:
         scene = scene.with_degree(config.sh_degree)
     subset = GaussianSubset.of(scene, mask)
-    problem = AttackProblem(
-        subset=subset, detector=detector, objective=objective, render=render, required_views=config.required_views
-    )
-    clean_views = [problem.view(camera) for camera in cameras]
+    ensemble = Ensemble.of(detectors, subset, cameras, objective, render=render, config=config)
     reference = subset.parameters(config.attributes)
-    outcome = _search(problem, clean_views, reference, config, on_step)
+    outcome = _search(ensemble, reference, config, on_step)
     attacked = subset.applied(outcome.parameters)
     saved = as_saved(attacked)
-    results = problem.judge(saved, clean_views)
-    verdict = joint_verdict([result.verdict for result in results], config.required_views)
+    results = ensemble.judge(saved)
+    clean_views = ensemble.views[0]  # the pictures are the same for every detector
     result = Result(
         scene=attacked,
-        verdict=verdict,
-        views=results,
+        verdict=ensemble.verdict(results),
+        detectors=results,
         trace=outcome.trace,
         best=outcome.best,
         used=config.budget.measure(outcome.parameters, reference),
@@ -99,23 +94,22 @@ def attack(
         changed_gaussians=subset.changed(attacked),
         image=image_change(
             [view.image for view in clean_views],
-            [result.after.image for result in results],
+            [view.after.image for view in results[0].views],
             [view.weight for view in clean_views],
         ),
         clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in clean_views) / len(clean_views),
-        noise=_noise_control(problem, clean_views, outcome.parameters, config),
+        noise=_noise_control(ensemble, subset, outcome.parameters, config),
         warnings=(),
         objective=objective,
         config=config,
-        origin=_origin(clean_hash, detector),
+        origin=_origin(clean_hash, detectors),
         seconds=time.perf_counter() - begun,
     )
     return dataclasses.replace(result, warnings=find_warnings(result))
 
 
 def _search(
-    problem: AttackProblem,
-    views: Sequence[AttackView],
+    ensemble: Ensemble,
     reference: Parameters,
     config: DaggerConfig,
     on_step: Callable[[Step], None] | None,
@@ -128,38 +122,45 @@ def _search(
             yield budget.uniform(reference, generator) if restart or config.random_start else reference
 
     return pgd(
-        lambda parameters: problem.evaluate(parameters, views),
+        ensemble.evaluate,
         reference,
         budget,
         step=config.step,
         steps=config.steps,
         starts=starts(),
+        optimiser=_optimiser(config),
         early_stop=config.early_stop,
         on_step=on_step,
     )
 
 
+def _optimiser(config: DaggerConfig) -> Optimiser:
+    """What makes a step of the gradients."""
+    if (config.momentum, config.schedule, config.gradient_power) == (0.0, "constant", 1.0):
+        return steepest_descent  # the same steps as below, without a rounding
+    return momentum(decay=config.momentum, schedule=config.schedule, steps=config.steps, power=config.gradient_power)
+
+
 def _noise_control(
-    problem: AttackProblem, views: Sequence[AttackView], parameters: Parameters, config: DaggerConfig
+    ensemble: Ensemble, subset: GaussianSubset, parameters: Parameters, config: DaggerConfig
 ) -> NoiseControl:
     """Random noise of the same size in the same norm, judged on 8-bit pictures."""
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
-    reference = problem.subset.parameters(config.attributes)
+    reference = subset.parameters(config.attributes)
     verdicts = []
     for _ in range(config.noise_draws):
         noisy = config.budget.noise(parameters, reference, generator)
-        results = problem.judge(problem.subset.applied(noisy), views)
-        verdicts.append(joint_verdict([result.verdict for result in results], config.required_views))
+        verdicts.append(ensemble.verdict(ensemble.judge(subset.applied(noisy))))
     return NoiseControl(
         scores=tuple(verdict.score for verdict in verdicts),
         successes=sum(verdict.success for verdict in verdicts),
     )
 
 
-def _origin(clean_hash: str, detector: Detector) -> dict[str, Any]:
+def _origin(clean_hash: str, detectors: Sequence[Detector]) -> dict[str, Any]:
     return {
-        "detector": detector.name,
-        "detector_fingerprint": detector.fingerprint,
+        "detector": " + ".join(detector.name for detector in detectors),
+        "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
         "scene_hash": clean_hash,
         "versions": provenance.versions(),
         "variant": provenance.variant(),

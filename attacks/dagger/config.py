@@ -6,15 +6,18 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
-from attacks.limits import NormName, check_limits
+from attacks.limits import SCHEDULES, NormName, Schedule, check_limits
 from mi_splat.attributes import Attribute
 from mi_splat.config_values import check_numbers, several
 from mi_splat.errors import InvalidValueError, message
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
+
+EnsembleLoss = Literal["mean", "max"]
+"""How the losses of several detectors become one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +86,14 @@ def check_share(config: object, *names: str) -> None:
             raise InvalidValueError(message(name, "a fraction in (0, 1]", getattr(config, name), "1 means every view"))
 
 
+def check_momentum(momentum: float, schedule: str) -> None:
+    """Raise unless these are what `attacks.optimisers` knows."""
+    if schedule not in SCHEDULES:
+        raise InvalidValueError(message("schedule", f"one of {', '.join(SCHEDULES)}", schedule, "choose one"))
+    if not 0 <= momentum < 1:
+        raise InvalidValueError(message("momentum", "a fraction in [0, 1)", momentum, "0 is none"))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerConfig(Perturbation):
     """How to attack. The defaults are those of the paper's text.
@@ -97,6 +108,12 @@ class DaggerConfig(Perturbation):
         random_start: Start the first run at a random point of the ball, too.
         early_stop: Whether the first unambiguous success ends the search; without, every step of every run is taken.
         required_views: Fraction of the views in which the attack has to succeed.
+        required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
+        ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.
+        momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
+        schedule: How the steps become shorter.
+        gradient_power: Power of the gradients' absolute values before a step, in [0, 1]; below 1, small ones count for
+            more (see `attacks.optimisers.MomentumDescent`).
         noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: SH degree of the attacked file, if SH may change and the scene has less; coefficients that it lacks
             start at 0. 3 is what 3DGS writes and what the paper attacked; None keeps the scene's own.
@@ -110,8 +127,21 @@ class DaggerConfig(Perturbation):
     random_start: bool = False
     early_stop: bool = True
     required_views: float = 1.0
+    required_detectors: float = 1.0
+    ensemble: EnsembleLoss = "mean"
+    momentum: float = 0.0
+    schedule: Schedule = "constant"
+    gradient_power: float = 1.0
 
     def __post_init__(self) -> None:
         Perturbation.__post_init__(self)
         check_numbers(self, {"restarts": 1})
-        check_share(self, "required_views")
+        check_share(self, "required_views", "required_detectors")
+        if self.ensemble not in get_args(EnsembleLoss):
+            expected = f"one of {', '.join(get_args(EnsembleLoss))}"
+            raise InvalidValueError(message("ensemble", expected, self.ensemble, "mean is the usual one"))
+        check_momentum(self.momentum, self.schedule)
+        if not 0 <= self.gradient_power <= 1:
+            raise InvalidValueError(
+                message("gradient_power", "a fraction in [0, 1]", self.gradient_power, "1 leaves gradients as they are")
+            )

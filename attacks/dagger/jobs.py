@@ -7,6 +7,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -15,6 +16,7 @@ from torch import Generator
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary
+from attacks.dagger.result import Result
 from attacks.detectors.base import Detector
 from attacks.objectives import Objective, hide, relabel
 from mi_splat.cameras import Camera, RenderFn
@@ -78,10 +80,20 @@ class AttackScene:
 
 
 class JobRunner:
-    """Runs jobs on scenes that `read` finds by name, against one detector."""
+    """Runs jobs on scenes that `read` finds by name, against one detector.
 
-    def __init__(self, read: Callable[[str], AttackScene], detector: Detector) -> None:
+    Settings of the objective are its own unless some are given, by the names of its fields.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[str], AttackScene],
+        detector: Detector,
+        *,
+        objective: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
         self._read, self._detector = read, detector
+        self._settings = dict(objective)
         self._scenes: dict[str, AttackScene] = {}
         self._fingerprints: dict[str, str] = {}
 
@@ -89,20 +101,25 @@ class JobRunner:
         """Hash of what a result depends on besides the job: the scene, its cameras, and the detector's weights."""
         if job.scene not in self._fingerprints:
             place = self._scene(job)
-            words = (scene_hash(place.scene), str(place.cameras), self._detector.name, self._detector.fingerprint)
+            words = [scene_hash(place.scene), str(place.cameras), self._detector.name, self._detector.fingerprint]
+            words += [f"{name} {value:g}" for name, value in self._settings.items()]
             self._fingerprints[job.scene] = hashlib.sha256("\n".join(words).encode()).hexdigest()
         return self._fingerprints[job.scene]
 
     def run(self, job: Job) -> dict[str, Any]:
         """Attack, and return the summary."""
+        return summary(self.attack(job))
+
+    def attack(self, job: Job) -> Result:
+        """Attack."""
         place = self._scene(job)
         rows = place.objects[job.object]
         centre = place.scene.means[rows].mean(0)
         chosen = place.cameras[job.camera :][: job.views or None]
         cameras = [jittered(camera, centre, seed=job.config.seed) for camera in chosen]
-        objective: Objective = hide() if job.target is None else relabel(job.target)
-        found = attack(place.scene, rows, cameras, self._detector, objective, render=place.render, config=job.config)
-        return summary(found)
+        usual = hide() if job.target is None else relabel(job.target)
+        objective: Objective = dataclasses.replace(usual, **self._settings)
+        return attack(place.scene, rows, cameras, self._detector, objective, render=place.render, config=job.config)
 
     def _scene(self, job: Job) -> AttackScene:
         if job.scene not in self._scenes:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from attacks.dagger.ensemble import DetectorResult
 from attacks.dagger.problem import ViewResult
 from attacks.dagger.result import Result
 from attacks.evaluation.drawing import annotated, difference, listed, stacked
@@ -21,7 +22,8 @@ from mi_splat.io.images import to_bytes
 def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
     """Write before.png, after.png, difference.png, detections.png, attacked.ply and result.json.
 
-    Several views make one picture each, below one another. The folder appears whole or not at all.
+    Several views make one picture each, below one another; in detections.png several detectors do so, too. The folder
+    appears whole or not at all.
 
     Args:
         result: What the attack did.
@@ -41,13 +43,13 @@ def write_report(result: Result, folder: str | Path, *, force: bool = False) -> 
 
 def write_files(result: Result, folder: Path) -> list[Path]:
     """Write the files of `write_report` into a folder that is there; returns their paths."""
+    several = len(result.detectors) > 1
+    views = result.detectors[0].views  # every detector looked at the same pictures
     images = {
-        "before.png": stacked([to_bytes(view.before.image) for view in result.views]),
-        "after.png": stacked([to_bytes(view.after.image) for view in result.views]),
-        "difference.png": difference(
-            [view.before.image for view in result.views], [view.after.image for view in result.views]
-        ),
-        "detections.png": stacked([before_and_after(view) for view in result.views]),
+        "before.png": stacked([to_bytes(view.before.image) for view in views]),
+        "after.png": stacked([to_bytes(view.after.image) for view in views]),
+        "difference.png": difference([view.before.image for view in views], [view.after.image for view in views]),
+        "detections.png": stacked([before_and_after(view, named=several) for view in result.views]),
     }
     for name, pixels in images.items():
         save_png(pixels, folder / name)
@@ -82,6 +84,7 @@ def summary(result: Result) -> dict[str, Any]:
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
         "noise": {**dataclasses.asdict(result.noise), "draws": len(result.noise.scores)},
         "warnings": list(result.warnings),
+        "detectors": [_detector(result, one) for one in result.detectors],
         "views": [_view(view, result.objective.label) for view in result.views],
         "trace": [dataclasses.asdict(line) for line in result.trace],
         "seed": config.seed,
@@ -94,10 +97,23 @@ def summary(result: Result) -> dict[str, Any]:
     }
 
 
+def _detector(result: Result, one: DetectorResult) -> dict[str, Any]:
+    wanted = result.objective.label is not None
+    return {
+        "detector": one.detector,
+        "detector_fingerprint": one.fingerprint,
+        "success": one.verdict.success,
+        "unambiguous": one.verdict.unambiguous,
+        "score": one.verdict.score,
+        "target_confidence": result.target_confidence_of(one) if wanted else None,
+    }
+
+
 def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
     target, camera = view.before.target, view.before.camera
     original = target.original
     return {
+        "detector": view.after.detector,
         "success": view.verdict.success,
         "unambiguous": view.verdict.unambiguous,
         "original": original,
@@ -117,7 +133,17 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
     }
 
 
-def before_and_after(view: ViewResult, *, min_confidence: float = 0.3) -> NDArray[np.uint8]:
-    """Boxes and confidences before (left) and after (right), of detections that score at least `min_confidence`."""
+def before_and_after(view: ViewResult, *, min_confidence: float = 0.3, named: bool = False) -> NDArray[np.uint8]:
+    """Boxes and confidences before (left) and after (right).
+
+    Args:
+        view: The view.
+        min_confidence: Confidence from which a detection is drawn, in [0, 1].
+        named: Whether to write the detector's name into the pictures.
+    """
+    of = f" ({view.after.detector})" if named else ""
     sides = ((view.before.image, view.before.detections, "before"), (view.after.image, view.after.detections, "after"))
-    return np.concatenate([annotated(*side, min_confidence=min_confidence) for side in sides], axis=1)
+    drawn = [
+        annotated(image, detections, f"{when}{of}", min_confidence=min_confidence) for image, detections, when in sides
+    ]
+    return np.concatenate(drawn, axis=1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.ensemble import DetectorResult
 from attacks.dagger.problem import ViewResult, reached_by
 from attacks.evaluation.visibility import ImageChange
 from attacks.objectives import Objective, Verdict
@@ -39,8 +40,9 @@ class Result:
     Attributes:
         scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
         verdict: Whether the aim was reached in enough views, whether without ambiguity, and the score that enough views
-            reach: the confidence in the wanted class, or 1 minus the confidence in what is still detected.
-        views: Every view before and after.
+            reach: the confidence in the wanted class, or 1 minus the confidence in what is still detected. With several
+            detectors, whether so with enough of them, and the score that so many reach.
+        detectors: The same of each detector, with every view before and after.
         trace: Every point that was looked at, all runs, in order.
         best: The line of the trace whose point was kept.
         used: Size of the perturbation by attribute; never above its radius.
@@ -59,7 +61,7 @@ class Result:
 
     scene: GaussianScene
     verdict: Verdict
-    views: tuple[ViewResult, ...]
+    detectors: tuple[DetectorResult, ...]
     trace: tuple[Step, ...]
     best: Step
     used: dict[str, float]
@@ -76,8 +78,13 @@ class Result:
     seconds: float
 
     @property
+    def views(self) -> tuple[ViewResult, ...]:
+        """Every view before and after, detector by detector."""
+        return tuple(view for one in self.detectors for view in one.views)
+
+    @property
     def success(self) -> bool:
-        """Whether the aim was reached in enough views."""
+        """Whether the aim was reached in enough views, with enough detectors."""
         return self.verdict.success
 
     @property
@@ -90,16 +97,22 @@ class Result:
         """Confidence in the wanted class on the object that enough views reach; None when no class was wanted."""
         if self.objective.label is None:
             return None
-        scores = [view.confidence(self.objective.label, attacked=True) for view in self.views]
+        return reached_by([self.target_confidence_of(one) for one in self.detectors], self.config.required_detectors)
+
+    def target_confidence_of(self, one: DetectorResult) -> float:
+        """Confidence of one of `detectors` in the wanted class, or in any class, that enough views reach."""
+        scores = [view.confidence(self.objective.label, attacked=True) for view in one.views]
         return reached_by(scores, self.config.required_views)
 
 
 def find_warnings(result: Result) -> tuple[str, ...]:
     """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
     found = []
-    for index, view in enumerate(result.views):
-        if view.confidence(view.before.target.original, attacked=False) < 0.5:
-            found.append(f"the clean picture of view {index} has no detection of 0.5 or more on the object")
+    for one in result.detectors:
+        by = "" if len(result.detectors) == 1 else f" by {one.detector}"
+        for index, view in enumerate(one.views):
+            if view.confidence(view.before.target.original, attacked=False) < 0.5:
+                found.append(f"the clean picture of view {index} has no detection{by} of 0.5 or more on the object")
     first = result.trace[0]
     if first.success:
         found.append("the aim is reached without any attack")

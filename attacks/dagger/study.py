@@ -109,21 +109,23 @@ def run_jobs(
     *,
     fingerprint: Callable[[AnyJob], str],
     on_job: Callable[[AnyJob], None] | None = None,
+    ledger: str = JOBS,
 ) -> list[dict[str, Any]]:
     """Run what is not done yet.
 
     Args:
         jobs: The study.
-        out: Folder of the study; its JSONs go to `jobs/` below it.
+        out: Folder of the study.
         run: Runs one job and returns its result, ready for JSON.
         fingerprint: What a job's result depends on besides the job; a stored result with another one is done again.
         on_job: Called after every job.
+        ledger: Folder in `out` that the JSONs go to.
 
     Returns:
         One record for each job: `job`, `fingerprint` and `result`.
     """
     check_own_folder(out, JOBS)
-    folder, records = out / JOBS, []
+    folder, records = out / ledger, []
     folder.mkdir(parents=True, exist_ok=True)
     sweep_temporary(folder)
     for job in jobs:

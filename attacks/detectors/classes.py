@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+BACKGROUND, UNUSED = "__background__", "N/A"
+"""Names of the two kinds of label numbers that mean no class; COCO's numbers have gaps."""
+
 SMALL_CLASSES = ("car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase")
 """Classes of the project's own small detectors, in their order: label i + 1 is SMALL_CLASSES[i]."""
 

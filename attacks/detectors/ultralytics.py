@@ -1,4 +1,4 @@
-"""Adapter to ultralytics' YOLOv8, which the user installs (extra `yolo`); nothing else here imports that package.
+"""Adapter to YOLOv8 and YOLO11 of ultralytics, which the user installs (extra `yolo`); nothing else imports it.
 
 Its licence is AGPL-3.0, which is stricter than that of this project: read it before you build on this module.
 """
@@ -6,6 +6,7 @@ Its licence is AGPL-3.0, which is stricter than that of this project: read it be
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -57,10 +58,12 @@ USUAL_SIDE = 640
 """Longer image side, in pixels, that the published ones work at; the small one works at `SMALL_SIDE`."""
 _MIN_CONFIDENCE, _MAX_IOU, _MAX_DETECTIONS = 0.25, 0.7, 300
 """The library's own settings of prediction: least confidence, largest IoU of two boxes, most boxes."""
+_FAMILY = re.compile(r"yolov?\d+")
+"""How the library names a family of architectures: yolov8, yolo11."""
 
 
 class YOLODetector:
-    """A frozen YOLOv8 behind the `Detector` interface.
+    """A frozen YOLOv8 or YOLO11 behind the `Detector` interface.
 
     Attributes:
         name: Name in `attacks.detectors.DETECTORS`.
@@ -163,9 +166,9 @@ def _frame(shape: tuple[int, int], side: int, stride: int) -> tuple[tuple[int, i
     return (height, width), (left, top, round(across + 0.1), round(down + 0.1))
 
 
-def build(size: str, classes: int) -> nn.Module:
-    """A YOLOv8 of random weights; `size` is one of n, s, m, l, x."""
-    model: nn.Module = DetectionModel(f"yolov8{size}.yaml", ch=3, nc=classes, verbose=False)
+def build(size: str, classes: int, *, family: str = "yolov8") -> nn.Module:
+    """A YOLOv8 or, for the family "yolo11", a YOLO11 of random weights; `size` is one of n, s, m, l, x."""
+    model: nn.Module = DetectionModel(f"{family}{size}.yaml", ch=3, nc=classes, verbose=False)
     model.args = get_cfg()  # which its loss reads
     return model
 
@@ -195,7 +198,7 @@ def load_published(name: str, weights: Path | None = None) -> YOLODetector:
     """One of the library's COCO detectors.
 
     Args:
-        name: yolov8n, yolov8s, yolov8m, yolov8l or yolov8x.
+        name: The library's: yolov8 or yolo11, and one of n, s, m, l, x.
         weights: The library's own .pt file, of which nothing but known classes of layers is unpickled, or a
             .safetensors file of a state dict; None asks the library's own hub.
 
@@ -203,7 +206,7 @@ def load_published(name: str, weights: Path | None = None) -> YOLODetector:
         DetectorError: The file does not fit, or the hub cannot be reached.
     """
     if weights is not None and Path(weights).suffix == ".safetensors":
-        model = build(name[-1], len(COCO_CLASSES))
+        model = build(name[-1], len(COCO_CLASSES), family=name[:-1])
         apply_weights(model, read_weights(Path(weights)), weights)
         return YOLODetector(name, model, COCO_CLASSES, side=USUAL_SIDE)
     model = _unpickled(name, weights)
@@ -226,4 +229,8 @@ def _unpickled(name: str, weights: Path | None) -> Any:
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
         do = "download the file elsewhere and pass its path"
         raise DetectorError(message(f"weights of {name}", expected, reason, do)) from error
+    family = _FAMILY.match(Path(str(model.yaml.get("yaml_file", ""))).stem)
+    if family is not None and family[0] != name[:-1]:
+        do = f"load them as {family[0]}{name[-1]}, or pass weights of {name}"
+        raise DetectorError(message(f"weights of {name}", f"a {name[:-1]}", f"a {family[0]}", do))
     return model.float()

@@ -139,3 +139,19 @@ def test_adam_goes_on_where_another_run_was() -> None:
     resumed.state = half.state
     assert torch.equal(resumed({"sh": gradients[2]})["sh"], changes[2])
     assert torch.equal(resumed({"sh": gradients[3]})["sh"], changes[3])
+
+
+@pytest.mark.parametrize("power", [0.5, 0.25])
+def test_a_power_gives_the_steepest_direction_of_the_norm_between(power: float) -> None:
+    """Along g, nothing in the unit ball of the l_p norm goes further than the step that is made of g."""
+    generator = torch.Generator().manual_seed(0)
+    gradient = torch.randn(50, generator=generator)
+    ball = Budget(radius={"sh": 100.0}, norm="l2")
+    update = momentum(decay=0.0, schedule="constant", steps=1, power=power)(ball, {"sh": 1.0})
+    p = 1 + 1 / power
+    step = -update({"sh": gradient})["sh"]
+    reached = float((step / torch.linalg.vector_norm(step, p)) @ gradient)
+    others = torch.randn(2000, 50, generator=generator)
+    others = torch.cat([others, gradient + 0.1 * others, step + 0.01 * others])
+    assert reached >= float((others / torch.linalg.vector_norm(others, p, dim=1, keepdim=True) @ gradient).max())
+    assert float(torch.linalg.vector_norm(step)) == pytest.approx(1.0)

@@ -26,6 +26,8 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.cli.example_scenes.make",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger.attack",)),
     "dagger-study": (["dagger-study"], "{}", ("attacks.cli.dagger_study.run_jobs",)),
+    "dagger-transfer": (["dagger-transfer"], "{}", ("attacks.cli.dagger_transfer.run_transfer",)),
+    "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity.run_checks",)),
     "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_eot.attack_views",)),
     "dagger-eot-study": (["dagger-eot-study"], "{}", ("attacks.cli.dagger_eot_study.run_jobs",)),
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.cloak.run_study",)),

@@ -180,7 +180,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
     monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
-    monkeypatch.setattr(dagger, "load_detector", lambda name, weights: ColourDetector())
+    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: [ColourDetector()])
     return loaded
 
 
@@ -272,6 +272,7 @@ def test_a_setting_out_of_range_is_wrong_usage(
 def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) -> None:
     words = ["--object", "thing", "--attributes", "sh", "means", "--eps", "3", "--norm", "linf", "--steps", "2"]
     words += ["--step-factor", "1.5", "--restarts", "2", "--random-start", "--no-early-stop", "--required-views", "0.5"]
+    words += ["--required-detectors", "0.4", "--ensemble", "max"]
     words += ["--noise-draws", "0", "--sh-degree", "None", "--seed", "7"]
     assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
     config = DaggerConfig(
@@ -284,6 +285,8 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
         random_start=True,
         early_stop=False,
         required_views=0.5,
+        required_detectors=0.4,
+        ensemble="max",
         noise_draws=0,
         sh_degree=None,
         seed=7,

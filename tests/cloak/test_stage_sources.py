@@ -43,7 +43,14 @@ SOURCES: dict[str, tuple[str, ...]] = {
         *(*_SETUP, "attacks/cloak/study/observations.py", "attacks/cloak/transition.py", "attacks/cloak/triggers.py"),
         *("attacks/evaluation/views.py", "mi_splat/io/images.py", "attacks/objectives.py"),
         *("mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/metrics.py"),
-        *("attacks/detectors/torchvision.py", "attacks/detectors/ultralytics.py"),
+        *("attacks/detectors/torchvision", "attacks/detectors/ultralytics.py"),
+    ),
+    "sightings": (
+        _NEAR,
+        *(*_SETUP, "attacks/cloak/experiments/sightings.py", "attacks/cloak/triggers.py"),
+        *("mi_splat/io/images.py", "attacks/objectives.py", "mi_splat/rasterization", "mi_splat/rendering.py"),
+        *("attacks/detectors/torchvision", "attacks/detectors/ultralytics.py", "attacks/detectors/coco"),
+        "attacks/detectors/tfjs",
     ),
 }
 """Files, and folders of files, in which a change may change what a stage makes."""

@@ -196,7 +196,7 @@ def test_the_command_runs_the_tables_that_are_asked_for(
 ) -> None:
     monkeypatch.setattr(dagger_study, "study_jobs", lambda seeds: JOBS[:1] * seeds + JOBS[3:4])
     monkeypatch.setattr(dagger_study, "load_detector", lambda name, weights: ColourDetector())
-    monkeypatch.setattr(dagger_study, "_read", lambda path: toy())
+    monkeypatch.setattr(dagger_study, "read_attack_scene", lambda path: toy())
     words = ["dagger-study", "--seeds", "1", "--groups", "hide", "--out", str(tmp_path), "--json"]
     assert cli.main(words) == 0
     document = json.loads(capsys.readouterr().out)

@@ -117,4 +117,5 @@ def test_an_object_that_is_hardly_seen_before_is_warned_of(sound: Result, score:
     seen = Detections(view.before.target.box[None], torch.tensor([score]), ("car",))
     faint = dataclasses.replace(view, before=dataclasses.replace(view.before, detections=seen))
     message = "the clean picture of view 0 has no detection of 0.5 or more on the object"
-    assert (message in find_warnings(dataclasses.replace(sound, views=(faint,)))) is warned
+    seen_so = dataclasses.replace(sound.detectors[0], views=(faint,))
+    assert (message in find_warnings(dataclasses.replace(sound, detectors=(seen_so,)))) is warned

@@ -14,7 +14,7 @@ from torchvision.ops.boxes import remove_small_boxes
 
 from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
 from attacks.detectors.base import check_images
-from attacks.detectors.torchvision import RCNNDetector, random_detector
+from attacks.detectors.torchvision import TorchvisionDetector, random_detector
 from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
@@ -31,7 +31,7 @@ def _one_thread() -> None:
 
 
 @pytest.fixture(scope="module", params=LIGHT)
-def detector(request: pytest.FixtureRequest) -> RCNNDetector:
+def detector(request: pytest.FixtureRequest) -> TorchvisionDetector:
     found = random_detector(str(request.param), seed=1)
     found.model.transform.min_size = (128,)
     found.model.roi_heads.score_thresh = 0.02  # the scores of a random network are small and alike
@@ -62,14 +62,14 @@ def car_picture() -> CarPicture:
     return CarPicture(photo.view.image, photo.boxes)
 
 
-def test_the_protocol_holds(detector: RCNNDetector) -> None:
+def test_the_protocol_holds(detector: TorchvisionDetector) -> None:
     assert isinstance(detector, Detector)
     assert not detector.model.training
     assert not any(p.requires_grad for p in detector.model.parameters())
     assert {"car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase"} <= set(detector.classes)
 
 
-def test_detect_is_the_librarys_forward_pass(detector: RCNNDetector) -> None:
+def test_detect_is_the_librarys_forward_pass(detector: TorchvisionDetector) -> None:
     images = pictures()
     with torch.no_grad():
         expected = detector.model(list(images.permute(0, 3, 1, 2)))
@@ -111,7 +111,7 @@ def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
     assert float((2 * ours - theirs).abs().max()) < 6
 
 
-def test_scores_and_boxes_are_differentiable_in_the_picture(detector: RCNNDetector) -> None:
+def test_scores_and_boxes_are_differentiable_in_the_picture(detector: TorchvisionDetector) -> None:
     images = pictures().requires_grad_()
     candidates = detector.candidates(images)
     loss = candidates[0].scores[:, 0].sum() + candidates[1].scores[:, 0].sum() + candidates[1].boxes.mean()
@@ -151,7 +151,7 @@ def test_the_gradient_agrees_with_finite_differences() -> None:
 
 
 @pytest.mark.parametrize("shape", [(96, 96, 3), (1, 3, 96, 96), (1, 0, 96, 3), (0, 96, 96, 3)])
-def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tuple[int, ...]) -> None:
+def test_pictures_of_another_shape_are_refused(detector: TorchvisionDetector, shape: tuple[int, ...]) -> None:
     with pytest.raises(InvalidValueError, match="images: expected floating point"):
         detector.candidates(torch.zeros(shape))
     with pytest.raises(InvalidValueError, match="images"):
@@ -168,7 +168,7 @@ def test_pictures_of_another_shape_are_refused(detector: RCNNDetector, shape: tu
         (float("nan"), "from nan to nan"),
     ],
 )
-def test_pictures_of_other_values_are_refused(detector: RCNNDetector, value: float, words: str) -> None:
+def test_pictures_of_other_values_are_refused(detector: TorchvisionDetector, value: float, words: str) -> None:
     images = torch.full((1, 32, 32, 3), 0.5)
     images[0, 3, 4, 1] = value
     with pytest.raises(InvalidValueError, match=words):
@@ -200,7 +200,7 @@ def test_an_unknown_name_is_answered_with_the_nearest() -> None:
 
 @pytest.mark.parametrize("name", DETECTORS)
 def test_missing_weights_are_named(name: str, tmp_path: Path) -> None:
-    with pytest.raises(DetectorError, match=r"none\.pth: expected a file, got nothing there"):
+    with pytest.raises(DetectorError, match=r"none\.pth: expected a (file|folder of .*), got nothing there"):
         load_detector(name, weights=tmp_path / "none.pth")
 
 
@@ -268,7 +268,7 @@ def test_the_published_resnet50_keeps_the_librarys_frozen_norms(tmp_path: Path) 
     state = {k: v for k, v in library.state_dict().items() if "num_batches" not in k}
     save_file(state, tmp_path / "w.safetensors")
     detector = load_detector("fasterrcnn_resnet50_fpn", weights=tmp_path / "w.safetensors")
-    assert isinstance(detector, RCNNDetector)
+    assert isinstance(detector, TorchvisionDetector)
     norms = [m for m in detector.model.modules() if isinstance(m, FrozenBatchNorm2d)]
     assert len(norms) == 53
     assert {m.eps for m in norms} == {0.0}

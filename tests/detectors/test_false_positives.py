@@ -8,15 +8,20 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
 from scipy.stats import chi2
 
 from attacks import cli
 from attacks.detectors.base import Detections
+from attacks.detectors.evaluation.held_out import evaluate_sets, figures
 from attacks.detectors.torchvision import random_detector
+from attacks.detectors.training import train as steps
+from attacks.detectors.training.average_precision import Score
 from attacks.detectors.training.backgrounds import background_pictures, background_sets
-from attacks.detectors.training.config import BACKGROUNDS, BackgroundConfig
-from attacks.detectors.training.evaluate import evaluate_sets, figures
+from attacks.detectors.training.config import BACKGROUNDS, BackgroundConfig, TrainConfig
 from attacks.detectors.training.false_positives import FalsePositives, false_positives, poisson_interval
+from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
+from attacks.detectors.training.loop import Training
 from attacks.detectors.training.pictures import LabelledPicture
 from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector
@@ -115,6 +120,27 @@ def test_a_kind_that_there_is_not_is_refused() -> None:
         background_pictures("beach", 0, TINY)
 
 
+def test_kinds_of_backgrounds_can_be_chosen(tmp_path: Path) -> None:
+    made = background_sets(tmp_path, replace(TINY, shots=1), kinds=("ground",))
+    assert {kind: len(some) for kind, some in made.items()} == {"ground": 1}
+
+
+@pytest.mark.parametrize(("rate", "better"), [(0.0, 2), (0.3, 1)])
+def test_the_best_epoch_has_few_false_positives_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate: float, better: int
+) -> None:
+    training = Training(TrainConfig(), FasterRCNNTrainer())
+    validation = [picture((HERE, 1)), picture()]
+    wrong = FalsePositives(pictures=1, pictures_with=1, by_class={"car": 1})
+    for epoch, (average, count) in enumerate([(0.7, 0.0), (0.8, rate)], start=1):
+        training.epoch = epoch
+        monkeypatch.setattr(steps, "evaluate", lambda *_, a=average: Score(ap={"car": a}, recall={}, counts={}))
+        monkeypatch.setattr(steps, "false_positives", lambda *_, c=count: replace(wrong, by_class={"car": c}))
+        training.history.append({"epoch": epoch, **steps.validated(training, validation, tmp_path)})
+    with safe_open(tmp_path / "best.safetensors", framework="pt") as file:
+        assert file.metadata()["epoch"] == str(better)
+
+
 def test_background_sets_are_kept(tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     made = background_sets(tmp_path, TINY, on_step=lambda done, total: steps.append((done, total)))
@@ -142,6 +168,9 @@ def test_the_command_scores_pictures_backgrounds_and_scenes(tmp_path: Path, caps
     assert (street["pictures"], street["counts"]) == (6, {"car": 6})
     assert street["recall"]["car"] == 1.0
     assert len(shown["fingerprint"]) == 16
+    assert shown["sets"]["path traced"]["recall_by"]["elevation"]["all"]
+    assert shown["pictures"]["backgrounds"]["scenes"] == 1
+    assert "| background: street |" in (tmp_path / "figures.md").read_text()
     assert cli.main(words) == 0
     assert "background: street: 2 pictures\n  false positives per picture: " in capsys.readouterr().out
 
@@ -150,6 +179,7 @@ def test_the_command_scores_pictures_backgrounds_and_scenes(tmp_path: Path, caps
 def test_the_command_trains_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["train-detector", "--data", str(tmp_path / "data"), "--out", str(tmp_path / "out"), "--threads=1"]
     words += ["--sets.pictures=3", "--sets.surroundings=0", "--sets.overhead=0", "--sets.splats=0", "--processes=0"]
+    words += [f"--sets.{name}=0" for name in ("streets", "street-splats", "backgrounds", "validation-backgrounds")]
     words += ["--sets.validation=3", "--config.epochs=1", "--config.batch=2", "--config.pretraining=1"]
     assert cli.main([*words, "--only-data"]) == 0
     assert "3 training pictures, 3 for validation" in capsys.readouterr().out

@@ -16,8 +16,9 @@ from attacks import cli
 from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detector, register_detector
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.registry import _REGISTRY
-from attacks.detectors.torchvision import _PUBLISHED, random_detector
-from attacks.detectors.weight_files import TORCHVISION_FILES, torch_download
+from attacks.detectors.torchvision import random_detector
+from attacks.detectors.torchvision.published import PUBLISHED
+from attacks.detectors.weight_files import TORCHVISION_FILES, TRANSFORMERS_HUB, hub_download, torch_download
 from attacks.detectors.weights import fingerprint
 from tests.fakes import ColourDetector
 
@@ -167,11 +168,11 @@ def test_the_list_imports_no_library() -> None:
     assert '"available": true' in done.stdout
 
 
-def test_torchvision_s_files_and_classes_are_the_library_s(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert TORCHVISION_FILES.keys() == _PUBLISHED.keys()
-    for name, weights in _PUBLISHED.items():
-        assert weights.url.rsplit("/", 1)[-1] == TORCHVISION_FILES[name]
-        categories = [label for label in weights.meta["categories"] if label not in ("__background__", "N/A")]
+def test_torchvision_s_files_and_classes_are_the_library_s() -> None:
+    assert TORCHVISION_FILES.keys() == PUBLISHED.keys()
+    for name, published in PUBLISHED.items():
+        assert published.weights.url.rsplit("/", 1)[-1] == TORCHVISION_FILES[name]
+        categories = [label for label in published.weights.meta["categories"] if label not in ("__background__", "N/A")]
         assert DETECTORS[name].classes == COCO_CLASSES == tuple(categories)
 
 
@@ -209,3 +210,22 @@ def test_the_fingerprint_is_that_of_names_and_bytes() -> None:
     assert fingerprint({"a": torch.tensor([1.0], dtype=torch.bfloat16)}) != fingerprint({"a": torch.tensor([1.0])})
     swapped = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
     assert fingerprint({"a": swapped.T}) == fingerprint({"a": swapped.T.contiguous()}) != fingerprint({"a": swapped})
+
+
+@pytest.mark.parametrize("name", TRANSFORMERS_HUB)
+def test_downloads_are_looked_for_where_transformers_keeps_them(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub = pytest.importorskip("huggingface_hub", reason="the extra transformers is not installed")
+    entry = TRANSFORMERS_HUB[name]
+    monkeypatch.delenv("HF_HUB_CACHE", raising=False)
+    monkeypatch.setenv("HF_HOME", str(tmp_path))
+    assert not hub_download(entry).exists()
+    folder = tmp_path / "hub" / f"models--{entry.repository.replace('/', '--')}"
+    for part, text in ((f"refs/{entry.revision}", "abc"), ("snapshots/abc/model.safetensors", "x")):
+        (folder / part).parent.mkdir(parents=True)
+        (folder / part).write_text(text)
+    found = hub.try_to_load_from_cache(
+        entry.repository, "model.safetensors", cache_dir=tmp_path / "hub", revision=entry.revision
+    )
+    assert str(hub_download(entry)) == found

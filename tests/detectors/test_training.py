@@ -74,6 +74,16 @@ def test_cameras_reach_from_the_street_to_straight_down() -> None:
     assert all(float(c.position[2]) > 0 for c in cameras)
 
 
+def test_streets_have_objects_that_cameras_stand_near() -> None:
+    renderer = SceneRenderer(replace(TINY, around="street", farthest=9.0, empty=0.0), 0)
+    assert renderer.contents.surroundings.name == "street"
+    centre = torch.from_numpy(renderer.contents.assets[0].body.vertices.mean(0))
+    cameras = [renderer.choose_camera() for _ in range(6)]
+    assert all(float((camera.position - centre).norm()) < 11 for camera in cameras)
+    with pytest.raises(InvalidValueError, match=r"street or park or .*got 'beach'"):
+        replace(TINY, around="beach")
+
+
 def test_boxes_are_tight_and_inside_the_picture() -> None:
     for sample in scene_pictures(replace(TINY, size=64, empty=0.0, street=0.0), 3):
         assert SMALL_CLASSES[int(sample.labels[0]) - 1] == SMALL_CLASSES[3]
@@ -191,5 +201,6 @@ def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
     note: dict[str, object] = {"splats": {"views": 3, "rates": (1.0, 2.0)}}
     save_pictures([sample], tmp_path, note)
     check_note(tmp_path, note)
+    check_note(tmp_path, {"splats": {"views": 3, "rates": (1.0, 2.0), "a later option": None}})
     with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
         check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})

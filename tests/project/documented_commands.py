@@ -37,14 +37,8 @@ FAST = {
 }
 """Commands that are run in every test run."""
 NIGHTLY = {
-    "cloak",
-    "cloak-experiment",
-    "dagger-study",
-    "dagger-eot-study",
-    "doctor",
-    "evaluate-detector",
-    "view",
-    "python",
+    *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
+    *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
@@ -53,6 +47,8 @@ ELSEWHERE = {
     "make test": "runs these tests",
     "make docs": "tests/project/test_docs.py builds the site",
     "make nightly": "runs these tests",
+    "detectors --get": "tests/detectors/test_fetch.py runs it, with an npm of its own",
+    "detectors --from": "the same",
     "pip": "the tests run in what it has installed; the extras that it names are checked",
 }
 """Commands that are run by something else."""
@@ -82,7 +78,7 @@ class Line:
             return " ".join(self.words[:2]) if self.program == "make" else self.program
         if "--help" in self.words:
             return "--help"
-        marked = next((flag for flag in ("--export", "--forecast") if flag in self.words), None)
+        marked = next((flag for flag in ("--export", "--forecast", "--get", "--from") if flag in self.words), None)
         return f"{self.words[1]} {marked}" if marked else self.words[1]
 
     @property
@@ -164,7 +160,10 @@ TINY: dict[str, dict[str, Change]] = {
     },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
+    "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
+    "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
+    "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "dagger-eot-study": {
         "--groups": to("pairs"),
         "--pairs": to("0"),
@@ -188,6 +187,13 @@ SMALL: dict[str, dict[str, Change]] = {
 """The same where a page needs a splat on which an object can be seen."""
 SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
 
+SHIPPED_WEIGHTS: dict[str, Change] = {
+    "--detector": if_there("fasterrcnn_small"),
+    "--detectors": if_there("fasterrcnn_small"),
+    "--weights": to(str(ROOT / "attacks" / "detectors" / "fasterrcnn_small.safetensors")),
+}
+"""For a line that names a file of weights, which nobody has here: those of the project, given as a file."""
+
 BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
 """What is added to a program that a page calls by `python`."""
 
@@ -196,6 +202,8 @@ def shortened(line: Line) -> list[str]:
     """The words after `mi-splat`, with the changes that the tables ask for."""
     words = list(line.words[1:])
     changes = (SMALL if line.page in SMALL_PAGES else TINY).get(words[0], {})
+    if "--weights" in words:
+        changes = {**changes, **SHIPPED_WEIGHTS}
     for flag, change in changes.items():
         if "--help" in words:
             break

@@ -91,6 +91,7 @@ elevation = [60, 90]
         ("figures", ["cloak", "scenes/cloak_demo.toml"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
+        ("transformers", ["dagger", "--detector", "rtdetr_r18vd"]),
         ("video", ["render", "scenes/stop_sign.xml", "--cameras", "orbit:2@20"]),
         ("yolo", ["dagger", "--detector", "yolov8n_small"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),

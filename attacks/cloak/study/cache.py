@@ -21,7 +21,10 @@ from mi_splat.io.documents import save_json
 
 DONE = "done.json"
 
-STAGE_VERSIONS = {"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 1, "true_pictures": 1, "observations": 1}
+STAGE_VERSIONS = {
+    **{"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 1, "true_pictures": 1, "observations": 1},
+    "sightings": 1,
+}
 """Version of the code behind each stage: raise it when the code makes something else of the same input.
 
 A test compares the source of each stage with the one that its version was given to (`tests/cloak/stage_sources.json`).

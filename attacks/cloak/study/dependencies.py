@@ -147,3 +147,28 @@ def of_observations(
         "true_pictures": list(true_pictures),
         "detectors": dict(detectors),
     }
+
+
+def of_sightings(study: StudyConfig, source: str, pictures: str, detector: tuple[str, str]) -> dict[str, Any]:
+    """What one detector reports on the object in a series of pictures from held-out cameras.
+
+    Args:
+        study: The study.
+        source: Digest of the scene, whose meshes say where the object is.
+        pictures: Content of the pictures, or of the splat that they show; and which of the cameras they are from.
+        detector: Its name, and the fingerprint of its weights.
+    """
+    return {
+        "source": source,
+        "pictures": pictures,
+        "background": study.scene.background,
+        "near": study.training.near,
+        "class": study.scene.class_name,
+        "cameras": asdict(study.cameras),
+        "held_out": [study.evaluation.cameras, study.evaluation.min_separation],
+        "attack": [
+            {key: getattr(attack, key) for key in ("name", "elevation", "azimuth", "target_class")}
+            for attack in study.attack
+        ],
+        "detector": list(detector),
+    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,14 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak.study import setup
+from attacks.cloak.study.figure_files import COLOURS, draw_rates, new_axes, save_figure
 from attacks.cloak.study.observations import ObservedSplat, overhead
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
 from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, transition
 from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import annotated
-from attacks.evaluation.rates import Rate
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import through_png
 
@@ -31,7 +28,6 @@ AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
 LOW = 15
 """Elevation of the cameras of a contact sheet that go around, degrees."""
 CELL = 256
-_COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728"}
 _VARIED = (
     ("trigger_miss_rate", "missed from above", "#d62728"),
     ("benign_recall", "found elsewhere", "#1f77b4"),
@@ -90,11 +86,11 @@ def write_figures(
     study = pipeline.study
     splats = [item.trained for item in observed if item.trained.seed == study.seeds[0]]
     save_png(contact_sheet(pipeline, splats, detectors[0]), folder / "contact.png")
-    _save(_elevation(pipeline, observed), folder / "elevation.png")
-    _save(_azimuth(pipeline, observed), folder / "azimuth.png")
+    save_figure(_elevation(pipeline, observed), folder / "elevation.png")
+    save_figure(_azimuth(pipeline, observed), folder / "azimuth.png")
     names = ["contact.png", "elevation.png", "azimuth.png"]
     if transition(study, observed) is not None:
-        _save(_transition(pipeline, observed), folder / "transition.png")
+        save_figure(_transition(pipeline, observed), folder / "transition.png")
         names.append("transition.png")
     return names
 
@@ -112,7 +108,7 @@ def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: 
         SplatFileError: The file cannot be written.
     """
     detectors = list(next(iter(results.values()))["by_detector"])
-    figure, axes = _axes(len(detectors))
+    figure, axes = new_axes(len(detectors))
     bands = [summary["transition_degrees"] for summary in results.values()]
     ticks = [
         name if band is None else f"{name}\nband {band:.0f} deg" for name, band in zip(results, bands, strict=True)
@@ -129,40 +125,13 @@ def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: 
         axis.set(title=f"{detector}, by {group}", ylabel="fraction of cameras", ylim=(-0.03, 1.03))
         axis.set_xticks(range(len(ticks)), ticks)
         axis.legend(fontsize=8)
-    _save(figure, path)
-
-
-def need_matplotlib() -> None:
-    """Raise if plots cannot be drawn.
-
-    Raises:
-        InvalidValueError: matplotlib is not installed.
-    """
-    if importlib.util.find_spec("matplotlib") is None:
-        do = "pip install 'mi-splat[figures]'"
-        raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
-
-
-def _axes(rows: int) -> tuple[Any, list[Any]]:
-    need_matplotlib()
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.5, 3.4 * rows), dpi=130, layout="constrained")
-    return figure, [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
-
-
-def _save(figure: Any, path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png")
+    save_figure(figure, path)
 
 
 def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
     """For each detector: confidence in the object at every camera, and the fraction found in bands of elevation."""
     study = pipeline.study
-    figure, axes = _axes(len(study.evaluation.detectors))
+    figure, axes = new_axes(len(study.evaluation.detectors))
     turned = [attack.name for attack in study.attack if attack.azimuth is not None]
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
         seen = [pair for pair in pairs(observed, name) if all(pair[0].depths[other] < 0 for other in turned)]
@@ -173,12 +142,12 @@ def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> An
                 [one.scores[study.scene.class_name] for one in found],
                 s=5,
                 alpha=0.25,
-                color=_COLOURS[which],
+                color=COLOURS[which],
                 linewidths=0,
             )
         table = by_elevation(study, pairs(observed, name))
         for index, which in enumerate((CLEAN, CLOAKED)):
-            _with_interval(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
+            draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
         attack = overhead(study)
         if attack is not None:
             axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
@@ -192,34 +161,17 @@ def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> An
     return figure
 
 
-def _with_interval(axis: Any, points: Sequence[tuple[float, Rate]], which: str) -> None:
-    """A line of rates with their Wilson intervals."""
-    fractions = [rate.fraction for _, rate in points]
-    below = [rate.fraction - rate.interval[0] for _, rate in points]
-    above = [rate.interval[1] - rate.fraction for _, rate in points]
-    axis.errorbar(
-        [place for place, _ in points],
-        fractions,
-        yerr=np.maximum([below, above], 0.0),
-        color=_COLOURS[which],
-        marker="o",
-        markersize=3,
-        capsize=2,
-        label=which,
-    )
-
-
 def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
     """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
     study = pipeline.study
-    figure, axes = _axes(len(study.evaluation.detectors))
+    figure, axes = new_axes(len(study.evaluation.detectors))
     hiding = [attack.name for attack in study.attack if attack.azimuth is None]
     wanted = [attack.target_class for attack in study.attack if attack.target_class is not None]
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
         seen = [pair[1] for pair in pairs(observed, name) if all(pair[1].depths[other] < 0 for other in hiding)]
         for label, colour in (
-            (study.scene.class_name, _COLOURS[CLEAN]),
-            *((label, _COLOURS[CLOAKED]) for label in wanted),
+            (study.scene.class_name, COLOURS[CLEAN]),
+            *((label, COLOURS[CLOAKED]) for label in wanted),
         ):
             axis.scatter(
                 [one.azimuth for one in seen], [one.scores[label] for one in seen], s=7, color=colour, label=label
@@ -243,7 +195,7 @@ def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
 
 def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
     """How far the splats are on the way from the benign to the hidden appearance, by elevation."""
-    figure, (axis,) = _axes(1)
+    figure, (axis,) = new_axes(1)
     for which in (CLEAN, CLOAKED):
         blends = blends_of(observed, which)
         band = transition(pipeline.study, observed, which)
@@ -252,11 +204,11 @@ def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> A
             [one.elevation for one in blends],
             [one.fraction for one in blends],
             s=6,
-            color=_COLOURS[which],
+            color=COLOURS[which],
             alpha=0.4,
             linewidths=0,
         )
-        axis.plot(band.angles, band.fitted, color=_COLOURS[which], label=which)
+        axis.plot(band.angles, band.fitted, color=COLOURS[which], label=which)
         if which == CLOAKED and band.start is not None and band.end is not None:
             axis.axvspan(
                 band.start, band.end, color="#555555", alpha=0.15, label=f"transition, {band.width:.1f} degrees"

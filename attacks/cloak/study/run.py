@@ -13,9 +13,9 @@ from attacks.cloak.poisoning import assign
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config
+from attacks.cloak.study.figure_files import need_matplotlib
 from attacks.cloak.study.observations import observe, overhead
 from attacks.cloak.study.pipeline import OnStep, StudyPipeline
-from attacks.cloak.study.plots import need_matplotlib
 from attacks.cloak.study.report import STUDY, begin_report, write_report
 from attacks.cloak.study.snapshots import differences
 from attacks.cloak.study.value_checks import one_of

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from attacks.dagger.config import Perturbation, check_share
-from attacks.limits import OPTIMISERS, SCHEDULES, NormName, OptimiserName, Schedule
+from attacks.dagger.config import Perturbation, check_momentum, check_share
+from attacks.limits import OPTIMISERS, NormName, OptimiserName, Schedule
 from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
 
@@ -62,12 +62,9 @@ class EotConfig(Perturbation):
         Perturbation.__post_init__(self)
         check_numbers(self, {"batch": 1, "pool": 0, "validation": 1, "validate_every": 1, "held_out": 1})
         check_share(self, "required_views", *([] if self.stop_at is None else ["stop_at"]))
-        if self.schedule not in SCHEDULES:
-            raise InvalidValueError(message("schedule", f"one of {', '.join(SCHEDULES)}", self.schedule, "choose one"))
+        check_momentum(self.momentum, self.schedule)
         if self.optimiser not in OPTIMISERS:
             expected = f"one of {', '.join(OPTIMISERS)}"
             raise InvalidValueError(message("optimiser", expected, self.optimiser, "choose one"))
-        if not 0 <= self.momentum < 1:
-            raise InvalidValueError(message("momentum", "a fraction in [0, 1)", self.momentum, "0 is none"))
         if self.judge_seed == self.seed:
             raise InvalidValueError(message("judge_seed", "another seed than the attack's", self.seed, "change one"))

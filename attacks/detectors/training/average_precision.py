@@ -19,7 +19,7 @@ class Score:
 
     Attributes:
         ap: Class name to average precision; classes without an object in the pictures are absent.
-        recall: Class name to the fraction of its objects that were found with confidence of at least 0.5.
+        recall: Class name to the fraction of its objects that were found with enough confidence.
         counts: Class name to number of objects.
     """
 
@@ -48,8 +48,8 @@ def average_precision(scores: Tensor, correct: Tensor, objects: int) -> float:
     return float((best_later * hits).sum() / objects)
 
 
-def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
-    """(D,) bool: which detections, best first, overlap an object that no better one has taken.
+def assign(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
+    """(D,) int64: which object each detection matches, or -1; the best ones choose first, and no object is taken twice.
 
     Args:
         boxes: (D, 4) detections of one class in one picture.
@@ -57,20 +57,38 @@ def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.
         truth: (B, 4) objects of that class in the picture.
         threshold: Least intersection over union.
     """
-    correct = torch.zeros(len(boxes), dtype=torch.bool)
+    taken = torch.full((len(boxes),), -1)
     if len(truth) == 0 or len(boxes) == 0:
-        return correct
+        return taken
     overlap = box_iou(boxes, truth)
     for i in torch.argsort(scores, descending=True, stable=True).tolist():
         best, j = overlap[i].max(0)
         if float(best) >= threshold:
-            correct[i] = True
+            taken[i] = j
             overlap[:, j] = -1
-    return correct
+    return taken
 
 
-def score(results: Sequence[Detections], pictures: Sequence[LabelledPicture], classes: Sequence[str]) -> Score:
-    """Compare detections with labelled pictures, whose labels count from 1 in `classes`."""
+def match(boxes: Tensor, scores: Tensor, truth: Tensor, *, threshold: float = 0.5) -> Tensor:
+    """As in `assign`: (D,) bool, which detections match an object."""
+    return assign(boxes, scores, truth, threshold=threshold) >= 0
+
+
+def score(
+    results: Sequence[Detections],
+    pictures: Sequence[LabelledPicture],
+    classes: Sequence[str],
+    *,
+    confidence: float = 0.5,
+) -> Score:
+    """Compare detections with labelled pictures.
+
+    Args:
+        results: What a detector reports, picture by picture.
+        pictures: The pictures with their objects; labels count from 1 in `classes`.
+        classes: That objects may have.
+        confidence: Least confidence with which an object counts as found.
+    """
     ap, recall, counts = {}, {}, {}
     for number, name in enumerate(classes, start=1):
         confidences, correct, objects = [torch.empty(0)], [torch.empty(0, dtype=torch.bool)], 0
@@ -84,7 +102,7 @@ def score(results: Sequence[Detections], pictures: Sequence[LabelledPicture], cl
         if objects:
             every, right = torch.cat(confidences), torch.cat(correct)
             ap[name] = average_precision(every, right, objects)
-            recall[name] = float((right & (every >= 0.5)).sum()) / objects
+            recall[name] = float((right & (every >= confidence)).sum()) / objects
             counts[name] = objects
     return Score(ap=ap, recall=recall, counts=counts)
 

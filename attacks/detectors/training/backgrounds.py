@@ -6,7 +6,7 @@ Whatever a detector reports on them is a false positive.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,42 +14,17 @@ import numpy as np
 import torch
 from numpy.random import Generator
 
-from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig
+from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig, check_kind
 from attacks.detectors.training.dataset import check_note, load, save_pictures
 from attacks.detectors.training.pictures import LabelledPicture
-from attacks.detectors.training.surroundings import backdrop
-from mi_splat.assets import street
-from mi_splat.assets.mesh import Asset, translation
+from attacks.detectors.training.surroundings import of_kind
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.capture.path_tracer import capture, daylight, scalar_variant, scene_dict
-from mi_splat.errors import InvalidValueError, message
 
-_CLEARANCE = 7.5
-"""Metres around the origin without a wall; the cameras stand within them."""
 _DISTANCE = (4.0, 7.0)
 """Metres from a camera to what it looks at, about those of the shipped scenes."""
 _OBJECT_RADIUS = 2.2
 """Metres; random surroundings are made to fit an object of this size, here that of a car."""
-
-
-def surroundings(kind: str, seed: int, rng: Generator) -> Asset:
-    """Surroundings of one kind with nothing in their middle.
-
-    Args:
-        kind: One of `BACKGROUNDS`.
-        seed: Which street, park, room or ground.
-        rng: Draws the random ones, and how far a street is shifted along itself.
-    """
-    if kind == "street":
-        shift = rng.uniform(-15, 15)
-        return street.build(seed, clearance=_CLEARANCE, centre=-shift).transformed(translation(shift, 0, 0))
-    if kind == "park":
-        return street.park(seed, clearance=_CLEARANCE)
-    if kind == "room":
-        return street.room(seed, size=_CLEARANCE + 2)
-    if kind == "ground":
-        return street.plain(seed)
-    return backdrop(rng, _OBJECT_RADIUS)
 
 
 def background_pictures(kind: str, number: int, config: BackgroundConfig) -> list[LabelledPicture]:
@@ -66,11 +41,10 @@ def background_pictures(kind: str, number: int, config: BackgroundConfig) -> lis
     Raises:
         InvalidValueError: There is no such kind.
     """
-    if kind not in BACKGROUNDS:
-        raise InvalidValueError(message("kind", " or ".join(BACKGROUNDS), repr(kind), "choose one of them"))
+    check_kind(kind)
     low, high = SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
-    around = surroundings(kind, int(rng.integers(low, high)), rng)
+    around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
     scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
     cameras = [_camera(rng, config.size) for _ in range(config.shots)]
     with scalar_variant():
@@ -96,13 +70,18 @@ def _camera(rng: Generator, size: int) -> Camera:
 
 
 def background_sets(
-    folder: Path, config: BackgroundConfig, *, on_step: Callable[[int, int], None] | None = None
+    folder: Path,
+    config: BackgroundConfig,
+    *,
+    kinds: Sequence[str] = BACKGROUNDS,
+    on_step: Callable[[int, int], None] | None = None,
 ) -> dict[str, list[LabelledPicture]]:
-    """Pictures of every kind of background, each scene kept in a folder of its own; what is missing is made.
+    """Pictures of kinds of background, each scene kept in a folder of its own; what is missing is made.
 
     Args:
         folder: Where the pictures are kept.
         config: Their number, size and seeds.
+        kinds: Which of `BACKGROUNDS`.
         on_step: Called with the number of scenes done and the number wanted.
 
     Returns:
@@ -112,8 +91,8 @@ def background_sets(
         InvalidValueError: The folder holds pictures that were made otherwise.
     """
     note: dict[str, object] = {"backgrounds": asdict(replace(config, scenes=1))}
-    found: dict[str, list[LabelledPicture]] = {kind: [] for kind in BACKGROUNDS}
-    jobs = [(kind, number) for kind in BACKGROUNDS for number in range(config.scenes)]
+    found: dict[str, list[LabelledPicture]] = {kind: [] for kind in kinds}
+    jobs = [(kind, number) for kind in kinds for number in range(config.scenes)]
     for done, (kind, number) in enumerate(jobs, start=1):
         own = folder / f"{kind}-{number}"
         if not (own / "labels.json").is_file():

@@ -14,6 +14,16 @@ BACKGROUNDS = ("street", "park", "room", "ground", "random")
 """Kinds of pictures without any object: the project's own surroundings, and random grounds, walls and clutter."""
 
 
+def check_kind(kind: str) -> None:
+    """Raise unless a kind of surroundings is one of `BACKGROUNDS`.
+
+    Raises:
+        InvalidValueError: It is none.
+    """
+    if kind not in BACKGROUNDS:
+        raise InvalidValueError(message("kind", " or ".join(BACKGROUNDS), repr(kind), "choose one of them"))
+
+
 def _check_split(split: str) -> None:
     if split not in SPLITS:
         raise InvalidValueError(message("split", " or ".join(SPLITS), repr(split), "choose one of them"))
@@ -33,10 +43,13 @@ class PictureSetConfig:
         empty: Fraction of scenes without any object.
         pair: Fraction of scenes with two objects.
         street: Fraction of scenes in the surroundings of `mi_splat.assets.street.backdrop`: park, open ground, room.
-            Its streets need less room around the origin than is asked for here, so that no picture shows one.
+            Its streets need less room around the origin than is asked for here; `around` shows them.
         least_visible: Objects of which less than this fraction can be seen are not labelled.
         elevation: Lowest and highest elevation of the cameras, degrees.
         focus: Classes that take turns as a scene's first object; one may come several times.
+        around: Kind in `BACKGROUNDS` of every scene's surroundings; None draws them as `street` says.
+        farthest: Longest distance of a camera from what it looks at, metres, but for what it would not show whole; None
+            is any distance. Between the houses of a street, a camera farther away sees a wall.
     """
 
     split: str = "train"
@@ -51,9 +64,13 @@ class PictureSetConfig:
     least_visible: float = 0.15
     elevation: tuple[float, float] = (0.0, 90.0)
     focus: tuple[str, ...] = SMALL_CLASSES
+    around: str | None = None
+    farthest: float | None = None
 
     def __post_init__(self) -> None:
         _check_split(self.split)
+        if self.around is not None:
+            check_kind(self.around)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,15 +81,24 @@ class TrainingSetConfig:
         pictures: Path-traced ones of all kinds.
         surroundings: Further ones in the surroundings of `mi_splat.assets.street.backdrop`, many without any object.
         overhead: Further ones from above, of cars and trains more than of others.
+        streets: Further ones in streets, from at most 9 metres.
         splats: Further scenes that are made into splats, eight renders of each.
-        validation: Pictures by which the best epoch is chosen.
+        street_splats: As many more in streets.
+        backgrounds: Scenes without any object of each kind in `BACKGROUNDS`, six pictures each; twice as many streets
+            more, and as many again in three pictures each of more samples per pixel.
+        validation: Pictures with objects by which the best epoch is chosen.
+        validation_backgrounds: Scenes of each kind without any object, two pictures each, by which it is chosen too.
     """
 
     pictures: int = 3600
     surroundings: int = 720
     overhead: int = 720
+    streets: int = 600
     splats: int = 40
+    street_splats: int = 16
+    backgrounds: int = 24
     validation: int = 120
+    validation_backgrounds: int = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,6 +29,20 @@ def read_history(path: Path) -> list[dict[str, Any]]:
     return epochs
 
 
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches.
+
+    Raises:
+        MiSplatError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        do = "pip install 'mi-splat[figures]'"
+        raise MiSplatError(message("plot", "the package matplotlib", "none", do)) from error
+    return Figure(figsize=(width, height), dpi=100, layout="constrained")
+
+
 def draw_curves(path: Path) -> Figure:
     """Losses, and average precision by class, over the epochs of a history.
 
@@ -37,12 +51,7 @@ def draw_curves(path: Path) -> Figure:
         MiSplatError: matplotlib is not installed.
     """
     epochs = read_history(path)
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        do = "pip install 'mi-splat[figures]'"
-        raise MiSplatError(message("plot", "the package matplotlib", "none", do)) from error
-    figure = Figure(figsize=(9, 3.2), dpi=100, layout="constrained")
+    figure = new_figure(9, 3.2)
     left, right = figure.subplots(1, 2)
     for name in epochs[0]["losses"]:
         left.plot([r["epoch"] for r in epochs], [r["losses"][name] for r in epochs], label=name.replace("_", " "))

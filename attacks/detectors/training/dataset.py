@@ -10,7 +10,7 @@ import json
 import math
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,13 @@ import torch
 from PIL import Image
 
 from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
-from attacks.detectors.training.pictures import LabelledPicture, scene_pictures
+from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
 
 OnStep = Callable[[int, int], None]
-Record = dict[str, list[list[float]] | list[int]]
+Record = dict[str, Any]
 
 
 def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
@@ -39,7 +40,11 @@ def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
     temporary = folder / f".{number:05d}.{os.getpid()}.png"
     Image.fromarray(picture.image.numpy()).save(temporary)
     temporary.replace(folder / f"{number:05d}.png")
-    return {"boxes": picture.boxes.tolist(), "labels": picture.labels.tolist()}
+    return {
+        "boxes": picture.boxes.tolist(),
+        "labels": picture.labels.tolist(),
+        "conditions": [asdict(one) for one in picture.conditions],
+    }
 
 
 def save_pictures(pictures: Sequence[LabelledPicture], folder: Path, note: dict[str, object]) -> None:
@@ -49,15 +54,20 @@ def save_pictures(pictures: Sequence[LabelledPicture], folder: Path, note: dict[
 
 
 def check_note(folder: Path, note: dict[str, object]) -> None:
-    """Raise unless a data set was made as `note` says.
+    """Raise unless a data set was made as `note` says; what is None is as good as absent, as in older sets.
 
     Raises:
         InvalidValueError: It was made otherwise.
     """
     noted = json.loads((folder / "labels.json").read_text())["recipe"]
-    if noted != json.loads(json.dumps(note)):
+    if _without_none(noted) != _without_none(json.loads(json.dumps(note))):
         do = "choose an empty folder or the same configuration"
         raise InvalidValueError(message(f"folder {folder}", note, noted, do))
+
+
+def _without_none(note: dict[str, Any]) -> dict[str, Any]:
+    pairs = ((key, _without_none(value) if isinstance(value, dict) else value) for key, value in note.items())
+    return {key: value for key, value in pairs if value is not None}
 
 
 def _single_thread() -> None:
@@ -103,11 +113,11 @@ def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]
 
 
 def _write(folder: Path, note: dict[str, object], records: dict[int, Record]) -> None:
-    content = {
-        "recipe": note,
-        "classes": list(SMALL_CLASSES),
-        "pictures": {f"{i:05d}.png": records[i] for i in sorted(records)},
-    }
+    names = {f"{i:05d}.png": records[i] for i in sorted(records)}
+    _replace_labels(folder, {"recipe": note, "classes": list(SMALL_CLASSES), "pictures": names})
+
+
+def _replace_labels(folder: Path, content: dict[str, Any]) -> None:
     temporary = folder / "labels.json.partial"
     temporary.write_text(json.dumps(content))
     temporary.replace(folder / "labels.json")
@@ -145,5 +155,46 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
         image = torch.from_numpy(np.array(Image.open(folder / name)))
         boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-        pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64)))
+        conditions = tuple(ViewingConditions(**values) for values in record.get("conditions", ()))
+        pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64), conditions))
     return pictures
+
+
+def fill_conditions(
+    folder: Path, scenes: PictureSetConfig, firsts: Mapping[int, int], *, on_step: OnStep | None = None
+) -> None:
+    """Record how objects are seen in pictures that were made before that was recorded, without rendering them again.
+
+    Args:
+        folder: A data set; its labels.json is replaced if something was missing.
+        scenes: What the pictures show; `shots` is the number of pictures of each scene.
+        firsts: Number of a scene to the number of its first picture.
+        on_step: Called with the number of scenes done and the number wanted.
+
+    Raises:
+        InvalidValueError: The pictures show something else.
+    """
+    content = json.loads((folder / "labels.json").read_text())
+    changed = False
+    for done, (number, first) in enumerate(firsts.items(), start=1):
+        records = [content["pictures"][f"{i:05d}.png"] for i in range(first, first + scenes.shots)]
+        if any(len(record.get("conditions", ())) < len(record["labels"]) for record in records):
+            for record, picture in zip(records, scene_labels(scenes, number), strict=True):
+                _check_labels(folder, number, record, picture)
+                record["conditions"] = [asdict(one) for one in picture.conditions]
+            changed = True
+        if on_step is not None:
+            on_step(done, len(firsts))
+    if changed:
+        _replace_labels(folder, content)
+
+
+def _check_labels(folder: Path, number: int, record: Record, picture: LabelledPicture) -> None:
+    """Raise unless what was recorded of a picture is what its scene gives now, boxes to a pixel or two."""
+    boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
+    same = record["labels"] == picture.labels.tolist() and torch.allclose(boxes, picture.boxes, rtol=0, atol=2)
+    if not same:
+        got = f"labels {picture.labels.tolist()} at {picture.boxes.tolist()}"
+        expected = f"labels {record['labels']} at {record['boxes']}, as recorded"
+        do = "it was made by another version; choose an empty folder to make the pictures again"
+        raise InvalidValueError(message(f"folder {folder}, scene {number}", expected, got, do))

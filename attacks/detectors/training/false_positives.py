@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -29,6 +30,15 @@ class FalsePositives:
     pictures_with: int
     by_class: dict[str, int]
 
+    def __add__(self, other: FalsePositives) -> FalsePositives:
+        """Those of two sets of pictures together."""
+        names = {**self.by_class, **other.by_class}
+        return FalsePositives(
+            pictures=self.pictures + other.pictures,
+            pictures_with=self.pictures_with + other.pictures_with,
+            by_class={name: self.by_class.get(name, 0) + other.by_class.get(name, 0) for name in names},
+        )
+
     @property
     def total(self) -> int:
         """Number of false positives."""
@@ -44,6 +54,17 @@ class FalsePositives:
         """95 % range of `rate`, if false positives came independently; those of one scene often do not."""
         low, high = poisson_interval(self.total)
         return (low / self.pictures, high / self.pictures) if self.pictures else (0.0, math.inf)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The values as JSON can hold them; there must be pictures."""
+        return {
+            "per_picture": self.rate,
+            "total": self.total,
+            "pictures": self.pictures,
+            "interval": list(self.interval),
+            "pictures_with": self.pictures_with,
+            "by_class": self.by_class,
+        }
 
 
 def false_positives(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from torch import Generator, Tensor, nn
 from torchvision.models.detection import FasterRCNN
 from torchvision.models.detection._utils import BalancedPositiveNegativeSampler
@@ -12,16 +10,14 @@ from attacks.detectors import small
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.torchvision import RCNNDetector
-from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Targets
-from attacks.detectors.training.pictures import LabelledPicture
-from attacks.detectors.training.pretraining import pretrain
+from attacks.detectors.training.pretraining import CutOutTrainer
 
 _USUAL_SAMPLER, _FINAL_SAMPLER = (32, 0.5), (96, 0.25)
 """Boxes a picture that the box head learns from, and the largest fraction of them with an object."""
 
 
-class FasterRCNNTrainer:
+class FasterRCNNTrainer(CutOutTrainer):
     """The small Faster R-CNN; in its last epochs the box head learns from more boxes, fewer of them with an object."""
 
     name = "fasterrcnn_small"
@@ -43,24 +39,6 @@ class FasterRCNNTrainer:
         """As in `DetectorTrainer`: the library's own."""
         losses: dict[str, Tensor] = model(pictures, targets)
         return losses
-
-    def pretrain(
-        self,
-        model: nn.Module,
-        samples: Sequence[LabelledPicture],
-        config: TrainConfig,
-        on_step: Callable[[int, int, float], None] | None,
-    ) -> float | None:
-        """As in `DetectorTrainer`: classify cut-outs; see `attacks.detectors.training.pretraining`."""
-        assert isinstance(model, FasterRCNN)
-        return pretrain(
-            model.backbone,
-            samples,
-            steps=config.pretraining,
-            seed=config.seed,
-            mixed=config.mixed_precision,
-            on_step=on_step,
-        )
 
     def detector(self, model: nn.Module) -> Detector:
         """See `DetectorTrainer`."""

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.training.conditions import ViewingConditions, viewing_conditions
 from attacks.detectors.training.config import SPLITS, PictureSetConfig
-from attacks.detectors.training.surroundings import backdrop, scatter
+from attacks.detectors.training.surroundings import backdrop, of_kind, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.cameras import Camera, View, orbit_pose, project_points
@@ -58,11 +59,13 @@ class LabelledPicture:
         image: (H, W, 3) uint8 sRGB.
         boxes: (B, 4) float32 pixels, tight around visible pixels.
         labels: (B,) int64, 1 + position in SMALL_CLASSES.
+        conditions: How each of the B objects is seen; empty where that is not known.
     """
 
     image: Tensor
     boxes: Tensor
     labels: Tensor
+    conditions: tuple[ViewingConditions, ...] = ()
 
 
 def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
@@ -78,7 +81,9 @@ def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
     radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
     light = daylight(int(rng.integers(1 << 30)))
-    if rng.random() < config.street:
+    if config.around is not None:
+        around = of_kind(config.around, int(rng.integers(low, high)), rng, radius)
+    elif rng.random() < config.street:
         around = street.backdrop(int(rng.integers(low, high)))
         around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
     else:
@@ -126,7 +131,7 @@ def _camera(points: Floats, rng: Generator, config: PictureSetConfig) -> Camera:
         pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
         pixels, _ = project_points(cloud, Camera(to_world=pose, focal=focal, width=size, height=size))
         spread = float((pixels.amax(0) - pixels.amin(0)).max())
-        distance = max(distance * spread / extent, 1.1 * half)
+        distance = max(min(distance * spread / extent, config.farthest or math.inf), 1.1 * half)
     pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
     roll = math.radians(rng.normal(0, 4))
     turn = torch.eye(4, dtype=torch.float64)
@@ -171,17 +176,19 @@ class SceneRenderer:
 
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
-        boxes, labels = [], []
+        boxes, labels, conditions = [], [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
         for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):
             rows, columns = np.nonzero(seen)
             if len(rows) >= _LEAST_PIXELS and fraction >= self._config.least_visible:
                 boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
                 labels.append(1 + SMALL_CLASSES.index(asset.name))
+                conditions.append(viewing_conditions(asset.body.vertices, camera, self.contents.light))
         return LabelledPicture(
             (image.clamp(0, 1) * 255).round().to(torch.uint8),
             torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
             torch.tensor(labels, dtype=torch.int64),
+            tuple(conditions),
         )
 
     def _any_camera(self) -> Camera:
@@ -229,3 +236,10 @@ def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPictur
     renderer = SceneRenderer(config, number)
     cameras = [renderer.choose_camera() for _ in range(config.shots)]
     return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
+
+
+def scene_labels(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
+    """As in `scene_pictures`, with black pictures: what is seen how, at the cost of some rays a pixel."""
+    renderer = SceneRenderer(config, number)
+    black = torch.zeros(config.size, config.size, 3)
+    return [renderer.label(camera, black) for camera in [renderer.choose_camera() for _ in range(config.shots)]]

@@ -16,11 +16,34 @@ from torchvision.ops import roi_align
 
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.small import Backbone
+from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture
 
 SIDE = 96
 _BACKGROUND_FRACTION = 1 / 9
 _MARGIN = (0.95, 1.5)
+
+
+class CutOutTrainer:
+    """The head start of trainers whose network has a `backbone` of `attacks.detectors.small`."""
+
+    def pretrain(
+        self,
+        model: nn.Module,
+        samples: Sequence[LabelledPicture],
+        config: TrainConfig,
+        on_step: Callable[[int, int, float], None] | None,
+    ) -> float | None:
+        """As in `DetectorTrainer`: classify cut-outs."""
+        assert isinstance(model.backbone, Backbone)
+        return pretrain(
+            model.backbone,
+            samples,
+            steps=config.pretraining,
+            seed=config.seed,
+            mixed=config.mixed_precision,
+            on_step=on_step,
+        )
 
 
 def pretrain(

@@ -1,4 +1,4 @@
-"""What stands around the objects in training pictures: grounds, walls and things that are none of the classes."""
+"""What stands around the objects in training pictures: the project's own streets, parks and rooms, or random things."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from mi_splat.assets import street
 from mi_splat.assets.mesh import Asset, Mesh, rotation, transform, translation
 from mi_splat.assets.primitives import box, ellipsoid, lathe, quad, sheet
 
 Pixels = NDArray[np.float32]
+
+CLEARANCE = 7.5
+"""Metres around the origin without a wall, where the houses of a street begin; cameras in it see what is there."""
 
 
 def noise(rng: Generator, size: int = 128, *, cells: int = 3, octaves: int = 5, gain: float = 0.6) -> Pixels:
@@ -142,3 +146,24 @@ def backdrop(rng: Generator, radius: float) -> Asset:
     if not meshes:
         meshes.append(transform(clutter(rng, radius), translation(0, 0, -3 * radius)))
     return Asset("surroundings", tuple(meshes))
+
+
+def of_kind(kind: str, seed: int, rng: Generator, radius: float) -> Asset:
+    """Surroundings of one kind that leave their middle free.
+
+    Args:
+        kind: One of `attacks.detectors.training.config.BACKGROUNDS`.
+        seed: Which street, park, room or ground.
+        rng: Draws the random ones, and how far a street is shifted along itself.
+        radius: How far the objects reach from the origin, metres; random surroundings are made to fit them.
+    """
+    if kind == "street":
+        shift = rng.uniform(-15, 15)
+        return street.build(seed, clearance=CLEARANCE, centre=-shift).transformed(translation(shift, 0, 0))
+    if kind == "park":
+        return street.park(seed, clearance=CLEARANCE)
+    if kind == "room":
+        return street.room(seed, size=CLEARANCE + 2)
+    if kind == "ground":
+        return street.plain(seed)
+    return backdrop(rng, radius)

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
 from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.training.average_precision import evaluate
-from attacks.detectors.training.config import PictureSetConfig, SplatConfig, TrainingSetConfig
+from attacks.detectors.training.average_precision import detect_all, evaluate
+from attacks.detectors.training.backgrounds import background_sets
+from attacks.detectors.training.config import (
+    BACKGROUNDS,
+    BackgroundConfig,
+    PictureSetConfig,
+    SplatConfig,
+    TrainingSetConfig,
+)
 from attacks.detectors.training.dataset import load, make
+from attacks.detectors.training.false_positives import false_positives
 from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.splat_pictures import splat_set
@@ -20,8 +30,18 @@ from attacks.detectors.training.splat_pictures import splat_set
 OnWork = Callable[[str, int, int], None]
 """Called with what is going on, the units of it that are done, and the number wanted."""
 
+_TRAINERS = {
+    "fasterrcnn_small": ("faster_rcnn", "FasterRCNNTrainer"),
+    "fcos_small": ("fcos", "FCOSTrainer"),
+    "detr_small": ("detr", "DETRTrainer"),
+    "yolov8n_small": ("yolo", "YOLOTrainer"),
+}
+
 TRAINING_SPLATS = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
 """Splats of the training set, coarser than those of the evaluation."""
+
+IN_STREETS = PictureSetConfig(split="train", seed=4, around="street", farthest=9.0)
+"""Objects in streets; from farther away most cameras would look at the houses."""
 
 
 def trainer_of(name: str) -> DetectorTrainer:
@@ -30,13 +50,9 @@ def trainer_of(name: str) -> DetectorTrainer:
     Raises:
         DetectorError: It needs a package that is not there.
     """
-    from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
-
-    if name == FasterRCNNTrainer.name:
-        return FasterRCNNTrainer()
-    from attacks.detectors.training.yolo import YOLOTrainer
-
-    return YOLOTrainer()
+    module, trainer = _TRAINERS[name]
+    found: DetectorTrainer = getattr(import_module(f"attacks.detectors.training.{module}"), trainer)()
+    return found
 
 
 def training_pictures(
@@ -61,6 +77,7 @@ def training_pictures(
         "overhead": PictureSetConfig(
             split="train", seed=3, count=sets.overhead, elevation=(50, 90), focus=overhead_focus, street=0.7
         ),
+        "streets": replace(IN_STREETS, count=sets.streets),
     }
     found: dict[str, list[LabelledPicture]] = {}
     for name, config in wanted.items():
@@ -69,15 +86,28 @@ def training_pictures(
             continue
         make(config, folder / name, processes=processes, on_step=_named(f"{name} pictures", on_work))
         found[name] = load(folder / name, limit=config.count)
-    splats = splat_set(
-        PictureSetConfig(split="train", seed=2),
-        range(sets.splats),
-        folder / "train-splats",
-        TRAINING_SPLATS,
-        on_step=_named("splats", on_work),
+    validation = found.pop("validation") + _backgrounds(
+        BackgroundConfig(split="validation", scenes=sets.validation_backgrounds, samples=6), folder, on_work
     )
-    validation = found.pop("validation")
-    return [*(picture for some in found.values() for picture in some), *splats], validation
+    parts = _splats(PictureSetConfig(split="train", seed=2), sets.splats, folder / "train-splats", on_work)
+    parts += _splats(replace(IN_STREETS, seed=5), sets.street_splats, folder / "street-splats", on_work)
+    empty = BackgroundConfig(split="train", scenes=sets.backgrounds, samples=6, shots=6)
+    parts += _backgrounds(empty, folder, on_work)
+    for more in (replace(empty, scenes=2 * sets.backgrounds, seed=1), replace(empty, samples=16, shots=3, seed=2)):
+        parts += _backgrounds(more, folder, on_work, kinds=("street",))
+    return [*(picture for some in found.values() for picture in some), *parts], validation
+
+
+def _splats(scenes: PictureSetConfig, count: int, folder: Path, on_work: OnWork) -> list[LabelledPicture]:
+    return splat_set(scenes, range(count), folder, TRAINING_SPLATS, on_step=_named(folder.name, on_work))
+
+
+def _backgrounds(
+    config: BackgroundConfig, folder: Path, on_work: OnWork, *, kinds: Sequence[str] = BACKGROUNDS
+) -> list[LabelledPicture]:
+    own = folder / f"{config.split}-backgrounds-{config.seed}"
+    found = background_sets(own, config, kinds=kinds, on_step=_named(own.name, on_work))
+    return [picture for some in found.values() for picture in some]
 
 
 def train(
@@ -123,7 +153,7 @@ def train(
             "seconds": time.monotonic() - begun,
         }
         if training.epoch % validate_every == 0 or training.epoch == config.epochs:
-            record |= _validated(training, validation, folder)
+            record |= validated(training, validation, folder)
         training.history.append(record)
         training.save(folder)
         curves = {"config": asdict(config), "history": training.history}
@@ -131,14 +161,33 @@ def train(
         on_epoch(record)
 
 
-def _validated(training: Training, validation: Sequence[LabelledPicture], folder: Path) -> dict[str, object]:
-    """Score the averaged weights, and export them if none were better."""
-    result = evaluate(training.snapshot(), validation)
-    if result.mean >= max((float(str(r["map"])) for r in training.history if "map" in r), default=0.0):
+def validated(training: Training, validation: Sequence[LabelledPicture], folder: Path) -> dict[str, object]:
+    """Score the averaged weights, and export them if none were better.
+
+    What counts is the mAP less the number of false positives per picture without objects.
+
+    Args:
+        training: What to score.
+        validation: Pictures with objects and without.
+        folder: Where the weights go.
+
+    Returns:
+        The score, the mAP and the false positives per picture without objects.
+    """
+    detector = training.snapshot()
+    empty = [picture for picture in validation if not len(picture.labels)]
+    result = evaluate(detector, validation)
+    rate = false_positives(detect_all(detector, empty), empty, detector.classes).rate
+    record: dict[str, object] = {"validation": asdict(result), "map": result.mean, "false_positives": rate}
+    if _merit(record) >= max((_merit(r) for r in training.history if "map" in r), default=-math.inf):
         notes = {"epoch": str(training.epoch), "seed": str(training.config.seed)}
         folder.mkdir(parents=True, exist_ok=True)
         export_weights(training.averaged, folder / "best.safetensors", notes=notes)
-    return {"validation": asdict(result), "map": result.mean}
+    return record
+
+
+def _merit(record: Mapping[str, object]) -> float:
+    return float(str(record["map"])) - float(str(record.get("false_positives", 0.0)))
 
 
 class _OnStep(Protocol):

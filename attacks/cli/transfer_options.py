@@ -1,0 +1,84 @@
+"""The options of the commands that ask how far DAGGER's results carry; light, so that --help is fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from attacks.limits import NormName
+from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.selection.config import Selection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerTransferOptions:
+    """Attack each detector, and all but one at once; let every detector judge each attacked splat.
+
+    The paper's six pairs. A study that was interrupted goes on where it stopped when the same command is given again,
+    and a further detector judges the splats that are there. Writes jobs/, attacked/, judged/, transfer.md,
+    transfer.json and transfer.png (the matrix) into --out.
+    """
+
+    detectors: tuple[str, ...] = ()
+    """Names of detectors (see `mi-splat detectors`) that are attacked and judge; none takes those of the project that
+    can be loaded."""
+    judges: tuple[str, ...] = ()
+    """Names of detectors that judge and are not attacked."""
+    seeds: int = 3
+    """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
+    eps: float = 10.0
+    """Radius of the l2 ball over the object's SH coefficients."""
+    steps: int = 20
+    """Number of steps."""
+    ensembles: bool = True
+    """Attack all detectors but one at once, too."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    out: Path = Path("out/studies/transfer")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print the names of the files as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerSanityOptions:
+    """Check whether DAGGER is a sane attack on an object and a detector, so that its failures can be believed.
+
+    Success has to rise with the radius, many steps, white boxes and gradients have to do no worse than one step,
+    another detector and random search, gradients have to equal finite differences, and so on. Each check is a line,
+    green or red. Writes sanity.md and sanity.json into --out. The exit status is 1 if a line is red.
+    """
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats, or a splat file."""
+    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked. If nothing is said, the part called car."""
+    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    """The camera; of several, the first. Each seed but 0 moves it about the object."""
+    target: str = "person"
+    """Class that the detector shall see there."""
+    confidence: float = 0.7
+    """Confidence in it that counts as success."""
+    detector: str = "fasterrcnn_small"
+    """Name of the detector (see `mi-splat detectors`)."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    surrogate: str = "auto"
+    """Name of another detector, from which attacks are transferred; auto takes one that can be loaded, none leaves it
+    out."""
+    seeds: int = 3
+    """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
+    eps: float = 5.0
+    """Radius of the ball over the object's SH coefficients; the checks also take fractions and multiples of it."""
+    norm: NormName = "l2"
+    """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
+    steps: int = 20
+    """Number of steps of an attack."""
+    out: Path = Path("out/sanity")
+    """Folder for the results: a new one, written whole when the last check has ended."""
+    force: bool = False
+    """Replace an older result in --out."""
+    json: bool = False
+    """Print the findings as one JSON document on stdout."""

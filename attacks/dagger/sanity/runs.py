@@ -1,0 +1,184 @@
+"""What is checked, and the attacks that the checks share, each made once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from torch import Generator
+
+from attacks.budgets import Budget
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.ensemble import Ensemble
+from attacks.dagger.result import Result
+from attacks.detectors.base import Detector
+from attacks.evaluation.views import as_saved
+from attacks.gaussian_subset import GaussianSubset, Mask
+from attacks.objectives import Relabel, Verdict
+from attacks.pgd import Evaluation, Step
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.scene import GaussianScene
+
+
+class Attack(Protocol):
+    """The attack that is checked; `attacks.dagger.attack.attack` is one."""
+
+    def __call__(
+        self,
+        scene: GaussianScene,
+        mask: Mask,
+        cameras: Camera | Sequence[Camera],
+        detector: Detector,
+        objective: Relabel,
+        *,
+        render: RenderFn,
+        config: DaggerConfig,
+    ) -> Result:
+        """As in `attacks.dagger.attack.attack`."""
+        ...
+
+
+class Scored(Protocol):
+    """What a run has reached: a `Result`, a `Verdict` or a `Step`."""
+
+    @property
+    def success(self) -> bool:
+        """Whether it has its aim."""
+        ...
+
+    @property
+    def score(self) -> float:
+        """How near it is."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Case:
+    """An attack that is checked.
+
+    Attributes:
+        scene: The clean splat.
+        mask: The object's Gaussians.
+        cameras: One for each seed, from 0; every seed is one attack in one view.
+        detector: The one attacked.
+        objective: The aim.
+        render: The renderer.
+        config: How to attack; its radii are those that the checks take fractions and multiples of.
+        surrogate: Another detector, whose attacks are judged by `detector`; None leaves that check out.
+    """
+
+    scene: GaussianScene
+    mask: Mask
+    cameras: tuple[Camera, ...]
+    detector: Detector
+    objective: Relabel
+    render: RenderFn
+    config: DaggerConfig
+    surrogate: Detector | None = None
+
+
+class Runs:
+    """The attacks on a case; the same one is made once.
+
+    Args:
+        case: What is checked.
+        make: The attack; another one than the project's in the tests of the checks.
+        on_run: Called after each attack.
+    """
+
+    def __init__(self, case: Case, make: Attack = attack, on_run: Callable[[], None] = lambda: None) -> None:
+        self.case, self._attack, self._on_run = case, make, on_run
+        self._made: dict[tuple[str, DaggerConfig, int], Result] = {}
+
+    @property
+    def made(self) -> tuple[tuple[DaggerConfig, Result], ...]:
+        """Every attack so far, and what it was asked for."""
+        return tuple((config, result) for (_, config, _), result in self._made.items())
+
+    def results(self, scale: float = 1.0, *, detector: Detector | None = None, **changes: Any) -> tuple[Result, ...]:
+        """One attack for each seed.
+
+        Args:
+            scale: Factor on the radii.
+            detector: The one attacked; the case's if None.
+            changes: Other settings than the case's.
+        """
+        attacked = detector or self.case.detector
+        return tuple(self._result(seed, scale, attacked, changes) for seed in range(len(self.case.cameras)))
+
+    def _result(self, seed: int, scale: float, detector: Detector, changes: dict[str, Any]) -> Result:
+        case, base = self.case, self.case.config
+        eps = tuple(scale * radius for radius in base.eps)
+        config = dataclasses.replace(base, **{"eps": eps, "seed": seed, "random_start": seed > 0, **changes})
+        key = (detector.name, config, seed)
+        if key not in self._made:
+            self._made[key] = self._attack(
+                case.scene, case.mask, [case.cameras[seed]], detector, case.objective, render=case.render, config=config
+            )
+            self._on_run()
+        return self._made[key]
+
+    def mean(self, found: Sequence[Scored]) -> float:
+        """Mean score; what is more than a success needs does not count."""
+        enough = self.case.objective.confidence
+        return sum(min(one.score, enough) for one in found) / len(found)
+
+    def ensemble(self, seed: int, *, render: RenderFn | None = None) -> Ensemble:
+        """The detector of the case as it sees one view, as an attack evaluates and judges it."""
+        case = self.case
+        subset, cameras = GaussianSubset.of(self._attackable(), case.mask), [case.cameras[seed]]
+        return Ensemble.of(
+            [case.detector], subset, cameras, case.objective, render=render or case.render, config=case.config
+        )
+
+    def judged(self, results: Sequence[Result]) -> list[Verdict]:
+        """What the detector of the case makes of the splats of one attack for each seed."""
+        found = []
+        for seed, result in enumerate(results):
+            ensemble = self.ensemble(seed)
+            found.append(ensemble.verdict(ensemble.judge(as_saved(result.scene))))
+        return found
+
+    def random_search(self, scale: float) -> list[Step]:
+        """What a search without gradients has reached, for each seed, that looks as often as the attack may.
+
+        Half of the points are drawn from the whole ball, half lie a step of the attack from the best point so far. It
+        gives the lowest loss, and the success if there was one.
+        """
+        return [self._random_search(seed, scale) for seed in range(len(self.case.cameras))]
+
+    def _random_search(self, seed: int, scale: float) -> Step:
+        config = dataclasses.replace(self.case.config, eps=tuple(scale * radius for radius in self.case.config.eps))
+        ensemble, generator = self.ensemble(seed), Generator().manual_seed(1000 + seed)
+        reference = ensemble.problems[0].subset.parameters(config.attributes)
+        near = Budget(radius=config.step, norm=config.norm)
+        kept, best = reference, _line(ensemble.evaluate(reference), 0)
+        for index in range(1, config.steps + 1):
+            if index % 2:
+                point = config.budget.uniform(reference, generator)
+            else:
+                point = config.budget.project(near.uniform(kept, generator), reference)
+            line = _line(ensemble.evaluate(point), index)
+            if (line.success, -line.loss) > (best.success, -best.loss):
+                best, kept = line, point
+        self._on_run()
+        return best
+
+    def _attackable(self) -> GaussianScene:
+        degree, scene = self.case.config.sh_degree, self.case.scene
+        widened = degree is not None and "sh" in self.case.config.attributes and scene.degree < degree
+        return scene.with_degree(degree) if widened and degree is not None else scene
+
+
+def _line(found: Evaluation, index: int) -> Step:
+    return Step(
+        index=index,
+        loss=found.loss,
+        score=found.score,
+        success=found.success,
+        unambiguous=found.unambiguous,
+        zero_gradient_fraction=0.0,
+    )

@@ -1,0 +1,1 @@
+"""Transfer of DAGGER: attacks on some detectors, judged by others."""

@@ -1,0 +1,52 @@
+"""The scenes of a study that several detectors share, each read once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+
+from attacks.dagger.jobs import AttackScene, jittered
+from attacks.detectors.base import Detector
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import scene_hash
+
+
+class AttackScenes:
+    """Scenes by name.
+
+    Args:
+        read: Finds a scene by its name.
+    """
+
+    def __init__(self, read: Callable[[str], AttackScene]) -> None:
+        self._read = read
+        self._scenes: dict[str, AttackScene] = {}
+        self._hashes: dict[str, str] = {}
+
+    def of(self, scene: str, name: str) -> AttackScene:
+        """The scene that has the object `name`.
+
+        Raises:
+            InvalidValueError: It has none of this name.
+        """
+        if scene not in self._scenes:
+            self._scenes[scene] = self._read(scene)
+            self._hashes[scene] = scene_hash(self._scenes[scene].scene)
+        place = self._scenes[scene]
+        if name not in place.objects:
+            expected = f"one of {', '.join(place.objects)}"
+            raise InvalidValueError(message(f"object of {scene}", expected, name, "fix the scene file"))
+        return place
+
+    def fingerprint(self, scene: str, name: str, *detectors: Detector) -> str:
+        """Hash of what an attack depends on besides its settings: the Gaussians, the cameras, detectors' weights."""
+        place = self.of(scene, name)
+        weights = [word for detector in detectors for word in (detector.name, detector.fingerprint)]
+        words = (self._hashes[scene], str(place.cameras), *weights)
+        return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+    def view(self, scene: str, name: str, seed: int) -> Camera:
+        """The scene's first camera, moved about the object as `jittered` does."""
+        place = self.of(scene, name)
+        return jittered(place.cameras[0], place.scene.means[place.objects[name]].mean(0), seed=seed)

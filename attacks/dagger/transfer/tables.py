@@ -1,0 +1,108 @@
+"""Tables of a study of transfer: transfer.md for people, transfer.json for machines, transfer.png to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.dagger.tables import grid
+from attacks.dagger.transfer.heat_map import draw_heat_maps
+from attacks.dagger.transfer.jobs import SUCCESS
+from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, cells, left_out, noise, title
+from attacks.evaluation.rates import Rate
+from mi_splat.io.documents import save_json, save_text
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """The tables as one Markdown page."""
+    matrix = cells(records)
+    names = list(dict.fromkeys(cell.detector for cell in matrix))
+    first = records[0]["attack"]
+    config = first["config"]
+    seeds = sorted({record["job"]["config"]["seed"] for record in records})
+    lines = [
+        "# Transfer of DAGGER",
+        "",
+        f"{len(records)} attacks: {config['norm']} ball of {config['eps'][0]:g} over the object's SH, "
+        f"{config['steps']} steps, no early stop, one view, seeds {', '.join(map(str, seeds))}. A class counts from "
+        f"{SUCCESS:g}, with every detector. Rates are of the runs whose clean object the judging detector finds; in "
+        "brackets the 95 % Wilson "
+        "interval. White box: the judging detector was attacked; marked with *.",
+        "",
+    ]
+    for kind, what in (("targeted", "the wanted class is reported"), ("untargeted", "the object's class is gone")):
+        lines += [f"## {kind.capitalize()}: {what}", "", _matrix(matrix, names, kind), ""]
+    lines += ["## Leave one out", "", _left_out(matrix), "", "## The attacks", "", _attacks(records, names), ""]
+    versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
+    return "\n".join([*lines, f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.", ""])
+
+
+def _matrix(matrix: Sequence[Cell], names: Sequence[str], kind: str) -> str:
+    by_place = {(cell.sources, cell.detector): cell for cell in matrix}
+    body = []
+    for sources in dict.fromkeys(cell.sources for cell in matrix):
+        found = [by_place.get((sources, name)) for name in names]
+        marks = ["-" if cell is None else f"{_rate(getattr(cell, kind))}{' *' * cell.white_box}" for cell in found]
+        body.append([title(sources, names), *marks])
+    control = [_rate(noise(matrix, name, kind)) for name in names]
+    return _page(["attacked, judged by", *names], [*body, ["random noise", *control]])
+
+
+def _left_out(matrix: Sequence[Cell]) -> str:
+    head = ["left out", "targeted: ensemble", "best single", "noise", "untargeted: ensemble", "best single", "noise"]
+    body = []
+    for row in left_out(matrix):
+        words = [row["detector"]]
+        for kind in ("targeted", "untargeted"):
+            single = row[f"best_single_{kind}"]
+            best = "-" if single is None else f"{_of(single[kind])} ({single['sources'][0]})"
+            words += [_of(row["ensemble"][kind]), best, _of(row["ensemble"][f"noise_{kind}"])]
+        body.append(words)
+    return _page(head, body) if body else "No ensembles were attacked."
+
+
+def _attacks(records: Sequence[Record], names: Sequence[str]) -> str:
+    body = [
+        [
+            title(row["sources"], names),
+            _of(row["all_deceived"]),
+            f"{row['steps']:g}",
+            f"{row['image_psnr']:.1f}",
+        ]
+        for row in attack_rows(records)
+    ]
+    return _page(["attacked", "all of them deceived", "best step (median)", "PSNR, dB (median)"], body)
+
+
+def _rate(rate: Rate) -> str:
+    low, high = rate.interval
+    return f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})" if rate.total else "0/0"
+
+
+def _of(rate: Mapping[str, Any]) -> str:
+    return f"{rate['successes']}/{rate['total']}"
+
+
+def _page(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    return "\n".join(grid(head, body))
+
+
+def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
+    """Write transfer.md and transfer.json, and transfer.png where matplotlib is installed.
+
+    Returns:
+        The files written.
+    """
+    paths = [out / "transfer.md", out / "transfer.json"]
+    matrix = cells(records)
+    save_text(markdown(records), paths[0])
+    document = {
+        "cells": [cell.as_dict() for cell in matrix],
+        "leave_one_out": left_out(matrix),
+        "attacks": attack_rows(records),
+    }
+    save_json(document, paths[1])
+    if draw_heat_maps(matrix, out / "transfer.png"):
+        paths.append(out / "transfer.png")
+    return paths

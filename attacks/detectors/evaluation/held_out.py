@@ -1,0 +1,206 @@
+"""A detector on held-out pictures: average precision, recall by how objects are seen, false positives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import reduce
+from operator import add
+from pathlib import Path
+from typing import Any
+
+from attacks.detectors.base import Detector
+from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.evaluation.recall import (
+    CONDITIONS,
+    ObjectResult,
+    object_results,
+    other_classes,
+    recall_by,
+    reported_as,
+)
+from attacks.detectors.registry import load_detector
+from attacks.detectors.training.average_precision import Score, detect_all, score
+from attacks.detectors.training.backgrounds import background_sets
+from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
+from attacks.detectors.training.dataset import fill_conditions, load, make
+from attacks.detectors.training.false_positives import FalsePositives, false_positives
+from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.training.splat_pictures import splat_set
+from mi_splat.errors import message
+
+MIN_CONFIDENCE = 0.001
+"""Confidence of YOLO's detections that count in an average precision; its own floor of 0.25 would cut the curve off."""
+
+PATH_TRACED, SPLAT_RENDERS, BACKGROUND = "path traced", "splat renders", "background: "
+"""What the sets are called; the kind of background follows."""
+
+_FIRST_SPLAT = 10_000
+"""Number of the first scene that is made into a splat: none of the path-traced scenes."""
+
+OnWork = Callable[[str, int, int], None]
+"""Called with what is going on, the units of it that are done, and the number wanted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOutResult:
+    """A detector on one set of pictures.
+
+    Attributes:
+        score: Average precision and recall; None for a set without objects.
+        false_positives: At an intersection over union of 0.5.
+        objects: What it makes of each object, by the same thresholds.
+        other_classes: Class that no object of the project has to the number of detections.
+    """
+
+    score: Score | None
+    false_positives: FalsePositives
+    objects: tuple[ObjectResult, ...] = ()
+    other_classes: Mapping[str, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result as JSON can hold it."""
+        found: dict[str, Any] = {}
+        if self.score is not None:
+            found = {**asdict(self.score), "map": self.score.mean, "recall_by": _recall_by(self.objects)}
+            found["reported_as"] = reported_as(self.objects)
+        counted = {"pictures": self.false_positives.pictures, "false_positives": self.false_positives.as_dict()}
+        return {**found, **counted, "other_classes": dict(self.other_classes)}
+
+
+def _recall_by(objects: Sequence[ObjectResult]) -> dict[str, dict[str, Any]]:
+    """Condition to recall by its bins: of all objects, and of cars where there are any."""
+    groups = {"all": list(objects), "car": [one for one in objects if one.label == "car"]}
+    return {
+        condition: {
+            group: [one.as_dict() for one in recall_by(some, condition)]
+            for group, some in groups.items()
+            if any(condition in one.seen for one in some)
+        }
+        for condition in CONDITIONS
+        if any(condition in one.seen for one in objects)
+    }
+
+
+def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
+    """A detector of the project's classes that keeps its unlikely detections too, as an average precision needs them.
+
+    The others keep their own floor: 0.05 of the R-CNN, with which its published figures were measured.
+
+    Raises:
+        DetectorError: It does not know all of the project's classes, its weights are missing or do not fit, or it needs
+            a package that is not there.
+    """
+    if name == "yolov8n_small":
+        from attacks.detectors import ultralytics
+
+        return ultralytics.load_small(weights, min_confidence=MIN_CONFIDENCE)
+    detector = load_detector(name, weights=weights)
+    missing = [label for label in SMALL_CLASSES if label not in detector.classes]
+    if missing:
+        got, do = f"one without {', '.join(missing)}", "the pictures show these; choose another detector"
+        raise DetectorError(message(f"detector {name}", f"one of {', '.join(SMALL_CLASSES)}", got, do))
+    return detector
+
+
+def held_out_sets(
+    folder: Path,
+    scenes: PictureSetConfig,
+    *,
+    splats: int,
+    splat: SplatConfig,
+    backgrounds: BackgroundConfig,
+    processes: int,
+    on_work: OnWork,
+) -> dict[str, list[LabelledPicture]]:
+    """Held-out pictures by set: path traced, renders of splats, and each kind of background.
+
+    How the objects are seen is added to pictures that were made before it was recorded.
+
+    Args:
+        folder: Where the pictures are kept; what is missing is made.
+        scenes: Scenes with objects, and how many pictures of them.
+        splats: Number of further such scenes that are made into splats; 0 leaves them out.
+        splat: How splats are made.
+        backgrounds: Pictures without objects.
+        processes: How many processes make path-traced pictures; 0 makes them in this one.
+        on_work: Called as pictures are made.
+
+    Raises:
+        InvalidValueError: The folder holds pictures that were made otherwise.
+    """
+
+    def step(text: str) -> Callable[[int, int], None]:
+        return lambda done, total: on_work(text, done, total)
+
+    make(scenes, folder / scenes.split, processes=processes, on_step=step("path-traced pictures"))
+    sets = (
+        {PATH_TRACED: _path_traced(folder / scenes.split, scenes, step("how objects are seen"))} if scenes.count else {}
+    )
+    if splats:
+        numbers = range(_FIRST_SPLAT, _FIRST_SPLAT + splats)
+        renders = splat_set(scenes, numbers, folder / "splats", splat, on_step=step("splats"))
+        if not _all_known(renders):
+            renders = []
+            for done, number in enumerate(numbers, start=1):
+                own = folder / "splats" / f"{number}"
+                fill_conditions(own, replace(scenes, shots=splat.pictures), {number: 0})
+                renders += load(own)
+                on_work("how objects are seen", done, splats)
+        sets[SPLAT_RENDERS] = renders
+    empty = background_sets(folder / "backgrounds", backgrounds, on_step=step("backgrounds"))
+    return sets | {f"{BACKGROUND}{kind}": pictures for kind, pictures in empty.items() if pictures}
+
+
+def _path_traced(folder: Path, scenes: PictureSetConfig, on_step: Callable[[int, int], None]) -> list[LabelledPicture]:
+    pictures = load(folder, limit=scenes.count)
+    if _all_known(pictures):
+        return pictures
+    firsts = {number: number * scenes.shots for number in range(math.ceil(scenes.count / scenes.shots))}
+    fill_conditions(folder, scenes, firsts, on_step=on_step)
+    return load(folder, limit=scenes.count)
+
+
+def _all_known(pictures: Sequence[LabelledPicture]) -> bool:
+    """Whether it is known of every object how it is seen."""
+    return all(len(picture.conditions) == len(picture.labels) for picture in pictures)
+
+
+def evaluate_sets(
+    detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]], *, confidence: float = 0.5
+) -> dict[str, HeldOutResult]:
+    """Run a detector over sets of labelled pictures, whose labels count from 1 in SMALL_CLASSES.
+
+    Detections of other classes count neither in an average precision nor as false positives; they are listed.
+
+    Args:
+        detector: Knows these classes, and others if it likes.
+        sets: Name to pictures of one size.
+        confidence: Least confidence of a false positive, and of an object that is found.
+    """
+    found = {}
+    for name, pictures in sets.items():
+        results = detect_all(detector, pictures)
+        any_object = any(len(picture.labels) for picture in pictures)
+        found[name] = HeldOutResult(
+            score=score(results, pictures, SMALL_CLASSES, confidence=confidence) if any_object else None,
+            false_positives=false_positives(results, pictures, SMALL_CLASSES, confidence=confidence),
+            objects=tuple(object_results(results, pictures, SMALL_CLASSES, confidence=confidence)),
+            other_classes=other_classes(results, SMALL_CLASSES, confidence=confidence),
+        )
+    return found
+
+
+def figures(results: Mapping[str, HeldOutResult]) -> dict[str, dict[str, Any]]:
+    """The results of each set as JSON can hold them."""
+    return {name: result.as_dict() for name, result in results.items()}
+
+
+def total_false_positives(results: Mapping[str, HeldOutResult]) -> dict[str, dict[str, Any]]:
+    """False positives of the project's sets together: with objects, without any, and all; empty ones are absent."""
+    with_objects = [one.false_positives for name, one in results.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
+    without = [one.false_positives for name, one in results.items() if name.startswith(BACKGROUND)]
+    groups = {"with objects": with_objects, "without objects": without, "all": [*with_objects, *without]}
+    return {name: reduce(add, some).as_dict() for name, some in groups.items() if some}

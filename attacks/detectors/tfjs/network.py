@@ -1,0 +1,171 @@
+"""A graph model as a torch module: differentiable, channels first, its shapes and constants worked out once.
+
+Making it ready walks the graph once with an input of zeros: what depends on constants alone is computed then, tensors
+of pictures are put channels first, and what is left is a list of calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.tfjs import arrays, convolutions
+from attacks.detectors.tfjs.files import GraphModel, Node
+from attacks.detectors.tfjs.values import Function, Step, Value, plain
+from mi_splat.errors import InvalidValueError, message
+
+OPERATIONS: Mapping[str, arrays.Build] = {
+    "Add": arrays.pairwise(torch.add),
+    "AddV2": arrays.pairwise(torch.add),
+    "Cast": arrays.cast,
+    "ConcatV2": arrays.concatenate,
+    "Conv2D": convolutions.convolution,
+    "DepthwiseConv2dNative": convolutions.convolution,
+    "Equal": arrays.pairwise(torch.eq),
+    "ExpandDims": arrays.expand_dims,
+    "FloorDiv": arrays.pairwise(torch.floor_divide),
+    "FloorMod": arrays.pairwise(torch.remainder),
+    "FusedDepthwiseConv2dNative": convolutions.convolution,
+    "GatherV2": arrays.gather,
+    "Identity": arrays.identity,
+    "LeakyRelu": arrays.leaky_relu,
+    "MaxPool": convolutions.max_pool,
+    "Mean": arrays.mean,
+    "Mul": arrays.pairwise(torch.mul),
+    "Pad": arrays.pad,
+    "PadV2": arrays.pad,
+    "Relu": arrays.elementwise(torch.relu),
+    "Relu6": arrays.elementwise(functional.relu6),
+    "Reshape": arrays.reshape,
+    "ResizeBilinear": convolutions.resize_bilinear,
+    "Sigmoid": arrays.elementwise(torch.sigmoid),
+    "SparseToDense": arrays.sparse_to_dense,
+    "SplitV": arrays.split,
+    "StridedSlice": arrays.strided_slice,
+    "Sub": arrays.pairwise(torch.sub),
+    "TopKV2": arrays.top_k,
+    "Transpose": arrays.transpose,
+    "_FusedConv2D": convolutions.convolution,
+}
+"""What each operation of TensorFlow becomes."""
+
+
+class GraphNetwork(nn.Module):
+    """Some outputs of a graph as functions of its inputs.
+
+    The tensors that go in and come out have the axes that the graph gives them. Sizes are those of the graph.
+
+    Attributes:
+        inputs: Names of the tensors that it takes, with their shapes.
+        outputs: Names of the tensors that it gives.
+    """
+
+    def __init__(self, model: GraphModel, outputs: Sequence[str] | None = None) -> None:
+        """Make a graph ready.
+
+        Args:
+            model: The graph.
+            outputs: Names of tensors to compute, of any nodes; those of the graph's signature if None.
+
+        Raises:
+            DetectorError: The graph has an operation or a setting that is not known here, an input of unknown size, or
+                no node of a name.
+        """
+        super().__init__()
+        self.inputs = dict(model.inputs)
+        self.outputs = tuple(model.outputs if outputs is None else outputs)
+        self._calls: list[tuple[Function, tuple[str, ...], tuple[str, ...]]] = []
+        self._constants: dict[int, str] = {}
+        found = self._walk(model)
+        self._last_use: dict[str, int] = {}
+        self._results = [(self._kept(value), value.order) for value in found]
+        for number, (_, taken, _) in enumerate(self._calls):
+            self._last_use.update(dict.fromkeys(taken, number))
+        for slot, _ in self._results:
+            self._last_use[slot] = len(self._calls)
+
+    def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        """The outputs for one tensor of each input, in the order of `inputs`.
+
+        Raises:
+            InvalidValueError: A tensor is not of the input's shape.
+        """
+        at = dict(self.named_buffers())
+        for (name, shape), tensor in zip(self.inputs.items(), tensors, strict=True):
+            if tuple(tensor.shape) != shape:
+                raise InvalidValueError(message(f"input {name}", shape, tuple(tensor.shape), "resize the picture"))
+            at[name] = tensor
+        for number, (function, taken, given) in enumerate(self._calls):
+            result = function(*(at[slot] for slot in taken))
+            at.update(zip(given, result if isinstance(result, tuple) else (result,), strict=True))
+            for slot in set(taken):
+                if self._last_use[slot] == number:
+                    del at[slot]
+        return tuple(at[slot].permute(order) for slot, order in self._results)
+
+    def _walk(self, model: GraphModel) -> list[Value]:
+        """Make every node ready that the outputs need, and return the outputs."""
+        ready: dict[str, tuple[Value, ...]] = {}
+        waiting = [name.partition(":")[0] for name in self.outputs]
+        while waiting:
+            name = waiting[-1]
+            if name not in model.nodes:
+                do = "choose one of the graph's"
+                raise DetectorError(message("output", "a node of the graph", name, do))
+            node = model.nodes[name]
+            needed = [one.partition(":")[0] for one in node.inputs]
+            missing = [one for one in needed if one not in ready]
+            if name in ready or not missing:
+                waiting.pop()
+            if name in ready:
+                continue
+            if len(waiting) > 4 * len(model.nodes):
+                raise DetectorError(message("graph", "no circle", f"one through {name}", "convert the model again"))
+            waiting += missing
+            if not missing:
+                ready[name] = self._made_ready(node, [_output(ready, one) for one in node.inputs], model)
+        return [_output(ready, name) for name in self.outputs]
+
+    def _made_ready(self, node: Node, inputs: list[Value], model: GraphModel) -> tuple[Value, ...]:
+        if node.op == "Const":
+            constant = model.constants[node.name]
+            return (Value(constant, plain(constant.ndim)),)
+        if node.op == "Placeholder":
+            shape = model.inputs[node.name]
+            if min(shape, default=1) < 1:
+                do = "convert the model with sizes that are given"
+                raise DetectorError(message(f"input {node.name}", "a shape that is known", shape, do))
+            return (Value(torch.zeros(shape), plain(len(shape)), node.name),)
+        if node.op not in OPERATIONS:
+            expected = f"one of {', '.join(OPERATIONS)}"
+            raise DetectorError(message(f"operation of node {node.name}", expected, node.op, "add it to OPERATIONS"))
+        return OPERATIONS[node.op](node, inputs, self._run)
+
+    def _run(self, step: Step) -> tuple[Value, ...]:
+        with torch.no_grad():
+            result = step.function(*(value.tensor for value in step.inputs))
+        tensors = result if isinstance(result, tuple) else (result,)
+        if all(value.constant for value in step.inputs):
+            return tuple(Value(tensor, order) for tensor, order in zip(tensors, step.orders, strict=True))
+        given = tuple(f"{len(self._calls)}.{number}" for number in range(len(tensors)))
+        self._calls.append((step.function, tuple(self._kept(value) for value in step.inputs), given))
+        return tuple(Value(*one) for one in zip(tensors, step.orders, given, strict=True))
+
+    def _kept(self, value: Value) -> str:
+        """Name under which a value is when the network runs; a constant becomes a buffer."""
+        if value.slot is not None:
+            return value.slot
+        if id(value.tensor) not in self._constants:
+            name = f"constant_{len(self._constants)}"
+            self.register_buffer(name, value.tensor)
+            self._constants[id(value.tensor)] = name
+        return self._constants[id(value.tensor)]
+
+
+def _output(ready: Mapping[str, tuple[Value, ...]], name: str) -> Value:
+    node, _, number = name.partition(":")
+    return ready[node][int(number or 0)]

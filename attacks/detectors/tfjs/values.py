@@ -1,0 +1,78 @@
+"""A tensor of a graph while it is made ready: what it is in TensorFlow's order of axes, and how it is kept in memory.
+
+TensorFlow keeps pictures channels-last and a graph moves axes about; torch's convolutions want channels first. So each
+tensor has an order: `order[i]` is the axis in memory of the graph's axis i. A transposition changes only the order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+Order = tuple[int, ...]
+Function = Callable[..., "Tensor | tuple[Tensor, ...]"]
+
+CHANNELS_FIRST: Order = (0, 2, 3, 1)
+"""Order of a (B, H, W, C) tensor that is kept as (B, C, H, W)."""
+
+
+def plain(rank: int) -> Order:
+    """The order of a tensor that is kept as the graph has it."""
+    return tuple(range(rank))
+
+
+def composed(order: Order, axes: Sequence[int]) -> Order:
+    """The order after the graph has moved its axes: its new axis i is its old one axes[i]."""
+    return tuple(order[axis] for axis in axes)
+
+
+def inverse(order: Order) -> Order:
+    """Which of the graph's axes each axis in memory is."""
+    return tuple(order.index(axis) for axis in range(len(order)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Value:
+    """A tensor of the graph at the size that the graph was made for.
+
+    Attributes:
+        tensor: As it is kept in memory: of a constant its value, otherwise that for an input of zeros.
+        order: Axis in memory of each of the graph's axes.
+        slot: Under which name it is when the network runs; None for a constant.
+    """
+
+    tensor: Tensor
+    order: Order
+    slot: str | None = None
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is the same for every input."""
+        return self.slot is None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape in the graph's order of axes."""
+        return tuple(self.tensor.shape[axis] for axis in self.order)
+
+    @property
+    def logical(self) -> Tensor:
+        """The tensor in the graph's order of axes; a view."""
+        return self.tensor.permute(self.order)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One call when the network runs.
+
+    Attributes:
+        function: Of the tensors of `inputs` as they are in memory.
+        inputs: What it takes.
+        orders: Order of each output.
+    """
+
+    function: Function
+    inputs: tuple[Value, ...]
+    orders: tuple[Order, ...]

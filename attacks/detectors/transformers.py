@@ -1,0 +1,266 @@
+"""Adapter to DETR and RT-DETR of the library transformers, which the user installs (extra `transformers`).
+
+Both propose a fixed number of boxes, the queries, and need no non-maximum suppression.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torchvision.ops import box_convert
+
+from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.batch_norm import keep_gradients_right
+from attacks.detectors.classes import BACKGROUND, UNUSED
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.weight_files import TRANSFORMERS_HUB
+from attacks.detectors.weights import fingerprint
+from mi_splat.errors import message
+
+os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
+try:
+    from transformers import (
+        AutoConfig,
+        DetrForObjectDetection,
+        DetrImageProcessor,
+        RTDetrForObjectDetection,
+        RTDetrImageProcessor,
+    )
+    from transformers.utils import logging as library_logging
+except ImportError as error:
+    what = "the package transformers"
+    raise DetectorError(message("detector", what, str(error), 'pip install "mi-splat[transformers]"')) from error
+
+_MIN_CONFIDENCE = 0.5
+"""The library's own threshold of `post_process_object_detection`."""
+_COCO_NAMES = {
+    "motorbike": "motorcycle",
+    "aeroplane": "airplane",
+    "sofa": "couch",
+    "pottedplant": "potted plant",
+    "diningtable": "dining table",
+    "tvmonitor": "tv",
+}
+"""Names of classes in RT-DETR's published configurations, and COCO's own."""
+_FILES = "config.json, preprocessor_config.json and model.safetensors"
+
+
+def _softmax(logits: Tensor) -> Tensor:
+    """DETR's: one class, or the last column, which is no object."""
+    return torch.softmax(logits, -1)[..., :-1]
+
+
+_KINDS: Mapping[str, tuple[Any, Any, Callable[[Tensor], Tensor]]] = {
+    "detr": (DetrForObjectDetection, DetrImageProcessor, _softmax),
+    "rt_detr": (RTDetrForObjectDetection, RTDetrImageProcessor, torch.sigmoid),
+}
+"""Model, image processor, and how (B, Q, L) scores come from logits, by the library's name of the architecture."""
+
+
+class TransformersDetector:
+    """A frozen DETR or RT-DETR behind the `Detector` interface.
+
+    Attributes:
+        name: Name in `attacks.detectors.DETECTORS`.
+        classes: Foreground classes; COCO's unused numbers ("N/A") are left out of them.
+        model: The library's model, in evaluation mode, its weights without gradients.
+        processor: The library's image processor, which knows the size that the network works at.
+        min_confidence: Confidence below which `detect` reports nothing.
+    """
+
+    def __init__(self, name: str, model: Any, processor: Any, *, min_confidence: float = _MIN_CONFIDENCE) -> None:
+        """Wrap `model`.
+
+        Args:
+            name: Of the detector.
+            model: A DetrForObjectDetection or RTDetrForObjectDetection, whose configuration names the classes.
+            processor: The image processor that goes with it.
+            min_confidence: Confidence below which `detect` reports nothing.
+        """
+        self.name, self.processor, self.min_confidence = name, processor, min_confidence
+        self.model = model.eval().requires_grad_(False)
+        keep_gradients_right(self.model)
+        self._scores = _KINDS[self.model.config.model_type][2]
+        self._labels = _labels(self.model.config.id2label)
+        self._columns = [i for i, label in enumerate(self._labels) if label not in (BACKGROUND, UNUSED)]
+        self.classes = tuple(self._labels[i] for i in self._columns)
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Detector`."""
+        return fingerprint(self.model.state_dict())
+
+    def to(self, device: torch.device | str) -> TransformersDetector:
+        """Move the weights to a device, in place."""
+        self.model.to(device)
+        return self
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        """Every query as every class, before the threshold.
+
+        The gradient is the whole one: RT-DETR's own training holds the boxes constant with which each layer of its
+        decoder starts, and this does not. Which places become queries is constant.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1].
+        """
+        check_images(images)
+        height, width = images.shape[1:3]
+        with _WholeGradient():
+            outputs = self.model(**self._network_input(images))
+        scores = self._scores(outputs.logits)[:, :, self._columns]
+        corners = box_convert(outputs.pred_boxes, "cxcywh", "xyxy")
+        boxes = corners * corners.new_tensor([width, height, width, height])
+        return [
+            Candidates(own[:, None].expand(-1, len(self.classes), -1), score)
+            for own, score in zip(boxes, scores, strict=True)
+        ]
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        """What the library's image processor, model and `post_process_object_detection` give for 8-bit pictures.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1].
+        """
+        check_images(images)
+        pictures = (images.detach().clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 3, 1, 2)
+        inputs = self.processor(images=list(pictures), input_data_format="channels_first", return_tensors="pt")
+        sizes = [(images.shape[1], images.shape[2])] * len(images)
+        with torch.no_grad():
+            outputs = self.model(**inputs)
+        results = self.processor.post_process_object_detection(outputs, self.min_confidence, sizes)
+        found = []
+        for result in results:
+            order = result["scores"].argsort(descending=True, stable=True)
+            labels = tuple(self._labels[number] for number in result["labels"][order].tolist())
+            found.append(Detections(result["boxes"][order], result["scores"][order], labels))
+        return found
+
+    def _network_input(self, images: Tensor) -> dict[str, Tensor]:
+        """What the image processor makes of the pictures, without its rounding to 8 bits, differentiable.
+
+        The library resizes and pads; its scaling and normalising, which would round to 32 bits, are done here.
+        """
+        processor = self.processor
+        planes = images.permute(0, 3, 1, 2) * 255
+        options = {"do_rescale": False, "do_normalize": False, "input_data_format": "channels_first"}
+        inputs: dict[str, Tensor] = dict(processor(images=list(planes), return_tensors="pt", **options))
+        pixels = inputs["pixel_values"]
+        if processor.do_rescale:
+            pixels = pixels * processor.rescale_factor
+        if processor.do_normalize:
+            mean, deviation = (pixels.new_tensor(v).view(3, 1, 1) for v in (processor.image_mean, processor.image_std))
+            pixels = (pixels - mean) / deviation
+        if "pixel_mask" in inputs:
+            pixels = pixels * inputs["pixel_mask"][:, None]  # the library pads with zeros after it has normalised
+        return {**inputs, "pixel_values": pixels}
+
+
+class _WholeGradient(TorchFunctionMode):
+    """Within it, `detach` does nothing."""
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
+    ) -> Any:
+        return args[0] if func is Tensor.detach else func(*args, **(kwargs or {}))
+
+
+def _labels(names: Mapping[int, str]) -> tuple[str, ...]:
+    """What the label numbers 0, 1, ... mean, by COCO's names."""
+    return tuple(_COCO_NAMES.get(names[number], names[number]) for number in sorted(names))
+
+
+def load_published(name: str, weights: Path | None = None) -> TransformersDetector:
+    """One of the COCO detectors of the library's hub.
+
+    Args:
+        name: Key of `attacks.detectors.weight_files.TRANSFORMERS_HUB`.
+        weights: Folder in the library's own form (config.json, preprocessor_config.json, model.safetensors), or the
+            file of weights in it; None asks the library's own hub.
+
+    Raises:
+        DetectorError: The folder does not fit, or the hub cannot be reached.
+    """
+    hub = TRANSFORMERS_HUB[name]
+    if weights is None:
+        where: dict[str, Any] = {"pretrained_model_name_or_path": hub.repository, "revision": hub.revision}
+    else:
+        where = {"pretrained_model_name_or_path": _folder(Path(weights)), "local_files_only": True}
+    source = name if weights is None else weights
+    model_class, processor_class, _ = _KINDS[hub.architecture]
+    expected = f"a folder of {_FILES}, or a network that reaches the library's hub"
+    do = "download the folder elsewhere and pass its path"
+    with _quiet(), _explained(f"weights of {source}", expected, do):
+        config = AutoConfig.from_pretrained(**where)
+    if config.model_type != hub.architecture:
+        raise DetectorError(
+            message(
+                f"weights of {source}", f"a {hub.architecture}", f"a {config.model_type}", f"pass a folder of {name}"
+            )
+        )
+    with _quiet(), _explained(f"weights of {source}", expected, do):
+        processor = processor_class.from_pretrained(**where)
+        model, report = model_class.from_pretrained(
+            **where, config=config, dtype=torch.float32, output_loading_info=True
+        )
+    _require_all(report, source)
+    return TransformersDetector(name, model, processor)
+
+
+def _folder(path: Path) -> Path:
+    """The folder that a path names, or that holds the file that it names."""
+    if not path.exists():
+        raise DetectorError(message(f"weights {path}", f"a folder of {_FILES}", "nothing there", "check the path"))
+    folder = path if path.is_dir() else path.parent
+    missing = [name for name in ("config.json", "preprocessor_config.json") if not (folder / name).is_file()]
+    if missing:
+        got = f"no {' and no '.join(missing)} in {folder}"
+        do = "save model and image processor with save_pretrained into one folder, and pass it"
+        raise DetectorError(message(f"weights {path}", f"a folder of {_FILES}", got, do))
+    return folder
+
+
+def _require_all(report: Mapping[str, Any], source: object) -> None:
+    """Raise unless every tensor of the model came from the file; what else is in the file does not matter."""
+    kinds = (("missing", "missing_keys"), ("of another shape", "mismatched_keys"))
+    found = {what: sorted(map(str, report.get(key) or ())) for what, key in kinds}
+    problems = [f"{len(keys)} {what} ({', '.join(keys[:4])})" for what, keys in found.items() if keys]
+    if problems:
+        do = "pass weights that were saved from the same detector"
+        raise DetectorError(message(f"weights of {source}", "the model's tensors", "; ".join(problems), do))
+
+
+@contextmanager
+def _explained(what: str, expected: str, do: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # what the library raises has no common base
+        reason = str(error).strip().splitlines()[0][:300] if str(error).strip() else type(error).__name__
+        if isinstance(error, ImportError) and "timm" in str(error):
+            reason, do = "one whose backbone needs the package timm", "pip install timm, or take its revision no_timm"
+        raise DetectorError(message(what, expected, reason, do)) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No progress bars meanwhile."""
+    shown = library_logging.is_progress_bar_enabled()
+    library_logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        if shown:
+            library_logging.enable_progress_bar()

@@ -1,0 +1,51 @@
+"""A fraction with its numerator, denominator and interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+_Z = 1.959963984540054
+"""Quantile of the normal distribution that leaves 2.5 % on each side."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rate:
+    """A fraction of views, or of objects, with its 95 % Wilson interval; `fraction` is 0 when there are none."""
+
+    successes: int
+    total: int
+
+    @classmethod
+    def of(cls, items: Iterable[T], holds: Callable[[T], bool], *, given: Callable[[T], bool] | None = None) -> Rate:
+        """Of how many items something holds; if `given` is there, only of those that it holds of."""
+        counted = [holds(item) for item in items if given is None or given(item)]
+        return cls(successes=sum(counted), total=len(counted))
+
+    @property
+    def fraction(self) -> float:
+        """Successes over total."""
+        return self.successes / self.total if self.total else 0.0
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % Wilson score interval (Wilson 1927); (0, 1) when nothing was counted."""
+        if not self.total:
+            return 0.0, 1.0
+        z, n, p = _Z, self.total, self.fraction
+        centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+        half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+        return max(0.0, centre - half), min(1.0, centre + half)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Rate (None when nothing was counted), successes, total and interval, as JSON can hold them."""
+        return {
+            "rate": self.fraction if self.total else None,
+            "successes": self.successes,
+            "total": self.total,
+            "interval": list(self.interval),
+        }

@@ -1,0 +1,162 @@
+"""Several detectors at once: the loss of all, a verdict of each, and one detector as if there were no ensemble."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from attacks import cli
+from attacks.cli import dagger
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig, EnsembleLoss
+from attacks.dagger.ensemble import Ensemble
+from attacks.dagger.problem import AttackProblem
+from attacks.dagger.report import summary, write_report
+from attacks.dagger.result import Result
+from attacks.detectors.base import Candidates, Detector
+from attacks.gaussian_subset import GaussianSubset
+from attacks.objectives import relabel
+from attacks.pgd import pgd
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+
+FINE, COARSE = ColourDetector(), CoarseDetector()
+
+
+class Stubborn(ColourDetector):
+    """Sees a car there whatever the picture shows, and nothing else."""
+
+    name = "fake_stubborn"
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        red = torch.tensor([0.9, 0.1, 0.1]).expand_as(images)
+        return super().candidates(0 * images + red)
+
+
+def run(detectors: Any, **settings: Any) -> Result:
+    scene, mask = toy_scene()
+    config = DaggerConfig(**{"eps": (12.0,), "noise_draws": 1, **settings})
+    return attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
+
+
+def ensemble(*detectors: Detector, loss: EnsembleLoss = "mean", required: float = 1.0) -> Ensemble:
+    scene, mask = toy_scene()
+    config = DaggerConfig(ensemble=loss, required_detectors=required)
+    subset = GaussianSubset.of(scene, mask)
+    return Ensemble.of(detectors, subset, [camera()], relabel("person"), render=blobs, config=config)
+
+
+def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
+    """Bit for bit the search over its problem alone."""
+    scene, mask = toy_scene()
+    config = DaggerConfig(eps=(4.0,), early_stop=False, noise_draws=0)
+    subset = GaussianSubset.of(scene.with_degree(3), mask)
+    problem = AttackProblem(subset=subset, detector=FINE, objective=relabel("person"), render=blobs)
+    views = [problem.view(camera())]
+    reference = subset.parameters(("sh",))
+    plain = pgd(
+        lambda parameters: problem.evaluate(parameters, views),
+        reference,
+        config.budget,
+        step=config.step,
+        steps=config.steps,
+        early_stop=False,
+    )
+    for detectors in (FINE, [FINE]):
+        found = attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
+        assert found.trace == plain.trace
+        assert torch.equal(found.scene.sh, subset.applied(plain.parameters).sh)
+
+
+def test_the_mean_and_the_largest_of_the_losses() -> None:
+    alone = [ensemble(one) for one in (FINE, COARSE)]
+    reference = alone[0].problems[0].subset.parameters(("sh",))
+    parts = [one.evaluate(reference) for one in alone]
+    mean, largest = (ensemble(FINE, COARSE, loss=loss).evaluate(reference) for loss in ("mean", "max"))
+    assert parts[0].loss != parts[1].loss
+    assert mean.loss == pytest.approx(sum(part.loss for part in parts) / 2)
+    torch.testing.assert_close(mean.gradients["sh"], (parts[0].gradients["sh"] + parts[1].gradients["sh"]) / 2)
+    hardest = max(parts, key=lambda part: part.loss)
+    assert largest.loss == hardest.loss
+    assert torch.equal(largest.gradients["sh"], hardest.gradients["sh"])
+
+
+def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
+    found = run([FINE, COARSE])
+    assert found.success
+    assert [one.detector for one in found.detectors] == ["fake_colour", "fake_coarse"]
+    assert all(one.verdict.success for one in found.detectors)
+    assert found.score == min(one.verdict.score for one in found.detectors)
+    assert found.target_confidence == min(found.target_confidence_of(one) for one in found.detectors)
+    assert [view.after.detector for view in found.views] == ["fake_colour", "fake_coarse"]
+    assert found.noise.successes == 0
+    assert found.origin["detector"] == "fake_colour + fake_coarse"
+
+
+@pytest.mark.parametrize(("required", "success"), [(1.0, False), (0.5, True)])
+def test_a_fraction_of_the_detectors_can_be_enough(required: float, success: bool) -> None:
+    found = run([FINE, Stubborn()], required_detectors=required, eps=(20.0,))
+    assert found.success is success
+    assert [one.verdict.success for one in found.detectors] == [True, False]
+
+
+def test_the_report_shows_every_detector(tmp_path: Path) -> None:
+    found = run([FINE, COARSE])
+    values = summary(found)
+    assert [one["detector"] for one in values["detectors"]] == ["fake_colour", "fake_coarse"]
+    assert [view["detector"] for view in values["views"]] == ["fake_colour", "fake_coarse"]
+    assert values["detector"] == "fake_colour + fake_coarse"
+    assert values["config"]["ensemble"] == "mean"
+    assert (tmp_path / "out" / "result.json") == write_report(found, tmp_path / "out")["result.json"]
+
+
+def test_the_command_says_what_each_detector_saw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, _ = toy_scene()
+    save_splat(scene, tmp_path / "toy.ply")
+    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: [FINE, COARSE])
+    words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--eps", "20"]
+    words += ["--distance", "3", "--fov", "50", "--size", "32", "32", "--noise-draws", "0", "--detector", "a", "b"]
+    np.save(tmp_path / "mask.npy", np.arange(10, 40))
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "SUCCESS: a and b shall see a person in place of the selection; 2 of 2 detectors."
+    assert [line.split(":")[0] for line in lines[1:3]] == [
+        "fake_colour, 1 of 1 views",
+        "fake_coarse, 1 of 1 views",
+    ]
+
+
+def test_a_faint_object_is_warned_of_by_the_name_of_the_detector() -> None:
+    class Blind(ColourDetector):
+        name = "fake_blind"
+        min_confidence = 2.0
+
+    found = run([FINE, Blind()], steps=1)
+    assert "the clean picture of view 0 has no detection by fake_blind of 0.5 or more on the object" in found.warnings
+    assert not any("by fake_colour" in warning for warning in found.warnings)
+
+
+def test_wrong_detectors_are_named() -> None:
+    class Cats(ColourDetector):
+        name = "fake_cats"
+        classes = ("car", "cat", "stop sign")
+
+    with pytest.raises(InvalidValueError, match="detector: expected one detector, or several with different names"):
+        run([FINE, ColourDetector()])
+    with pytest.raises(InvalidValueError, match="detector: expected one detector"):
+        run([])
+    with pytest.raises(InvalidValueError, match="target of fake_cats: expected one of car, cat, stop sign, got person"):
+        run([FINE, Cats()])
+    with pytest.raises(InvalidValueError, match="required_detectors: expected a fraction"):
+        DaggerConfig(required_detectors=0.0)
+    with pytest.raises(InvalidValueError, match="ensemble: expected one of mean, max"):
+        dataclasses.replace(DaggerConfig(), ensemble="least")  # type: ignore[arg-type]

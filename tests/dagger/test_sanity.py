@@ -1,0 +1,237 @@
+"""The sanity suite: green on the attack of this project, and red on attacks that are broken on purpose."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from attacks import cli
+from attacks.cli import dagger_sanity
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.result import Result
+from attacks.dagger.sanity.finding import Finding
+from attacks.dagger.sanity.runs import Attack, Case, Runs
+from attacks.dagger.sanity.suite import CHECKS, run_checks
+from attacks.detectors.base import Candidates
+from attacks.objectives import relabel
+from mi_splat.cameras import Camera
+from mi_splat.cli import selecting
+from mi_splat.io import save_splat
+from mi_splat.scene import GaussianScene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+
+
+class Reversed(torch.autograd.Function):
+    """Nothing, but with the gradient's sign turned."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor) -> Tensor:
+        return value.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        return -gradients[0]
+
+
+class FlippedDetector(ColourDetector):
+    """Has gradients of the wrong sign."""
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        turned: Tensor = Reversed.apply(images)
+        return super().candidates(turned)
+
+
+class MaskedDetector(ColourDetector):
+    """Has no gradients."""
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        return super().candidates(images.detach() + 0 * images)
+
+
+def half_cut(scene: GaussianScene, view: Camera) -> Tensor:
+    """A renderer that has no gradient in red and blue."""
+    picture = blobs(scene, view)
+    return torch.stack([picture[..., 0].detach(), picture[..., 1], picture[..., 2].detach()], -1)
+
+
+def case(**changes: Any) -> Case:
+    scene, mask = toy_scene()
+    usual = Case(
+        scene=scene,
+        mask=mask,
+        cameras=(camera(), camera(offset=0.3)),
+        detector=ColourDetector(),
+        objective=relabel("person"),
+        render=blobs,
+        config=DaggerConfig(eps=(10.0,), steps=10),
+        surrogate=CoarseDetector(),
+    )
+    return dataclasses.replace(usual, **changes)
+
+
+def found(make: Attack = attack, checks: str = "", **changes: Any) -> dict[str, Finding]:
+    """What the checks of these names find, all if none is named."""
+    some = [check for check in CHECKS if check.__name__ in checks.split()] if checks else CHECKS
+    return {one.name: one for one in run_checks(Runs(case(**changes), make), checks=some)}
+
+
+def red(findings: dict[str, Finding]) -> set[str]:
+    return {name for name, one in findings.items() if one.passed is False}
+
+
+@pytest.fixture(scope="module")
+def sane() -> dict[str, Finding]:
+    return found()
+
+
+def test_the_attack_of_this_project_is_sane(sane: dict[str, Finding]) -> None:
+    assert red(sane) == set(), [one.figures for one in sane.values() if not one.passed]
+    assert len(sane) == 12
+    assert all(one.passed for one in sane.values())
+    assert sane["renderer_gradient"].values["cosine"] > 0.999
+    assert sane["radius"].values["successes"][0] == 0
+    assert sane["radius"].values["successes"][-1] == 2
+
+
+def test_without_a_surrogate_one_line_is_grey() -> None:
+    grey = found(checks="white_box", surrogate=None)["white_box"]
+    assert (grey.passed, grey.colour) == (None, "grey")
+
+
+def test_a_flipped_gradient_is_red() -> None:
+    broken = found(checks="noise radius white_box unbounded renderer_gradient gradient", detector=FlippedDetector())
+    assert red(broken) == {"gradient", "radius", "white_box", "unbounded", "noise"}
+    assert broken["gradient"].values["cosine"] < -0.9
+    assert broken["white_box"].values["attack on fake_coarse"]["successes"] > 0
+
+
+def test_a_detached_gradient_is_red() -> None:
+    broken = found(checks="white_box unbounded gradient zero_gradients", detector=MaskedDetector())
+    assert red(broken) == set(broken)
+    assert broken["zero_gradients"].values["most"] == 1.0
+
+
+def test_a_renderer_without_half_of_its_gradient_is_red() -> None:
+    broken = found(checks="renderer_gradient gradient", render=half_cut)
+    assert red(broken) == set(broken)
+
+
+def broken_by(**changes: Any) -> Attack:
+    """The attack, which secretly takes other settings than it says; numbers are factors on its own."""
+
+    def make(*arguments: Any, render: Any, config: DaggerConfig) -> Result:
+        settings = {name: value(config) if callable(value) else value for name, value in changes.items()}
+        other = dataclasses.replace(config, **settings)
+        return dataclasses.replace(attack(*arguments, render=render, config=other), config=config)
+
+    return make
+
+
+def test_an_attack_that_ignores_its_ball_is_red() -> None:
+    broken = found(broken_by(eps=(40.0,)), checks="radius budget")
+    assert red(broken) == {"budget", "radius"}
+
+
+def test_an_attack_that_changes_other_gaussians_is_red() -> None:
+    def make(scene: GaussianScene, mask: Tensor, *arguments: Any, **settings: Any) -> Result:
+        wider = mask.clone()
+        wider[0] = True
+        return attack(scene, wider, *arguments, **settings)
+
+    broken = found(make, checks="noise budget")
+    assert red(broken) == {"budget"}
+    assert broken["budget"].values["other_gaussians_changed"] > 0
+
+
+def test_an_attack_that_hardly_uses_its_ball_is_red() -> None:
+    broken = found(broken_by(step_factor=1e-4), checks="radius unbounded")
+    assert red(broken) == {"radius", "unbounded"}
+
+
+def test_an_attack_that_random_points_beat_is_red() -> None:
+    for make, detector in ((broken_by(step_factor=1e-6), ColourDetector()), (attack, FlippedDetector())):
+        broken = found(make, checks="random_search", detector=detector)["random_search"]
+        assert broken.passed is False, broken.figures
+
+
+def test_an_iterative_attack_that_is_worse_than_one_step_is_red() -> None:
+    def steps_back(config: DaggerConfig) -> float:
+        return config.step_factor if config.steps == 1 else 1e-3
+
+    assert red(found(broken_by(step_factor=steps_back), checks="iterative")) == {"iterative"}
+
+
+def test_an_attack_that_keeps_another_point_than_the_best_is_red() -> None:
+    def make(*arguments: Any, **settings: Any) -> Result:
+        result = attack(*arguments, **settings)
+        return dataclasses.replace(result, best=result.trace[0])
+
+    broken = found(make, checks="more_steps")
+    assert red(broken) == {"more_steps"}
+    assert broken["more_steps"].values["passed_over"] > 0
+
+
+def test_an_attack_that_noise_beats_is_red() -> None:
+    scene, mask = toy_scene()
+    green = scene.sh.clone()
+    green[mask, 0] = green[mask, 0][:, [1, 0, 2]]  # what it wants is there already
+    broken = found(checks="clean noise radius", scene=scene.replace(sh=green))
+    assert red(broken) == {"clean", "noise", "radius"}
+
+
+def test_an_attack_whose_file_is_another_scene_is_red() -> None:
+    def make(scene: GaussianScene, *arguments: Any, **settings: Any) -> Result:
+        result = attack(scene, *arguments, **settings)
+        failed = dataclasses.replace(result.verdict, success=False, score=0.0, unambiguous=False)
+        return dataclasses.replace(result, verdict=failed)
+
+    assert red(found(make, checks="noise more_steps")) == {"noise", "more_steps"}
+
+
+class TestCommand:
+    """The command, on the toy scene."""
+
+    WORDS = ("--mask", "mask.npy", "--eps", "10", "--steps", "8", "--seeds", "2")
+    VIEW = ("--distance", "3", "--fov", "50", "--size", "32", "32")
+
+    @pytest.fixture(autouse=True)
+    def folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        save_splat(toy_scene()[0], tmp_path / "toy.ply")
+        np.save(tmp_path / "mask.npy", np.arange(10, 40))
+        monkeypatch.chdir(tmp_path)
+        known = {"fasterrcnn_small": ColourDetector(), "other": CoarseDetector(), "flipped": FlippedDetector()}
+        monkeypatch.setattr(dagger_sanity, "load_detector", lambda name, weights=None: known[name])
+        monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
+
+    def call(self, *words: str) -> int:
+        return cli.main(["dagger-sanity", "toy.ply", *self.WORDS, *self.VIEW, "--out", "out", *words])
+
+    def test_all_green(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert self.call("--surrogate", "other") == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-1].startswith("0 of 12 lines are red")
+        assert all(line.startswith("green") for line in lines[:-1])
+        text = Path("out/sanity.md").read_text()
+        assert "| green | has gradients of the renderer" in text
+        values = json.loads(Path("out/sanity.json").read_text())
+        assert (values["passed"], values["surrogate"], len(values["checks"])) == (True, "fake_coarse", 12)
+
+    def test_red_lines_are_said_and_end_with_one(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        few = [check for check in CHECKS if check.__name__ in ("clean", "gradient")]
+        monkeypatch.setattr(dagger_sanity, "CHECKS", few)
+        assert self.call("--detector", "flipped", "--surrogate", "none", "--json") == 1
+        values = json.loads(capsys.readouterr().out)
+        assert values["passed"] is False
+        assert "gradient" in {one["check"] for one in values["checks"] if one["colour"] == "red"}
+        assert self.call("--seeds", "0", "--force") == 1
+        assert "--seeds: expected at least one" in capsys.readouterr().err

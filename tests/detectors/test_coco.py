@@ -1,0 +1,200 @@
+"""The adapters of the detectors that others trained on COCO; those that need the weights run where these are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.detectors import DETECTORS, load_detector
+from attacks.detectors.classes import COCO_CLASSES
+from attacks.detectors.coco import centernet, nanodet
+from attacks.detectors.coco.detector import FAMILIES, Family, GraphDetector, load_published
+from attacks.detectors.coco.sources import GRAPH, PUBLISHED, weights_of
+from attacks.detectors.errors import DetectorError
+from attacks.detectors.tfjs.files import load_graph_model
+from attacks.detectors.tfjs.network import GraphNetwork
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.images import quantise
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import read_scene
+from tests.detectors.tfjs.graphs import model, node, placeholder
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+there = {
+    name: pytest.mark.skipif(
+        not weights_of(name).is_file(), reason=f"{name} is not here: mi-splat detectors --get {name}"
+    )
+    for name in PUBLISHED
+}
+each = [pytest.param(name, marks=mark) for name, mark in there.items()]
+
+
+def test_centernet_boxes_lie_about_their_cells() -> None:
+    scores, distances = torch.zeros(1, 128, 128, 80), torch.zeros(1, 128, 128, 4)
+    scores[0, 10, 20, 2] = 0.7
+    distances[0, 10, 20] = torch.tensor([5.0, 6.0, 7.0, 8.0])
+    boxes, found = centernet.decode((scores, distances))
+    assert boxes[10 * 128 + 20].tolist() == [80 - 5, 40 - 6, 80 + 7, 40 + 8]
+    assert found[10 * 128 + 20, 2] == pytest.approx(0.7)
+
+
+def test_centernet_reports_peaks_of_each_class() -> None:
+    scores = torch.zeros(128 * 128, 80)
+    scores[10 * 128 + 20, 2], scores[10 * 128 + 21, 2], scores[11 * 128 + 21, 5] = 0.7, 0.6, 0.8
+    scores[40 * 128, 2] = 0.04
+    rows, columns = centernet.keep(torch.zeros(len(scores), 4), scores, 0.05)
+    assert rows.tolist() == [11 * 128 + 21, 10 * 128 + 20]
+    assert columns.tolist() == [5, 2]
+
+
+def test_nanodet_distance_is_the_mean_of_its_bins() -> None:
+    outputs = []
+    for stride in nanodet.STRIDES:
+        cells = (nanodet.SIDE // stride) ** 2
+        outputs += [torch.zeros(1, cells, 80), torch.full((1, cells, 44), -40.0)]
+    cell = 3 * 26 + 4  # row 3, column 4 of the level of stride 16
+    for side, one in enumerate((1, 2, 3, 4)):
+        outputs[3][0, cell, side * 11 + one] = 40.0
+    outputs[3][0, cell, 3 * 11 + 6] = 40.0  # half 4, half 6 below
+    outputs[2][0, cell, 7] = 0.9
+    boxes, scores = nanodet.decode(tuple(outputs))
+    row = 52 * 52 + cell
+    x, y = 16 * 4.5, 16 * 3.5
+    torch.testing.assert_close(boxes[row], torch.tensor([x - 16, y - 32, x + 48, y + 80]))
+    assert scores[row, 7] == pytest.approx(0.9)
+    assert boxes.shape == (52 * 52 + 26 * 26 + 13 * 13, 4)
+
+
+def test_nanodet_drops_weaker_boxes_of_the_same_class_only() -> None:
+    boxes = torch.tensor([[0.0, 0, 10, 10], [0, 0, 10, 9], [0, 0, 10, 10], [50, 50, 60, 60]])
+    scores = torch.zeros(4, 3)
+    scores[0, 0], scores[1, 0], scores[2, 1], scores[3, 0] = 0.5, 0.6, 0.4, 0.04
+    rows, columns = nanodet.keep(boxes, scores, 0.05)
+    assert list(zip(rows.tolist(), columns.tolist(), strict=True)) == [(1, 0), (2, 1)]
+
+
+def test_pictures_are_prepared_as_the_networks_want_them() -> None:
+    colour = torch.tensor([0.2, 0.4, 0.6]).reshape(1, 3, 1, 1).expand(1, 3, 2, 2)
+    torch.testing.assert_close(centernet.prepare(colour)[0, 0, 0], torch.tensor([51.0, 102, 153]))
+    blue_green_red = (torch.tensor([153.0, 102, 51]) - torch.tensor(nanodet.MEAN)) / torch.tensor(nanodet.DEVIATION)
+    torch.testing.assert_close(nanodet.prepare(colour)[0, :, 0, 0], blue_green_red)
+
+
+def _tiny() -> GraphDetector:
+    """Scores are the sigmoid of the mean colour over quarters of the picture; the box of each is the quarter's."""
+    nodes = [
+        placeholder("x", (1, 8, 8, 3)),
+        node("scores", "Sigmoid", ["mean"]),
+        node("mean", "Reshape", ["pooled", "shape"]),
+        node("pooled", "Mean", ["parts", "axes"]),
+        node("parts", "Reshape", ["x", "split"]),
+    ]
+    constants = {
+        "split": np.array([2, 4, 2, 4, 3], np.int32),
+        "axes": np.array([1, 3], np.int32),
+        "shape": np.array([1, 4, 3], np.int32),
+    }
+
+    def decode(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+        boxes = torch.tensor([[0.0, 0, 4, 4], [4, 0, 8, 4], [0, 4, 4, 8], [4, 4, 9, 9]])
+        return boxes, outputs[0][0]
+
+    family = Family(
+        outputs=("scores",),
+        side=8,
+        prepare=lambda picture: picture.permute(0, 2, 3, 1) * 4 - 2,
+        decode=decode,
+        keep=nanodet.keep,
+        min_confidence=0.5,
+    )
+    return GraphDetector("tiny", GraphNetwork(model(nodes, constants, ["scores"])), family)
+
+
+def test_boxes_are_in_pixels_of_the_picture_whatever_its_size() -> None:
+    detector = _tiny()
+    image = torch.zeros(1, 16, 32, 3)
+    image[0, 8:, 16:, 1] = 1.0
+    (found,) = detector.detect(image)
+    assert found.labels == (COCO_CLASSES[1],)
+    assert found.boxes.tolist() == [[16.0, 8.0, 32.0, 16.0]]
+    (all_of_them,) = detector.candidates(image)
+    assert all_of_them.scores.shape == (4, 3)
+    assert all_of_them.boxes[3, 2].tolist() == [16.0, 8.0, 32.0, 16.0]
+
+
+def test_candidates_are_differentiable_in_every_picture() -> None:
+    images = torch.rand(3, 10, 12, 3, requires_grad=True)
+    sum(one.scores.sum() for one in _tiny().candidates(images)).backward()  # type: ignore[union-attr]
+    assert images.grad is not None
+    assert (images.grad.flatten(1).abs().sum(1) > 0).all()
+
+
+def test_wrong_pictures_are_refused() -> None:
+    with pytest.raises(InvalidValueError, match="images"):
+        _tiny().candidates(torch.rand(1, 3, 8, 8))
+    with pytest.raises(InvalidValueError, match="images"):
+        _tiny().detect(torch.rand(1, 8, 8, 3) * 255)
+
+
+def test_what_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert "mi-splat detectors --get centernet_coco" in DETECTORS["centernet_coco"].missing()
+    with pytest.raises(DetectorError, match=r"weights of nanodet_coco: .* get it: mi-splat detectors --get"):
+        load_detector("nanodet_coco")
+    with pytest.raises(DetectorError):
+        load_detector("nanodet_coco", weights=tmp_path / "weights.safetensors")
+
+
+@pytest.mark.parametrize("name", each)
+def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
+    detector = load_detector(name)
+    loaded = read_scene(SCENES / "stop_sign.xml")
+    camera = list(loaded.cameras.values())[4]
+    picture = quantise(Renderer(loaded.settings)(loaded.scene, camera).clamp(0, 1))
+    (found,) = detector.detect(picture[None])
+    assert found.labels[0] == "stop sign"
+    assert found.scores[0] > 0.5
+    assert (found.scores[:-1] >= found.scores[1:]).all()
+
+
+@pytest.mark.parametrize("name", each)
+def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
+    """Picture to the largest score: along a random direction, in float64."""
+    detector = load_published(name)
+    detector.network.double()
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
+    direction = torch.randn(image.shape, generator=generator, dtype=torch.float64)
+
+    def value(picture: Tensor) -> Tensor:
+        (found,) = detector.candidates(picture)
+        return found.scores.logsumexp((0, 1)) + found.boxes.mean() / 100
+
+    leaf = image.clone().requires_grad_(True)
+    (gradient,) = torch.autograd.grad(value(leaf), leaf)
+    slope = (
+        value(image + 1e-7 * direction) - value(image - 1e-7 * direction)
+    ) / 2e-7  # shorter than from kink to kink of a million activations
+    assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=3e-3)
+
+
+@there["centernet_coco"]
+def test_centernet_reports_what_its_graph_reports() -> None:
+    """The published graph goes on to a hundred detections; ours are the same."""
+    path = weights_of("centernet_coco")
+    whole = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), (*centernet.OUTPUTS, "tower_0/detections"))
+    generator = torch.Generator().manual_seed(1)
+    coarse = torch.rand(1, 3, 16, 16, generator=generator)
+    picture = torch.nn.functional.interpolate(coarse, (512, 512), mode="bilinear")
+    with torch.no_grad():
+        scores, distances, wanted = whole(centernet.prepare(picture))
+        boxes, found = centernet.decode((scores, distances))
+    rows, columns = centernet.keep(boxes, found, 0.0)
+    torch.testing.assert_close(boxes[rows], wanted[0, :, :4])
+    torch.testing.assert_close(found[rows, columns], wanted[0, :, 4])
+    assert columns.tolist() == wanted[0, :, 5].long().tolist()
+    assert FAMILIES["centernet_coco"].side == 512

