@@ -187,7 +187,7 @@ def test_the_study_s_command_runs_what_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dagger_eot_study, "load_detector", lambda name: ColourDetector())
-    monkeypatch.setattr(dagger_eot_study, "_read", lambda path: toy())
+    monkeypatch.setattr(dagger_eot_study, "read_attack_scene", lambda path: toy())
     monkeypatch.setattr(dagger_eot_study, "_setup", lambda options: SETUP)
     assert cli.main(["dagger-eot-study", "--groups", "pairs", "--out", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["jobs"] == 1
