@@ -15,6 +15,7 @@ from attacks.dagger.eot.study import GROUPS, StudySetup
 from attacks.dagger.eot.tables import write_eot_tables
 from attacks.dagger.study import JOBS, run_jobs, stored_records
 from attacks.detectors import load_detector
+from attacks.transformations.config import Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_own_folder
@@ -58,7 +59,11 @@ def run(options: DaggerEotStudyOptions) -> int:
 def _setup(options: DaggerEotStudyOptions) -> StudySetup:
     """What all attacks of the study have in common."""
     setup = StudySetup(
-        detectors=options.detectors, confidence=options.confidence, config=options.config, search=options.search
+        detectors=options.detectors,
+        confidence=options.confidence,
+        config=options.config,
+        transformations=Transformations(cameras=options.region),
+        search=options.search,
     )
     chosen = tuple(setup.pairs[number] for number in options.pairs if number < len(setup.pairs))
     if len(chosen) != len(options.pairs):

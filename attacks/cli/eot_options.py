@@ -78,6 +78,8 @@ class DaggerEotStudyOptions:
     """Confidence of the target class that counts as success; 0.7 if None."""
     search: SearchName = "paper"
     """What is pushed: the three best boxes and their overlap with the object, or one box and the old class down."""
+    region: OmitArgPrefixes[CameraRegion] = field(default_factory=CameraRegion)
+    """Where the objects are looked at from."""
     config: OmitArgPrefixes[EotConfig] = field(default_factory=EotConfig)
     """How to attack."""
     out: Path = Path("out/studies/dagger-eot")
