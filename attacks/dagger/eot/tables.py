@@ -91,7 +91,7 @@ def shown(records: Sequence[Record]) -> list[Record]:
 
 
 def smallest_radii(records: Sequence[Record]) -> list[dict[str, Any]]:
-    """For each pair, detector, region and SH degree the smallest linf radius that was enough; the largest that was not."""
+    """For each pair, detector, region and SH degree the smallest radius that was enough, the largest that was not."""
     found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for line in map(row, records):
         if line["group"] in ("pairs", "smallest"):
