@@ -117,7 +117,7 @@ def check_suffix(option: str, path: Path, suffix: str) -> None:
 
 
 def scene_pictures(path: Path) -> list[LabelledPicture]:
-    """A splat scene XML from each of its cameras at 8 bits; its shapes whose id is a class are its objects."""
+    """A splat scene XML from each of its cameras at 8 bits; shapes whose id is a class, or stop_sign, are its objects."""
     loaded = open_scene(path)
     render, pictures = Renderer(loaded.settings), []
     for camera in loaded.cameras.values():
@@ -125,13 +125,14 @@ def scene_pictures(path: Path) -> list[LabelledPicture]:
             image = torch.from_numpy(to_bytes(render(loaded.scene, camera)))
         boxes, labels, conditions = [torch.zeros(0, 4)], [], []
         for number, name in enumerate(SMALL_CLASSES, start=1):
-            if name in loaded.objects:
-                subset = GaussianSubset.of(loaded.scene, loaded.objects[name])
+            rows = loaded.objects.get(name, loaded.objects.get(name.replace(" ", "_")))
+            if rows is not None:
+                subset = GaussianSubset.of(loaded.scene, rows)
                 box = visible_box(visible_weight(subset, camera, render))
                 if box is not None:
                     boxes.append(box[None])
                     labels.append(number)
-                    points = loaded.scene.means[loaded.objects[name]].numpy()
+                    points = loaded.scene.means[rows].numpy()
                     conditions.append(viewing_conditions(points, camera))
         found = torch.tensor(labels, dtype=torch.int64)
         pictures.append(LabelledPicture(image, torch.cat(boxes), found, tuple(conditions)))

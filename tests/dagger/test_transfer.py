@@ -16,7 +16,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.study import PAIRS
 from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.jobs import JudgeJob, SourceJob, TransferRunner, transfer_jobs
-from attacks.dagger.transfer.matrix import cells, left_out, noise, title
+from attacks.dagger.transfer.matrix import attacked, cells, left_out, noise, title
 from attacks.dagger.transfer.study import run_transfer
 from attacks.dagger.transfer.tables import markdown, write_tables
 from attacks.detectors.base import Detector
@@ -155,8 +155,9 @@ def test_leave_one_out_is_beside_the_best_single_source() -> None:
         made_up(("a", "b"), {"c": (0.4, 0.2, 0.9), "a": (0.9, 0.1, 0.9)}),  # c does not find the clean object
         made_up(("a",), {"c": (0.9, 0.9, 0.4), "b": (0.9, 0.9, 0.0)}),
         made_up(("b",), {"c": (0.9, 0.49, 0.0), "b": (0.9, 0.1, 0.9)}),
-        made_up(("c",), {"c": (0.9, 0.1, 0.9)}),
+        made_up(("c",), {"c": (0.9, 0.1, 0.9), "only_judges": (0.9, 0.9, 0.0)}),
     ]
+    assert attacked(cells(records)) == ["a", "b", "c"]
     (row,) = left_out(cells(records))
     assert row["detector"] == "c"
     assert (row["ensemble"]["targeted"]["successes"], row["ensemble"]["targeted"]["total"]) == (1, 1)

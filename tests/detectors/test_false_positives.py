@@ -159,14 +159,28 @@ def test_the_command_scores_pictures_backgrounds_and_scenes(tmp_path: Path, caps
     sizes = {**asdict(TINY), "size": 64}
     flags = [f"--backgrounds.{name}={sizes[name]}" for name in ("scenes", "shots", "samples", "size")]
     words = ["evaluate-detector", "--data", str(tmp_path), "--out", str(tmp_path / "figures.json"), *flags]
-    words += ["--pictures=3", "--samples=1", "--splats=0", "--processes=0", "--scenes", "scenes/car_street.xml"]
+    words += [
+        "--pictures=3",
+        "--samples=1",
+        "--splats=0",
+        "--processes=0",
+        "--scenes",
+        "scenes/car_street.xml",
+        "scenes/stop_sign.xml",
+    ]
     assert cli.main([*words, "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown == json.loads((tmp_path / "figures.json").read_text())
-    assert set(shown["sets"]) == {"path traced", "scenes/car_street.xml", *(f"background: {k}" for k in BACKGROUNDS)}
+    assert set(shown["sets"]) == {
+        "path traced",
+        "scenes/car_street.xml",
+        "scenes/stop_sign.xml",
+        *(f"background: {k}" for k in BACKGROUNDS),
+    }
     street = shown["sets"]["scenes/car_street.xml"]
     assert (street["pictures"], street["counts"]) == (6, {"car": 6})
     assert street["recall"]["car"] == 1.0
+    assert shown["sets"]["scenes/stop_sign.xml"]["recall"] == {"stop sign": 1.0}
     assert len(shown["fingerprint"]) == 16
     assert shown["sets"]["path traced"]["recall_by"]["elevation"]["all"]
     assert shown["pictures"]["backgrounds"]["scenes"] == 1

@@ -9,7 +9,7 @@ from typing import Any
 from attacks.dagger.tables import grid
 from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.jobs import SUCCESS
-from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, cells, left_out, noise, title
+from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, attacked, cells, left_out, noise, title
 from attacks.evaluation.rates import Rate
 from mi_splat.io.documents import save_json, save_text
 
@@ -33,7 +33,16 @@ def markdown(records: Sequence[Record]) -> str:
     ]
     for kind, what in (("targeted", "the wanted class is reported"), ("untargeted", "the object's class is gone")):
         lines += [f"## {kind.capitalize()}: {what}", "", _matrix(matrix, names, kind), ""]
-    lines += ["## Leave one out", "", _left_out(matrix), "", "## The attacks", "", _attacks(records, names), ""]
+    lines += [
+        "## Leave one out",
+        "",
+        _left_out(matrix),
+        "",
+        "## The attacks",
+        "",
+        _attacks(records, attacked(matrix)),
+        "",
+    ]
     versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
     return "\n".join([*lines, f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.", ""])
 
@@ -44,7 +53,7 @@ def _matrix(matrix: Sequence[Cell], names: Sequence[str], kind: str) -> str:
     for sources in dict.fromkeys(cell.sources for cell in matrix):
         found = [by_place.get((sources, name)) for name in names]
         marks = ["-" if cell is None else f"{_rate(getattr(cell, kind))}{' *' * cell.white_box}" for cell in found]
-        body.append([title(sources, names), *marks])
+        body.append([title(sources, attacked(matrix)), *marks])
     control = [_rate(noise(matrix, name, kind)) for name in names]
     return _page(["attacked, judged by", *names], [*body, ["random noise", *control]])
 
@@ -62,10 +71,10 @@ def _left_out(matrix: Sequence[Cell]) -> str:
     return _page(head, body) if body else "No ensembles were attacked."
 
 
-def _attacks(records: Sequence[Record], names: Sequence[str]) -> str:
+def _attacks(records: Sequence[Record], every: Sequence[str]) -> str:
     body = [
         [
-            title(row["sources"], names),
+            title(row["sources"], every),
             _of(row["all_deceived"]),
             f"{row['steps']:g}",
             f"{row['image_psnr']:.1f}",
