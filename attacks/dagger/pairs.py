@@ -44,7 +44,7 @@ class Search:
 SEARCHES: Mapping[SearchName, Search] = {
     "paper": Search(config={}, objective={}),
     "strong": Search(
-        config={"step_factor": 4.0, "momentum": 0.5, "schedule": "cosine", "gradient_power": 0.5},
+        config={"step_factor": 6.0, "momentum": 0.5, "schedule": "cosine", "gradient_power": 0.7},
         objective={"near": 0.85, "top": 1, "tightness": 0.0, "suppression": 0.3},
     ),
 }
