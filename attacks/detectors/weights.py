@@ -67,17 +67,21 @@ def read_weights(path: Path) -> dict[str, Tensor]:
 def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object) -> None:
     """Load `state` into `model` strictly, but for BatchNorm's step counters, which have no effect in evaluation.
 
+    Names of an older version of the model's library are read, as the model's own `load_state_dict` reads them. Where
+    this raises, `model` has some of the weights.
+
     Raises:
         DetectorError: keys are missing, unexpected or of another shape; the message names the first few.
     """
     own = model.state_dict()
-    missing = [k for k in own if k not in state and not k.endswith("num_batches_tracked")]
-    unexpected = [k for k in state if k not in own and not k.endswith("num_batches_tracked")]
-    shapes = [
-        f"{k} {tuple(state[k].shape)} instead of {tuple(own[k].shape)}"
-        for k in own
-        if k in state and state[k].shape != own[k].shape
-    ]
+    misshapen = [k for k in own if k in state and state[k].shape != own[k].shape]
+    shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(own[k].shape)}" for k in misshapen]
+    try:
+        report = model.load_state_dict({k: v for k, v in state.items() if k not in misshapen}, strict=False)
+        missing = [k for k in report.missing_keys if k not in misshapen and not k.endswith("num_batches_tracked")]
+        unexpected = [k for k in report.unexpected_keys if not k.endswith("num_batches_tracked")]
+    except RuntimeError as error:  # of another shape under an older name
+        missing, unexpected, shapes = [], [], [*shapes, str(error).splitlines()[-1].strip()]
     problems = [
         f"{len(keys)} {what} ({', '.join(keys[:_SHOWN])}{', ...' if len(keys) > _SHOWN else ''})"
         for what, keys in (("missing", missing), ("unexpected", unexpected), ("of another shape", shapes))
@@ -92,4 +96,3 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
                 "pass weights that were saved from the same detector",
             )
         )
-    model.load_state_dict({k: v.to(own[k].dtype) for k, v in state.items() if k in own}, strict=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +16,14 @@ from torchvision.models.detection.anchor_utils import AnchorGenerator, DefaultBo
 from torchvision.models.detection.ssd import SSD, SSDHead
 from torchvision.ops import FrozenBatchNorm2d, batched_nms
 
-from attacks.detectors import Detector, DetectorError, load_detector
+from attacks.detectors import Detector, DetectorError, load_detector, small
 from attacks.detectors.classes import BACKGROUND, COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.small import Backbone
 from attacks.detectors.torchvision import OneStageDetector, random_detector, wrap
 from attacks.detectors.torchvision.loading import warm_up
 from attacks.detectors.torchvision.one_stage import _with_centreness
 from attacks.detectors.torchvision.published import PUBLISHED
-from attacks.detectors.weights import apply_weights, read_weights
+from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.errors import InvalidValueError
 
 SMALL_LABELS = (BACKGROUND, *SMALL_CLASSES)
@@ -199,6 +201,28 @@ def test_a_published_one_is_loaded_from_a_file(tmp_path: Path, name: str) -> Non
     assert float(expected.scores.std()) > 1e-6
     frozen = [norm for norm in loaded.model.modules() if isinstance(norm, FrozenBatchNorm2d)]
     assert {norm.eps for norm in frozen} == ({0.0} if name == "retinanet_resnet50_fpn" else set())
+
+
+def older(name: str) -> str:
+    """The name of a tensor in the files that the library published before it gave these layers an index more."""
+    name = re.sub(r"(head\.\w+_head\.conv)\.(\d)\.0\.", lambda old: f"{old[1]}.{2 * int(old[2])}.", name)
+    name = re.sub(r"((?:inner|layer)_blocks\.\d)\.0\.", r"\1.", name)
+    return name.replace("rpn.head.conv.0.0.", "rpn.head.conv.")
+
+
+@pytest.mark.parametrize("make", [small_retinanet, small.build])
+def test_the_older_names_of_published_files_are_read(make: Callable[[], nn.Module]) -> None:
+    """The published RetinaNet and Faster R-CNN, which are of that time, have such names."""
+    original, model = make(), make()
+    state = {older(name): value for name, value in original.state_dict().items()}
+    assert len(state.keys() - original.state_dict().keys()) >= 6
+    apply_weights(model, state, "a file")
+    assert fingerprint(model.state_dict()) == fingerprint(original.state_dict())
+    name = older(
+        "head.classification_head.conv.1.0.weight" if isinstance(model, RetinaNet) else "rpn.head.conv.0.0.bias"
+    )
+    with pytest.raises(DetectorError, match=r"of another shape \(size mismatch for"):
+        apply_weights(model, {**state, name: torch.zeros(3)}, "a file")
 
 
 def test_weights_of_another_architecture_are_refused(tmp_path: Path) -> None:

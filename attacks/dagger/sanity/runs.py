@@ -22,23 +22,8 @@ from attacks.pgd import Evaluation, Step
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 
-
-class Attack(Protocol):
-    """The attack that is checked; `attacks.dagger.attack.attack` is one."""
-
-    def __call__(
-        self,
-        scene: GaussianScene,
-        mask: Mask,
-        cameras: Camera | Sequence[Camera],
-        detector: Detector,
-        objective: Relabel,
-        *,
-        render: RenderFn,
-        config: DaggerConfig,
-    ) -> Result:
-        """As in `attacks.dagger.attack.attack`."""
-        ...
+Attack = Callable[..., Result]
+"""The attack that is checked: `attacks.dagger.attack.attack`, or one that takes the same arguments."""
 
 
 class Scored(Protocol):

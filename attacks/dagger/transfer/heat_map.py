@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.dagger.transfer.matrix import Cell, noise, title
+from attacks.dagger.transfer.matrix import Cell, attacked, noise, title
 from mi_splat.io.atomic import atomic_write
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def _draw(
             if row < len(sources) and names[column] in sources[row]:
                 axes.add_patch(_frame(column, row))
     axes.set_xticks(range(len(names)), names, rotation=20, ha="right", fontsize=8)
-    axes.set_yticks(range(len(rates)), [*(title(row, names) for row in sources), "random noise"], fontsize=8)
+    axes.set_yticks(range(len(rates)), [*(title(row, attacked(matrix)) for row in sources), "random noise"], fontsize=8)
     axes.set_xlabel("judged by", fontsize=8)
 
 

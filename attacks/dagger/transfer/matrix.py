@@ -86,8 +86,7 @@ def left_out(matrix: Sequence[Cell]) -> list[dict[str, Any]]:
     """For each detector: the ensemble of all others against it, beside the best single one of them and the noise."""
     rows = []
     for cell in matrix:
-        others = {one.detector for one in matrix} - {cell.detector}
-        if len(cell.sources) < 2 or set(cell.sources) != others:
+        if len(cell.sources) < 2 or set(cell.sources) != set(attacked(matrix)) - {cell.detector}:
             continue
         singles = [
             one for one in matrix if len(one.sources) == 1 and one.detector == cell.detector and not one.white_box
@@ -116,9 +115,14 @@ def attack_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     ]
 
 
-def title(sources: Sequence[str], detectors: Sequence[str]) -> str:
-    """What the detectors attacked are called: their one name, or all but one, or all names."""
-    missing = [name for name in detectors if name not in sources]
+def attacked(matrix: Sequence[Cell]) -> list[str]:
+    """Names of all detectors that were attacked, alone or with others."""
+    return list(dict.fromkeys(name for cell in matrix for name in cell.sources))
+
+
+def title(sources: Sequence[str], every: Sequence[str]) -> str:
+    """What a row is called: the one detector attacked, or all but one of every one that was, or all names."""
+    missing = [name for name in every if name not in sources]
     if len(sources) == 1:
         return sources[0]
     return f"all but {missing[0]}" if len(missing) == 1 and len(sources) > 1 else " + ".join(sources)
