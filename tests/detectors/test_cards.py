@@ -15,7 +15,7 @@ from attacks.detectors.evaluation.tables import comparison, detector_tables, rea
 from attacks.detectors.training.config import BACKGROUNDS
 
 ROOT = Path(__file__).resolve().parents[2]
-WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detectors.py"))
+WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detector_figures.py"))
 """The program that writes the tables."""
 CARDS: dict[str, tuple[Path, Path]] = WRITER["CARDS"]
 

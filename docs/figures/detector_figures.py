@@ -1,4 +1,4 @@
-"""Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detectors.py [FILE ...]`.
+"""Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detector_figures.py [FILE ...]`.
 
 Each FILE is what `mi-splat evaluate-detector --out FILE` wrote; it is put beside the card of its detector, or into
 docs/tables/detectors where the detector has none. Then every table and the picture are written anew from what is there.
