@@ -155,6 +155,17 @@ def test_a_detector_of_more_classes_is_scored_on_those_of_the_project() -> None:
     assert shown["recall_by"]["distance"]["all"][-1]["high"] is None
 
 
+def test_unlikely_detections_are_kept_where_that_can_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Floored(TableDetector):
+        def __init__(self) -> None:
+            self.min_confidence = 0.25
+
+    made: list[ColourDetector] = [Floored(), TableDetector()]
+    monkeypatch.setattr("attacks.detectors.evaluation.held_out.load_detector", lambda name, weights: made.pop(0))
+    assert load_for_evaluation("floored").min_confidence == 0.001
+    assert load_for_evaluation("plain").min_confidence == 0.05, "it cannot be chosen"
+
+
 def test_a_detector_without_the_project_s_classes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("attacks.detectors.evaluation.held_out.load_detector", lambda name, weights: ColourDetector())
     with pytest.raises(DetectorError, match=r"detector few: expected one of car, .*got one without elephant, bird"):

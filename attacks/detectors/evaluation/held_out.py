@@ -32,7 +32,10 @@ from attacks.detectors.training.splat_pictures import splat_set
 from mi_splat.errors import message
 
 MIN_CONFIDENCE = 0.001
-"""Confidence of YOLO's detections that count in an average precision; its own floor of 0.25 would cut the curve off."""
+"""Confidence of detections that count in an average precision, of detectors whose floor can be chosen.
+
+The floor of 0.25 that ultralytics' detectors have otherwise would cut the curve off.
+"""
 
 PATH_TRACED, SPLAT_RENDERS, BACKGROUND = "path traced", "splat renders", "background: "
 """What the sets are called; the kind of background follows."""
@@ -87,22 +90,21 @@ def _recall_by(objects: Sequence[ObjectResult]) -> dict[str, dict[str, Any]]:
 def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
     """A detector of the project's classes that keeps its unlikely detections too, as an average precision needs them.
 
-    The others keep their own floor: 0.05 of the R-CNN, with which its published figures were measured.
+    Where `min_confidence` is an attribute of the detector it is lowered; others keep theirs, 0.05 for most.
 
     Raises:
         DetectorError: It does not know all of the project's classes, its weights are missing or do not fit, or it needs
             a package that is not there.
     """
-    if name == "yolov8n_small":
-        from attacks.detectors import ultralytics
-
-        return ultralytics.load_small(weights, min_confidence=MIN_CONFIDENCE)
-    detector = load_detector(name, weights=weights)
+    detector: Any = load_detector(name, weights=weights)
     missing = [label for label in SMALL_CLASSES if label not in detector.classes]
     if missing:
         got, do = f"one without {', '.join(missing)}", "the pictures show these; choose another detector"
         raise DetectorError(message(f"detector {name}", f"one of {', '.join(SMALL_CLASSES)}", got, do))
-    return detector
+    if "min_confidence" in getattr(detector, "__dict__", {}):
+        detector.min_confidence = MIN_CONFIDENCE
+    found: Detector = detector
+    return found
 
 
 def held_out_sets(

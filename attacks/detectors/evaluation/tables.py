@@ -42,7 +42,8 @@ def read_figures(path: Path) -> dict[str, Any]:
 
 def detector_tables(found: Document) -> str:
     """Average precision, false positives, recall by how objects are seen, and what else is reported on them."""
-    first = f"A detection counts from a confidence of {found['confidence']:g}; the average precision takes all."
+    floor = f"the average precision takes all from {found['min_confidence']:g}."
+    first = f"A detection counts from a confidence of {found['confidence']:g}; {floor}"
     kinds = (_precision, _scenes, _false_positives, _recall, _reported_as, _other_classes)
     parts = [first, *(kind(found) for kind in kinds)]
     return "\n\n".join(part for part in parts if part) + "\n"

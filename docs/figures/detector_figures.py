@@ -1,0 +1,78 @@
+"""Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detector_figures.py [FILE ...]`.
+
+Each FILE is what `mi-splat evaluate-detector --out FILE` wrote; it is put beside the card of its detector, or into
+docs/tables/detectors where the detector has none. Then every table and the picture are written anew from what is there.
+Sentences that name figures are not; read them again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.detectors.evaluation.plots import draw_recall
+from attacks.detectors.evaluation.tables import USUAL_CONFIDENCE, comparison, detector_tables, read_figures
+
+ROOT = Path(__file__).resolve().parents[2]
+CARDS = {
+    "fasterrcnn_small": (
+        ROOT / "attacks" / "detectors" / "fasterrcnn_small.json",
+        ROOT / "attacks" / "detectors" / "fasterrcnn_small.md",
+    ),
+    "yolov8n_small": (
+        ROOT / "scenes" / "detectors" / "yolov8n_small.json",
+        ROOT / "scenes" / "detectors" / "README.md",
+    ),
+}
+"""Detector to the file of its curves and figures, and its card."""
+TABLES = ROOT / "docs" / "tables" / "detectors"
+PAGE = ROOT / "docs" / "detectors.md"
+PICTURE = ROOT / "docs" / "images" / "detectors_recall.png"
+_END = "<!-- end -->"
+
+
+def put_away(path: Path) -> None:
+    """Put the figures of one run where they are kept."""
+    found = read_figures(path)
+    name, usual = found["detector"], found["confidence"] == USUAL_CONFIDENCE
+    if usual and name in CARDS:
+        kept: dict[str, Any] = json.loads(CARDS[name][0].read_text())
+        CARDS[name][0].write_text(json.dumps({**kept, "held_out": found}, indent=1) + "\n")
+        return
+    suffix = "" if usual else f"_{round(100 * found['confidence']):02d}"
+    TABLES.mkdir(parents=True, exist_ok=True)
+    (TABLES / f"{name}{suffix}.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+def kept_figures() -> list[Path]:
+    """Where figures are kept: of the detectors that have cards, then of the others."""
+    return [figures for figures, _ in CARDS.values()] + sorted(TABLES.glob("*.json"))
+
+
+def write_between_marks(path: Path, command: str, text: str) -> None:
+    """Replace what stands between the marks of a page."""
+    page, begin = path.read_text(), f"<!-- written by `mi-splat {command}` -->"
+    start = page.index(begin) + len(begin)
+    path.write_text(f"{page[:start]}\n\n{text.strip()}\n\n{page[page.index(_END, start) :]}")
+
+
+def main(paths: Sequence[Path]) -> None:
+    """Put new figures away and write every table and the picture anew."""
+    for path in paths:
+        put_away(path)
+    for figures, card in CARDS.values():
+        write_between_marks(card, "evaluate-detector", detector_tables(read_figures(figures)))
+    for path in sorted(TABLES.glob("*.json")):
+        found = read_figures(path)
+        title = f"# {found['detector']}, from a confidence of {found['confidence']:g}"
+        path.with_suffix(".md").write_text(f"{title}\n\n{detector_tables(found)}")
+    several = [read_figures(path) for path in kept_figures()]
+    write_between_marks(PAGE, "compare-detectors", comparison(several))
+    draw_recall([found for found in several if found["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
+
+
+if __name__ == "__main__":
+    main([Path(word) for word in sys.argv[1:]])
