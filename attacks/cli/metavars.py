@@ -95,6 +95,8 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "results": ("FOLDER",),
     "DaggerStudyOptions.scenes": ("FOLDER",),
     "DaggerTransferOptions.scenes": ("FOLDER",),
+    "DaggerTransferOptions.views": ("COUNT",),
+    "eot_study": ("FOLDER",),
     "DaggerTransferOptions.seeds": ("COUNT",),
     "DaggerSanityOptions.seeds": ("COUNT",),
     "surrogate": ("DETECTOR",),

@@ -34,6 +34,11 @@ class DaggerTransferOptions:
     """Number of steps."""
     ensembles: bool = True
     """Attack all detectors but one at once, too."""
+    eot_study: Path | None = None
+    """Folder of `mi-splat dagger-eot-study`: attack nothing, let the detectors judge its splats on their held-out views
+    (held_out.md, held_out.json, held_out.png)."""
+    views: int = 24
+    """Held-out views of each of these splats."""
     scenes: Path = Path("scenes")
     """Folder with the scene files."""
     out: Path = Path("out/studies/transfer")

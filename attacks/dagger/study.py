@@ -124,7 +124,7 @@ def run_jobs(
     Returns:
         One record for each job: `job`, `fingerprint` and `result`.
     """
-    check_own_folder(out, JOBS)
+    check_own_folder(out, JOBS, ledger)
     folder, records = out / ledger, []
     folder.mkdir(parents=True, exist_ok=True)
     sweep_temporary(folder)

@@ -13,13 +13,18 @@ import torch
 from attacks import cli
 from attacks.cli import dagger_transfer
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.study import PAIRS
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.jobs import EotJob, EotJobRunner
+from attacks.dagger.study import PAIRS, run_jobs
 from attacks.dagger.transfer.heat_map import draw_heat_maps
+from attacks.dagger.transfer.held_out import HeldOutRunner, held_out_jobs, run_held_out
 from attacks.dagger.transfer.jobs import JudgeJob, SourceJob, TransferRunner, transfer_jobs
 from attacks.dagger.transfer.matrix import attacked, cells, left_out, noise, title
 from attacks.dagger.transfer.study import run_transfer
 from attacks.dagger.transfer.tables import markdown, write_tables
 from attacks.detectors.base import Detector
+from attacks.transformations.config import CameraRegion, Transformations
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from tests.dagger.test_study import toy
 from tests.fakes import CoarseDetector, ColourDetector
@@ -204,6 +209,45 @@ def test_the_command_takes_what_can_be_loaded(
     assert len(list((tmp_path / "judged").iterdir())) == 4
     assert cli.main(["dagger-transfer", "--detectors", "a", "a", "--out", str(tmp_path)]) == 1
     assert "--detectors: expected different names" in capsys.readouterr().err
+
+
+def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = EotConfig(eps=(2.0,), steps=6, batch=1, pool=4, validation=2, validate_every=3, held_out=4, noise_draws=0)
+    made = EotJob(
+        group="pairs",
+        scene="toy",
+        object="car",
+        target="person",
+        detectors=("fake_colour",),
+        config=config,
+        transformations=Transformations(cameras=CameraRegion(elevations=(0.0, 10.0))),
+    )
+    study = tmp_path / "study"
+    attacker = EotJobRunner(lambda name: renamed(), DETECTORS.__getitem__, keep=study / "results")
+    (record,) = run_jobs([made], study, attacker.run, fingerprint=attacker.fingerprint)
+    jobs = held_out_jobs(study, ["fake_colour", "fake_blind"], views=3)
+    assert [(job.detector, job.views, job.seed) for job in jobs] == [("fake_colour", 3, 1000), ("fake_blind", 3, 1000)]
+    judge = HeldOutRunner(lambda name: renamed(), DETECTORS.__getitem__, study)
+    records = run_held_out(jobs, tmp_path / "out", judge)
+    assert len(records) == 6
+    matrix = {cell.detector: cell for cell in cells(records)}
+    assert (matrix["fake_colour"].runs, matrix["fake_colour"].white_box) == (3, True)
+    own = [view["target_confidence"] for view in record["result"]["views"][:3]]
+    seen = [one["judged"]["fake_colour"]["attacked"]["target"] for one in records if "fake_colour" in one["judged"]]
+    assert seen == pytest.approx(own, abs=1e-4)  # what the study has judged, view by view
+    assert matrix["fake_colour"].targeted.successes == sum(score >= 0.5 for score in own) > 0
+    assert matrix["fake_colour"].noise_targeted.successes == 0
+    assert matrix["fake_blind"].targeted.total == 0
+    monkeypatch.setattr(dagger_transfer, "load_detector", DETECTORS.__getitem__)
+    monkeypatch.setattr(dagger_transfer, "read_attack_scene", lambda path: renamed())
+    words = ["dagger-transfer", "--eot-study", str(study), "--detectors", "fake_coarse", "--views", "2"]
+    assert cli.main([*words, "--out", str(tmp_path / "judged")]) == 0
+    assert "held_out.md" in capsys.readouterr().out
+    assert "1 splats" in (tmp_path / "judged" / "held_out.md").read_text()
+    with pytest.raises(InvalidValueError, match="run mi-splat dagger-eot-study"):
+        held_out_jobs(tmp_path, ["fake_colour"], views=2)
 
 
 class Spec:

@@ -17,7 +17,6 @@ from mi_splat.io.documents import save_json, save_text
 def markdown(records: Sequence[Record]) -> str:
     """The tables as one Markdown page."""
     matrix = cells(records)
-    names = list(dict.fromkeys(cell.detector for cell in matrix))
     first = records[0]["attack"]
     config = first["config"]
     seeds = sorted({record["job"]["config"]["seed"] for record in records})
@@ -31,8 +30,7 @@ def markdown(records: Sequence[Record]) -> str:
         "interval. White box: the judging detector was attacked; marked with *.",
         "",
     ]
-    for kind, what in (("targeted", "the wanted class is reported"), ("untargeted", "the object's class is gone")):
-        lines += [f"## {kind.capitalize()}: {what}", "", _matrix(matrix, names, kind), ""]
+    lines += _rates(matrix)
     lines += [
         "## Leave one out",
         "",
@@ -45,6 +43,14 @@ def markdown(records: Sequence[Record]) -> str:
     ]
     versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
     return "\n".join([*lines, f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.", ""])
+
+
+def _rates(matrix: Sequence[Cell]) -> list[str]:
+    names = list(dict.fromkeys(cell.detector for cell in matrix))
+    lines = []
+    for kind, what in (("targeted", "the wanted class is reported"), ("untargeted", "the object's class is gone")):
+        lines += [f"## {kind.capitalize()}: {what}", "", _matrix(matrix, names, kind), ""]
+    return lines
 
 
 def _matrix(matrix: Sequence[Cell], names: Sequence[str], kind: str) -> str:
@@ -114,4 +120,29 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
     save_json(document, paths[1])
     if draw_heat_maps(matrix, out / "transfer.png"):
         paths.append(out / "transfer.png")
+    return paths
+
+
+def write_held_out(records: Sequence[Record], out: Path, *, attacks: int, views: int) -> list[Path]:
+    """Write the matrix over held-out views: held_out.md, held_out.json and held_out.png (with matplotlib).
+
+    Args:
+        records: From `run_held_out`.
+        out: Where to.
+        attacks: Number of splats.
+        views: Views of each.
+
+    Returns:
+        The files written.
+    """
+    paths, matrix = [out / "held_out.md", out / "held_out.json"], cells(records)
+    said = (
+        f"{attacks} splats that were attacked over a distribution of views, each looked at from {views} views that no "
+        f"search has seen. A class counts from {SUCCESS:g}, with every detector. Rates are of the views in which the "
+        "judging detector finds the clean object; in brackets the 95 % Wilson interval. White box: marked with *."
+    )
+    save_text("\n".join(["# Transfer over held-out views", "", said, "", *_rates(matrix)]), paths[0])
+    save_json({"cells": [cell.as_dict() for cell in matrix]}, paths[1])
+    if draw_heat_maps(matrix, out / "held_out.png"):
+        paths.append(out / "held_out.png")
     return paths
