@@ -60,7 +60,7 @@ def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Dete
 def _detection_curve(
     options: CloakExperimentOptions, study: StudyConfig, results: Path, advance: Advance
 ) -> dict[str, Any]:
-    """Look, write the folder, and return what it says; what was seen stays among the stages."""
+    """Look, write the folder, and return its rates by region; what was seen stays among the stages."""
     if options.out is None:
         raise InvalidValueError(message("--out", "a folder to write into", "none", "name one"))
     check_new_folder(options.out)
@@ -78,4 +78,6 @@ def _detection_curve(
     pipeline = StudyPipeline(study=study, folder=stages, on_step=follow)
     found = watch(pipeline, splats, detectors, every=options.every)
     with new_folder(options.out, record=FILES[0]) as folder:
-        return write_detection_curve(pipeline, found, splats, detectors, folder, every=options.every)
+        document = write_detection_curve(pipeline, found, splats, detectors, folder, every=options.every)
+    rates = [row for row in document["rates"] if row["by"] == "region" and row["seed"] is None]
+    return {**document, "rates": rates, "out": str(options.out), "files": list(FILES)}
