@@ -184,6 +184,7 @@ def test_tables_and_picture_are_written(study: tuple[Path, list[dict[str, Any]]]
     assert "| random noise | 0/6 (0.00 to 0.39) | 0/6 (0.00 to 0.39) | 0/0 |" in text
     values = json.loads(paths[1].read_text())
     assert len(values["cells"]) == 9
+    assert values["weights"]["fake_coarse"] == [CoarseDetector.fingerprint]
     assert paths[2].read_bytes().startswith(b"\x89PNG")
     assert draw_heat_maps(cells(records), tmp_path / "again.png")
 
