@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from attacks.cli.attack_scenes import read_attack_scene
 from attacks.cli.dagger_eot import follow
 from attacks.cli.eot_options import DaggerEotStudyOptions
 from attacks.dagger.eot.jobs import EotJob, EotJobRunner
 from attacks.dagger.eot.study import GROUPS, StudySetup
 from attacks.dagger.eot.tables import write_eot_tables
-from attacks.dagger.jobs import AttackScene
 from attacks.dagger.study import JOBS, run_jobs, stored_records
 from attacks.detectors import load_detector
+from attacks.transformations.config import Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_own_folder
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import read_scene
 
 
 def run(options: DaggerEotStudyOptions) -> int:
@@ -33,7 +32,7 @@ def run(options: DaggerEotStudyOptions) -> int:
     setup = _setup(options)
     with progress("attacking") as advance:
         runner = EotJobRunner(
-            lambda name: _read(options.scenes / f"{name}.xml"),
+            lambda name: read_attack_scene(options.scenes / f"{name}.xml"),
             load_detector,
             keep=options.out / "results",
             on_step=follow(advance),
@@ -59,21 +58,15 @@ def run(options: DaggerEotStudyOptions) -> int:
 
 def _setup(options: DaggerEotStudyOptions) -> StudySetup:
     """What all attacks of the study have in common."""
-    setup = StudySetup(detectors=options.detectors, confidence=options.confidence, config=options.config)
+    setup = StudySetup(
+        detectors=options.detectors,
+        confidence=options.confidence,
+        config=options.config,
+        transformations=Transformations(cameras=options.region),
+        search=options.search,
+    )
     chosen = tuple(setup.pairs[number] for number in options.pairs if number < len(setup.pairs))
     if len(chosen) != len(options.pairs):
         expected = f"numbers in 0..{len(setup.pairs) - 1}"
         raise InvalidValueError(message("pairs", expected, options.pairs, "0 is the first of docs/dagger.md"))
-    if not chosen:
-        return setup
-    return StudySetup(detectors=options.detectors, confidence=options.confidence, config=options.config, pairs=chosen)
-
-
-def _read(path: Path) -> AttackScene:
-    loaded = read_scene(path)
-    return AttackScene(
-        scene=loaded.scene,
-        objects=loaded.objects,
-        cameras=tuple(loaded.cameras.values()),
-        render=Renderer(loaded.settings),
-    )
+    return dataclasses.replace(setup, pairs=chosen) if chosen else setup

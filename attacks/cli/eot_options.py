@@ -9,6 +9,7 @@ from typing import Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from attacks.dagger.eot.config import EotConfig
+from attacks.limits import SearchName
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.selection.config import Selection
@@ -75,6 +76,10 @@ class DaggerEotStudyOptions:
     """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
     confidence: float | None = None
     """Confidence of the target class that counts as success; 0.7 if None."""
+    search: SearchName = "paper"
+    """What is pushed: the three best boxes and their overlap with the object, or one box and the old class down."""
+    region: OmitArgPrefixes[CameraRegion] = field(default_factory=CameraRegion)
+    """Where the objects are looked at from."""
     config: OmitArgPrefixes[EotConfig] = field(default_factory=EotConfig)
     """How to attack."""
     out: Path = Path("out/studies/dagger-eot")

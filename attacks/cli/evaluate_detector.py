@@ -117,7 +117,7 @@ def check_suffix(option: str, path: Path, suffix: str) -> None:
 
 
 def scene_pictures(path: Path) -> list[LabelledPicture]:
-    """A splat scene XML from each of its cameras at 8 bits; shapes whose id is a class, or stop_sign, are its objects."""
+    """A splat scene XML from each of its cameras at 8 bits; shapes whose id is a class (or stop_sign) are objects."""
     loaded = open_scene(path)
     render, pictures = Renderer(loaded.settings), []
     for camera in loaded.cameras.values():

@@ -94,6 +94,13 @@ def check_momentum(momentum: float, schedule: str) -> None:
         raise InvalidValueError(message("momentum", "a fraction in [0, 1)", momentum, "0 is none"))
 
 
+def check_power(power: float) -> None:
+    """Raise unless gradients can be raised to a power."""
+    if not 0 <= power <= 1:
+        do = "1 leaves gradients as they are"
+        raise InvalidValueError(message("gradient_power", "a fraction in [0, 1]", power, do))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerConfig(Perturbation):
     """How to attack. The defaults are those of the paper's text.
@@ -141,7 +148,4 @@ class DaggerConfig(Perturbation):
             expected = f"one of {', '.join(get_args(EnsembleLoss))}"
             raise InvalidValueError(message("ensemble", expected, self.ensemble, "mean is the usual one"))
         check_momentum(self.momentum, self.schedule)
-        if not 0 <= self.gradient_power <= 1:
-            raise InvalidValueError(
-                message("gradient_power", "a fraction in [0, 1]", self.gradient_power, "1 leaves gradients as they are")
-            )
+        check_power(self.gradient_power)

@@ -88,7 +88,6 @@ def test_rates_are_of_all_seeds_together_and_leave_the_rear_out() -> None:
     assert counts("elevation", TRUE) == {"0 to 10": "1/1", "40 to 50": "0/1", "80 to 90": "0/1"}
     assert counts("elevation", "clean") == {"0 to 10": "1/2", "40 to 50": "0/2", "80 to 90": "0/2"}
     assert counts("elevation", "clean", confidence=0.3) == {"0 to 10": "2/2", "40 to 50": "1/2", "80 to 90": "0/2"}
-    assert counts("elevation", "clean", reported="own_near")["80 to 90"] == "2/2"
     assert counts("azimuth", "cloaked") == {"0 to 30": "2/2", "180 to 210": "0/2"}
     assert counts("region", "cloaked") == {"overhead": "0/4", "rear": "0/2", ELSEWHERE: "2/2"}
     assert counts("region", "cloaked", reported="target")["rear"] == "1/2"

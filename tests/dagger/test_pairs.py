@@ -56,7 +56,7 @@ def test_every_pair_is_attacked_with_every_radius_and_seed() -> None:
     found = run_pairs({"a": attack, "b": attack}, eps=(2.0, 5.0), steps=40, seeds=(0, 1), search="strong")
     assert len(found["pairs"]) == len(asked) == 2 * 6 * 2 * 2
     assert {(job.scene, job.object, job.target) for job in asked} == set(PAIRS)
-    assert all(job.config.steps == 40 and job.config.momentum == 0.7 for job in asked)
+    assert all(job.config.steps == 40 and job.config.momentum == 0.5 for job in asked)
     assert [job.config.random_start for job in asked[:4]] == [False, True, False, True]
     row = found["pairs"][0]
     wanted = {"detector", "object", "target", "success", "confidence", "eps", "steps", "image_psnr"}
@@ -101,7 +101,7 @@ def test_the_objective_s_settings_reach_the_attack_and_the_ledger() -> None:
     plain, strong = _runner(), _runner(**SEARCHES["strong"].objective)
     objective = strong.attack(job).objective
     assert isinstance(objective, Relabel)
-    assert (objective.near, objective.top, objective.tightness, objective.suppression) == (0.7, 1, 0.0, 0.3)
+    assert (objective.near, objective.top, objective.tightness, objective.suppression) == (0.85, 1, 0.0, 0.3)
     assert plain.fingerprint(job) != strong.fingerprint(job)
 
 

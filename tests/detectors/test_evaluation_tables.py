@@ -41,7 +41,9 @@ def document(name: str = "one", *, confidence: float = 0.5) -> dict[str, Any]:
         ),
         "background: street": HeldOutResult(score=None, false_positives=false(2, 8), other_classes={}),
         "background: park": HeldOutResult(score=None, false_positives=false(0, 8), other_classes={}),
-        "scenes/x.xml": HeldOutResult(score=None, false_positives=false(9, 1), other_classes={}),
+        "scenes/x.xml": HeldOutResult(
+            score=score, false_positives=false(9, 1), objects=objects(found=2, of=4), other_classes={}
+        ),
     }
     return {
         "detector": name,
@@ -71,6 +73,7 @@ def test_the_tables_of_a_detector_hold_its_figures() -> None:
     assert "| **mean** | **0.750** | 4 in 4 pictures |  |" in text
     assert "| 45 to 60 | 50 % (2/4; 15 to 85) | 50 % (2/4; 15 to 85) |" in text, "of all objects, and of cars"
     assert "| 0 to 15 | - | - |" in text
+    assert "| scenes/x.xml | car | 4 | 50 % | 0.75 |" in text
     assert "| background: street | 0.25 (2/8; 0.03 to 0.90) | 2/8 | tv 2 |" in text
     assert "| **together, without objects** | 0.12 (2/16; 0.02 to 0.45) | 2/16 | tv 2 |" in text
     assert "| car | of 4: truck 1 | of 0: nothing |" in text

@@ -67,7 +67,7 @@ class Row:
         detector: Which detector.
         pictures: "path traced", "clean" or "cloaked".
         seed: Of the splat; None: of all seeds together.
-        reported: Field of `Sighting` that counts: "own", "target", or these with "_near".
+        reported: Field of `Sighting` that counts, "own" or "target".
         confidence: From which it counts.
         rate: How often.
     """
@@ -111,7 +111,7 @@ def _rates(group: Group, found: Sequence[Sightings]) -> Iterator[Row]:
         }
         for seed, series in seeds.items():
             here = [one for each in series for one in each.sightings if group.holds(one)]
-            for reported in ("own", "target", "own_near", "target_near"):
+            for reported in ("own", "target"):
                 for confidence in CONFIDENCES:
                     yield Row(
                         group=group,

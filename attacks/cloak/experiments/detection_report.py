@@ -158,7 +158,7 @@ def _plot(
         half: Of a group's width, degrees.
         label: Of the axis.
     """
-    figure, axes = new_axes(len(detectors))
+    figure, axes = new_axes(len(detectors), columns=2 if len(detectors) > 1 else 1)
     attack = overhead(pipeline.study)
     for axis, name in zip(axes, detectors, strict=True):
         for shift, pictures in zip((-0.06, 0.0, 0.06), PICTURES, strict=True):
@@ -181,7 +181,14 @@ def _plot(
 def contact_sheet(
     pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], *, every: int = 1
 ) -> NDArray[np.uint8]:
-    """For each detector path traced above clean above cloaked, with what it reports; columns are cameras."""
+    """For each detector path traced above clean above cloaked, with what it reports; columns are cameras.
+
+    Args:
+        pipeline: The study.
+        splats: The study's; those of the first seed are shown.
+        detectors: Those that looked.
+        every: As in `attacks.cloak.experiments.sightings.watch`.
+    """
     study, centre = pipeline.study, setup.centre_of(pipeline.study)
     cameras = setup.held_out_cameras(study, pipeline.mesh_scene.target)[::every]
     true = pipeline.true_pictures(cameras)

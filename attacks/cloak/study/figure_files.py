@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,8 @@ def need_matplotlib() -> None:
         raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
 
 
-def new_axes(rows: int) -> tuple[Any, list[Any]]:
-    """A figure, and its axes from the top down.
+def new_axes(count: int, *, columns: int = 1) -> tuple[Any, list[Any]]:
+    """A figure, and its axes from left to right, then from the top down.
 
     Raises:
         InvalidValueError: matplotlib is not installed.
@@ -40,8 +41,9 @@ def new_axes(rows: int) -> tuple[Any, list[Any]]:
     need_matplotlib()
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.5, 3.4 * rows), dpi=130, layout="constrained")
-    return figure, [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(7.5 if columns == 1 else 5.6 * columns, 3.4 * rows), dpi=130, layout="constrained")
+    return figure, [figure.add_subplot(rows, columns, place + 1) for place in range(count)]
 
 
 def save_figure(figure: Any, path: Path) -> None:

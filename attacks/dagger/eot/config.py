@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from attacks.dagger.config import Perturbation, check_momentum, check_share
+from attacks.dagger.config import Perturbation, check_momentum, check_power, check_share
 from attacks.limits import OPTIMISERS, NormName, OptimiserName, Schedule
 from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
@@ -23,6 +23,8 @@ class EotConfig(Perturbation):
         optimiser: What makes a step of the gradients: their steepest direction with momentum (MI-FGSM), or Adam.
         schedule: How the steps become shorter.
         momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
+        gradient_power: Power of the gradients' absolute values before a step with momentum, in [0, 1]; below 1, small
+            ones count for more (see `attacks.optimisers.MomentumDescent`).
         batch: Views drawn for each step.
         pool: Number of views that they are drawn from; 0 draws new ones at each step.
         validation: Views, no others, that decide which step was best.
@@ -49,6 +51,7 @@ class EotConfig(Perturbation):
     optimiser: OptimiserName = "momentum"
     schedule: Schedule = "linear"
     momentum: float = 0.8
+    gradient_power: float = 1.0
     batch: int = 3
     pool: int = 64
     validation: int = 16
@@ -63,6 +66,7 @@ class EotConfig(Perturbation):
         check_numbers(self, {"batch": 1, "pool": 0, "validation": 1, "validate_every": 1, "held_out": 1})
         check_share(self, "required_views", *([] if self.stop_at is None else ["stop_at"]))
         check_momentum(self.momentum, self.schedule)
+        check_power(self.gradient_power)
         if self.optimiser not in OPTIMISERS:
             expected = f"one of {', '.join(OPTIMISERS)}"
             raise InvalidValueError(message("optimiser", expected, self.optimiser, "choose one"))

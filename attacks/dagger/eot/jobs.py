@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,7 +16,9 @@ from attacks.dagger.eot.result import EotResult
 from attacks.dagger.eot.search import Checkpoint
 from attacks.dagger.eot.views import ViewDistribution
 from attacks.dagger.jobs import AttackScene
+from attacks.dagger.pairs import SEARCHES
 from attacks.detectors.base import Detector
+from attacks.limits import SearchName
 from attacks.objectives import Objective, hide, relabel
 from attacks.pgd import Step
 from attacks.transformations.config import Transformations
@@ -37,6 +40,7 @@ class EotJob:
         config: How to attack.
         transformations: Views that it is made for.
         judged: Views that judge it, where these are others.
+        search: Key of `attacks.dagger.pairs.SEARCHES`, for the objective: what a relabelling pushes.
     """
 
     group: str
@@ -48,6 +52,7 @@ class EotJob:
     config: EotConfig = field(default_factory=EotConfig)
     transformations: Transformations = field(default_factory=Transformations)
     judged: Transformations | None = None
+    search: SearchName = "paper"
 
     @property
     def name(self) -> str:
@@ -99,7 +104,9 @@ class EotJobRunner:
     def run(self, job: EotJob) -> dict[str, Any]:
         """Attack, and return the summary."""
         limit = {} if job.confidence is None else {"confidence": job.confidence}
-        objective: Objective = hide(**limit) if job.target is None else relabel(job.target, **limit)
+        objective: Objective = hide(**limit)
+        if job.target is not None:
+            objective = dataclasses.replace(relabel(job.target, **limit), **SEARCHES[job.search].objective)
         views = self._distribution(job, job.transformations)
         judged = None if job.judged is None else self._distribution(job, job.judged)
         checkpoint = None

@@ -100,6 +100,7 @@ def _update(config: EotConfig, begun: SearchState) -> MomentumDescent | AdamDesc
         decay=config.momentum,
         schedule=config.schedule,
         steps=config.steps,
+        power=config.gradient_power,
         state=begun.optimiser,
     )
 

@@ -15,6 +15,7 @@ from typing import Any
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.jobs import EotJob
 from attacks.dagger.study import PAIRS
+from attacks.limits import SearchName
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.attributes import Attribute
 
@@ -57,6 +58,7 @@ class StudySetup:
         confidence: What counts as success; None is the objective's own.
         config: How to attack.
         transformations: The views.
+        search: What a relabelling pushes (`EotJob`).
         pairs: Scene, id of the object in it, target class. Curves are made for the first one.
     """
 
@@ -64,6 +66,7 @@ class StudySetup:
     confidence: float | None = None
     config: EotConfig = field(default_factory=EotConfig)
     transformations: Transformations = field(default_factory=Transformations)
+    search: SearchName = "paper"
     pairs: tuple[tuple[str, str, str], ...] = PAIRS
 
     def job(self, group: str, pair: tuple[str, str, str] | None = None, **changes: Any) -> EotJob:
@@ -78,6 +81,7 @@ class StudySetup:
             confidence=self.confidence,
             config=dataclasses.replace(self.config, **changes),
             transformations=self.transformations,
+            search=self.search,
         )
 
 

@@ -28,6 +28,7 @@ _COLUMNS = (
     "attack",
     "detectors",
     "what may change",
+    "azimuths",
     "pool",
     "degree",
     "made for, judged on",
@@ -50,6 +51,7 @@ def row(record: Record) -> dict[str, Any]:
         "attributes": config["attributes"],
         "norm": config["norm"],
         "eps": config["eps"],
+        "azimuths": job["transformations"]["cameras"]["azimuths"],
         "pool": config["pool"],
         "sh_degree": config["sh_degree"],
         "made_for_changes": _changed(job["transformations"]),
@@ -89,13 +91,14 @@ def shown(records: Sequence[Record]) -> list[Record]:
 
 
 def smallest_radii(records: Sequence[Record]) -> list[dict[str, Any]]:
-    """For each pair and detector the smallest radius that was enough, and the largest that was not; one linf ball."""
+    """For each pair, detector, region and SH degree the smallest radius that was enough, the largest that was not."""
     found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for line in map(row, records):
         if line["group"] in ("pairs", "smallest"):
-            found.setdefault((line["object"], line["target"], tuple(line["detectors"])), []).append(line)
+            key = (line["object"], line["target"], tuple(line["detectors"]), tuple(line["azimuths"]), line["sh_degree"])
+            found.setdefault(key, []).append(line)
     lines = []
-    for (name, target, detectors), members in found.items():
+    for (name, target, detectors, azimuths, degree), members in found.items():
         enough = [line for line in members if line["success"]]
         best = min(enough, key=lambda line: line["eps"][0], default=None)
         failed = [line["eps"][0] for line in members if not line["success"]]
@@ -104,6 +107,8 @@ def smallest_radii(records: Sequence[Record]) -> list[dict[str, Any]]:
                 "object": name,
                 "target": target,
                 "detectors": list(detectors),
+                "azimuths": list(azimuths),
+                "sh_degree": degree,
                 "smallest": None if best is None else best["eps"][0],
                 "psnr": None if best is None else best["psnr"],
                 "successes": None if best is None else best["successes"],
@@ -120,11 +125,22 @@ def markdown(records: Sequence[Record]) -> str:
     if any(line["group"] == "smallest" for line in rows):
         lines += ["", "## Smallest radius that was enough", ""]
         lines += grid(
-            ("attack", "detectors", "radius", "held-out views", "PSNR, dB", "largest that was not enough"),
+            (
+                "attack",
+                "detectors",
+                "azimuths",
+                "degree",
+                "radius",
+                "held-out views",
+                "PSNR, dB",
+                "largest that was not enough",
+            ),
             [
                 (
                     f"{line['object']} to {line['target']}",
                     ", ".join(line["detectors"]),
+                    " to ".join(f"{angle:.0f}" for angle in line["azimuths"]),
+                    number(line["sh_degree"], "d"),
                     number(line["smallest"], "g"),
                     number(line["successes"], "d"),
                     number(line["psnr"], ".1f"),
@@ -163,6 +179,7 @@ def _cells(line: Mapping[str, Any]) -> tuple[str, ...]:
         f"{line['object']} to {line['target'] or 'nothing'}",
         f"{', '.join(line['detectors'])}" + (f" at {line['confidence']:g}" if line["confidence"] else ""),
         f"{line['norm']}: " + ", ".join(f"{n} {e:.3g}" for n, e in zip(line["attributes"], radii, strict=True)),
+        " to ".join(f"{angle:.0f}" for angle in line["azimuths"]),
         str(line["pool"]),
         "-" if line["sh_degree"] is None else str(line["sh_degree"]),
         f"{words[line['made_for_changes']]}, {words[line['judged_on_changes']]}",

@@ -27,7 +27,8 @@ CONDITIONS: dict[str, tuple[float, ...]] = {
 }
 """How an object is seen, and the edges of the bins in which recall is given.
 
-elevation: degrees above the horizontal plane, of the camera as seen from the object. distance: from the camera to the
+elevation: degrees above the horizontal plane, of the camera as seen from the object; an object that is seen from below
+is in no bin. distance: from the camera to the
 object, in diagonals of the object's box in the world. size: longer side of the box in the picture, as a fraction of the
 picture's. brightness: mean luma (Rec. 709 weights on sRGB values) of the picture in that box; it counts the shade that
 an object stands in, and its own colour. sun_elevation: degrees above the horizon. sun_strength: irradiance of the sun

@@ -43,14 +43,8 @@ def read_figures(path: Path) -> dict[str, Any]:
 def detector_tables(found: Document) -> str:
     """Average precision, false positives, recall by how objects are seen, and what else is reported on them."""
     first = f"A detection counts from a confidence of {found['confidence']:g}; the average precision takes all."
-    parts = [
-        first,
-        _precision(found),
-        _false_positives(found),
-        _recall(found),
-        _reported_as(found),
-        _other_classes(found),
-    ]
+    kinds = (_precision, _scenes, _false_positives, _recall, _reported_as, _other_classes)
+    parts = [first, *(kind(found) for kind in kinds)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -118,7 +112,7 @@ def _compared(found: Document) -> list[str]:
 
 def _precision(found: Document) -> str:
     """AP, number of objects and recall by class, for each set with objects."""
-    sets = {name: one for name, one in found["sets"].items() if "map" in one}
+    sets = {name: one for name, one in found["sets"].items() if name in (PATH_TRACED, SPLAT_RENDERS)}
     if not sets:
         return ""
     rows = []
@@ -134,6 +128,17 @@ def _precision(found: Document) -> str:
         last += [f"**{one['map']:.3f}**", f"{sum(one['counts'].values())} in {one['pictures']} pictures", ""]
     heads = [head for name in sets for head in (name, "objects", "found")]
     return table(["AP at IoU 0.5", *heads], [*rows, last])
+
+
+def _scenes(found: Document) -> str:
+    """The same for further scenes, of which each has few objects."""
+    rows = [
+        [name, label, str(count), f"{one['recall'][label]:.0%}".replace("%", " %"), f"{one['ap'][label]:.2f}"]
+        for name, one in found["sets"].items()
+        if name not in (PATH_TRACED, SPLAT_RENDERS) and "map" in one
+        for label, count in one["counts"].items()
+    ]
+    return table(["scene", "object", "pictures of it", "found", "AP"], rows) if rows else ""
 
 
 def _false_positives(found: Document) -> str:

@@ -24,7 +24,7 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
     loaded = read_scene(SCENE)
     front = next(iter(loaded.cameras.values()))
     small = dataclasses.replace(front, width=128, height=128, focal=front.fx / 2)
-    region = CameraRegion(azimuths=(-20.0, 20.0), elevations=(5.0, 20.0))
+    region = CameraRegion(azimuths=(-10.0, 10.0), elevations=(5.0, 15.0), distances=(1.0, 1.0))
     views = ViewDistribution(
         loaded.scene,
         loaded.objects["car"],
@@ -32,8 +32,7 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
         Transformations(cameras=region),
         render=Renderer(loaded.settings),
     )
-    config = EotConfig(steps=25, step_factor=4.0, pool=32, validation=4, validate_every=5, held_out=10)
+    config = EotConfig(steps=14, step_factor=4.0, batch=2, pool=14, validation=2, validate_every=7, held_out=6)
     found = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)
-    assert found.rate.successes >= 7
-    assert found.judgement.noise().successes <= 1
-    assert found.judgement.clean().successes <= 1
+    assert found.rate.successes >= 4
+    assert found.judgement.noise().successes == found.judgement.clean().successes == 0

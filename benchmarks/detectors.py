@@ -1,0 +1,59 @@
+"""Seconds that detectors take for one picture: `python benchmarks/detectors.py centernet_coco nanodet_coco`.
+
+Forward is `detect`, backward is from all candidates' scores and boxes to the picture. Detectors take turns, so that all
+see the same machine; the ratio is to the first one, the median over the rounds. Processor time is that of all threads
+together, which other programs change less than the clock's. Weights must be there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+
+import torch
+
+from attacks.detectors import Detector, load_detector
+
+SIDE = 256
+
+
+def main() -> None:
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="+", help="detectors beside fasterrcnn_small")
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--threads", type=int, default=2)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    detectors = [load_detector(name) for name in dict.fromkeys(["fasterrcnn_small", *options.names])]
+    image = torch.rand(1, SIDE, SIDE, 3)
+    for detector in detectors:  # first calls make what later ones reuse
+        once(detector, image)
+    rounds = [[once(detector, image) for detector in detectors] for _ in range(options.rounds)]
+    lines = [
+        "| detector | forward, ms | forward + backward, ms | the latter, of fasterrcnn_small's | processor, ms |",
+        "|---|---|---|---|---|",
+    ]
+    for number, detector in enumerate(detectors):
+        forward, both, busy = (statistics.median(found[number][part] for found in rounds) * 1e3 for part in (0, 1, 2))
+        ratio = statistics.median(found[number][1] / found[0][1] for found in rounds)
+        lines.append(f"| {detector.name} | {forward:.0f} | {both:.0f} | {ratio:.2f} | {busy:.0f} |")
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def once(detector: Detector, image: torch.Tensor) -> tuple[float, float, float]:
+    """Seconds of a forward pass, of one with its backward pass, and the processor's of the latter."""
+    begun = time.perf_counter()
+    detector.detect(image)
+    forward = time.perf_counter() - begun
+    begun, busy = time.perf_counter(), time.process_time()
+    leaf = image.clone().requires_grad_(True)
+    (found,) = detector.candidates(leaf)
+    torch.autograd.grad(found.scores.sum() + found.boxes.mean(), leaf)
+    return forward, time.perf_counter() - begun, time.process_time() - busy
+
+
+if __name__ == "__main__":
+    main()
