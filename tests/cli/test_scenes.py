@@ -272,8 +272,8 @@ def test_a_setting_out_of_range_is_wrong_usage(
 def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) -> None:
     words = ["--object", "thing", "--attributes", "sh", "means", "--eps", "3", "--norm", "linf", "--steps", "2"]
     words += ["--step-factor", "1.5", "--restarts", "2", "--random-start", "--no-early-stop", "--required-views", "0.5"]
-    words += ["--required-detectors", "0.4", "--ensemble", "max"]
-    words += ["--noise-draws", "0", "--sh-degree", "None", "--seed", "7"]
+    words += ["--required-detectors", "0.4", "--ensemble", "max", "--noise-draws", "0", "--sh-degree", "None"]
+    words += ["--seed", "7", "--momentum", "0.5", "--schedule", "linear", "--gradient-power", "0.5"]
     assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
     config = DaggerConfig(
         attributes=("sh", "means"),
@@ -287,6 +287,9 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
         required_views=0.5,
         required_detectors=0.4,
         ensemble="max",
+        momentum=0.5,
+        schedule="linear",
+        gradient_power=0.5,
         noise_draws=0,
         sh_degree=None,
         seed=7,
@@ -294,5 +297,4 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
     snapshot = json.loads((tmp_path / "result.json").read_text())["config"]
     snapshot.pop("objective")
     assert snapshot == json.loads(json.dumps(dataclasses.asdict(config)))
-    defaults = dataclasses.asdict(DaggerConfig())
-    assert not {name for name, value in dataclasses.asdict(config).items() if value == defaults[name]}
+    assert not {name for name in snapshot if getattr(config, name) == getattr(DaggerConfig(), name)}

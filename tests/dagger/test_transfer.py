@@ -184,6 +184,7 @@ def test_tables_and_picture_are_written(study: tuple[Path, list[dict[str, Any]]]
     assert "| random noise | 0/6 (0.00 to 0.39) | 0/6 (0.00 to 0.39) | 0/0 |" in text
     values = json.loads(paths[1].read_text())
     assert len(values["cells"]) == 9
+    assert values["weights"]["fake_coarse"] == [CoarseDetector.fingerprint]
     assert paths[2].read_bytes().startswith(b"\x89PNG")
     assert draw_heat_maps(cells(records), tmp_path / "again.png")
 
@@ -240,6 +241,13 @@ def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
     assert matrix["fake_colour"].targeted.successes == sum(score >= 0.5 for score in own) > 0
     assert matrix["fake_colour"].noise_targeted.successes == 0
     assert matrix["fake_blind"].targeted.total == 0
+
+    class Retrained(ColourDetector):
+        fingerprint = "another"
+
+    later = HeldOutRunner(lambda name: renamed(), {**DETECTORS, "fake_colour": Retrained()}.__getitem__, study)
+    (cell,) = cells(run_held_out(jobs[:1], tmp_path / "later", later))
+    assert (cell.sources, cell.white_box) == (("fake_colour, weights 000000",), False)
     monkeypatch.setattr(dagger_transfer, "load_detector", DETECTORS.__getitem__)
     monkeypatch.setattr(dagger_transfer, "read_attack_scene", lambda path: renamed())
     words = ["dagger-transfer", "--eot-study", str(study), "--detectors", "fake_coarse", "--views", "2"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,7 @@ class HeldOutJob:
     Attributes:
         attack: Name of the attack in its study.
         sources: Detectors attacked.
+        weights: Fingerprints of the weights that they had.
         scene: Name of the scene file without its suffix.
         object: Id of the object; with spaces for its underscores it is the object's class.
         target: Class wanted.
@@ -63,6 +64,7 @@ class HeldOutJob:
 
     attack: str
     sources: tuple[str, ...]
+    weights: tuple[str, ...]
     scene: str
     object: str
     target: str
@@ -94,7 +96,8 @@ def held_out_jobs(study: Path, detectors: Sequence[str], *, views: int) -> list[
     """
     found = []
     for path in sorted((study / JOBS).glob("pairs-*.json")):
-        splat, job = study / RESULTS / path.stem / "attacked.ply", json.loads(path.read_text())["job"]
+        splat, record = study / RESULTS / path.stem / "attacked.ply", json.loads(path.read_text())
+        job, marks = record["job"], record["result"]["detectors"]
         if job["target"] is None or not splat.is_file():
             continue
         config, where = job["config"], job["transformations"]
@@ -103,6 +106,7 @@ def held_out_jobs(study: Path, detectors: Sequence[str], *, views: int) -> list[
                 HeldOutJob(
                     attack=path.stem,
                     sources=tuple(job["detectors"]),
+                    weights=tuple(marks[name] for name in job["detectors"]),
                     scene=job["scene"],
                     object=job["object"],
                     target=job["target"],
@@ -163,6 +167,14 @@ class HeldOutRunner:
         }
         return {"views": [{kind: rows[place] for kind, rows in seen.items()} for place in range(len(views))]}
 
+    def sources(self, job: HeldOutJob, judges: Collection[str]) -> list[str]:
+        """Names of the detectors attacked; with the weights of then if it judges with others by now."""
+        names = zip(job.sources, job.weights, strict=True)
+        return [
+            f"{name}, weights {mark[:6]}" if name in judges and self._detector(name).fingerprint != mark else name
+            for name, mark in names
+        ]
+
     def _seen(self, scene: GaussianScene, views: Sequence[DrawnView], job: HeldOutJob) -> list[dict[str, float]]:
         found = detect_views(
             scene,
@@ -216,8 +228,9 @@ def run_held_out(
     """
     heard: Callable[[HeldOutJob], None] | None = None if on_job is None else (lambda job: on_job(job.name))
     found = run_jobs(jobs, out, runner.run, fingerprint=runner.fingerprint, on_job=heard, ledger=HELD_OUT)
-    return [_as_record(record["job"], view) for record in found for view in record["result"]["views"]]
-
-
-def _as_record(job: Mapping[str, Any], view: Mapping[str, Any]) -> dict[str, Any]:
-    return {"job": {"sources": job["sources"]}, "judged": {job["detector"]: view}}
+    judges = {job.detector for job in jobs}
+    return [
+        {"job": {"sources": runner.sources(job, judges)}, "judged": {job.detector: view}}
+        for job, record in zip(jobs, found, strict=True)
+        for view in record["result"]["views"]
+    ]

@@ -138,3 +138,14 @@ def noise(matrix: Sequence[Cell], detector: str, kind: str) -> Rate:
     """
     rates = [getattr(cell, f"noise_{kind}") for cell in matrix if cell.detector == detector]
     return Rate(successes=sum(rate.successes for rate in rates), total=sum(rate.total for rate in rates))
+
+
+def weights(records: Sequence[Record]) -> dict[str, list[str]]:
+    """Fingerprints of the weights of every detector attacked, by its name; more than one if records are of several."""
+    found: dict[str, list[str]] = {}
+    for record in records:
+        for one in record["attack"]["detectors"]:
+            known = found.setdefault(one["detector"], [])
+            if one["detector_fingerprint"] not in known:
+                known.append(one["detector_fingerprint"])
+    return found

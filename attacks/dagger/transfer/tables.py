@@ -9,7 +9,7 @@ from typing import Any
 from attacks.dagger.tables import grid
 from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.jobs import SUCCESS
-from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, attacked, cells, left_out, noise, title
+from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, attacked, cells, left_out, noise, title, weights
 from attacks.evaluation.rates import Rate
 from mi_splat.io.documents import save_json, save_text
 
@@ -41,7 +41,9 @@ def markdown(records: Sequence[Record]) -> str:
         _attacks(records, attacked(matrix)),
         "",
     ]
+    marks = "; ".join(f"{name} {', '.join(some)}" for name, some in weights(records).items())
     versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
+    lines += [f"Weights: {marks}.", ""]
     return "\n".join([*lines, f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.", ""])
 
 
@@ -116,6 +118,7 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
         "cells": [cell.as_dict() for cell in matrix],
         "leave_one_out": left_out(matrix),
         "attacks": attack_rows(records),
+        "weights": weights(records),
     }
     save_json(document, paths[1])
     if draw_heat_maps(matrix, out / "transfer.png"):
