@@ -45,17 +45,18 @@ class EotConfig(Perturbation):
 
     eps: tuple[float, ...] = (0.3,)
     norm: NormName = "linf"
-    steps: int = 150
-    step_factor: float = 3.0
+    steps: int = 100
+    step_factor: float = 2.5
     noise_draws: int = 1
+    sh_degree: int | None = 1
     optimiser: OptimiserName = "momentum"
     schedule: Schedule = "linear"
     momentum: float = 0.8
     gradient_power: float = 1.0
     batch: int = 3
-    pool: int = 64
-    validation: int = 16
-    validate_every: int = 25
+    pool: int = 200
+    validation: int = 12
+    validate_every: int = 50
     stop_at: float | None = None
     required_views: float = 0.8
     held_out: int = 60

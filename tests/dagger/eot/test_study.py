@@ -116,7 +116,7 @@ def test_tables_say_what_the_records_say(records: list[dict[str, Any]], tmp_path
     (line,) = smallest_radii(records)
     assert (line["smallest"], line["not_enough"]) == (2.0, 0.01)
     text = markdown(records)
-    assert "| thing to person | fake_colour | linf: sh 2 | -120 to -60 | 6 | 3 | plain, plain | 4/4 |" in text
+    assert "| thing to person | fake_colour | linf: sh 2 | -120 to -60 | 6 | 1 | plain, plain | 4/4 |" in text
     nearer = min((records[2], records[3]), key=lambda record: abs(record["result"]["image_psnr"] - PSNRS[0]))
     assert text.count("linf: means") == 1
     assert f"linf: means {nearer['job']['config']['eps'][0]:.3g}" in text
