@@ -20,8 +20,7 @@ from torchvision.ops import box_convert, clip_boxes_to_image
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.small import Backbone
-from attacks.detectors.weight_files import SMALL_DETR_WEIGHTS
-from attacks.detectors.weights import apply_weights, fingerprint, read_weights
+from attacks.detectors.weights import apply_weights, fingerprint, read_weights, small_weights
 
 _WIDTH, _HEADS, _FEED_FORWARD = 96, 4, 256
 _ENCODERS, _DECODERS, _QUERIES = 2, 3, 40
@@ -205,11 +204,11 @@ def build() -> DETR:
 
 
 def load_small(weights: Path | None = None) -> DETRDetector:
-    """The detector, with the shipped weights unless told otherwise.
+    """The detector, with the weights of a training.
 
     Raises:
         DetectorError: There are no weights, or they do not fit.
     """
-    model, path = build(), SMALL_DETR_WEIGHTS if weights is None else Path(weights)
+    model, path = build(), small_weights("detr_small", weights)
     apply_weights(model, read_weights(path), path)
     return DETRDetector("detr_small", model)

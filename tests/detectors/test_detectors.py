@@ -15,7 +15,6 @@ from torchvision.ops.boxes import remove_small_boxes
 from attacks.detectors import DETECTORS, Candidates, Detections, Detector, DetectorError, load_detector
 from attacks.detectors.base import check_images
 from attacks.detectors.torchvision import TorchvisionDetector, random_detector
-from attacks.detectors.weight_files import SMALL_RCNN_WEIGHTS
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose
@@ -289,7 +288,3 @@ def test_the_shipped_detector_finds_a_car_that_it_was_not_trained_on() -> None:
     assert found.labels[0] == "car"
     assert float(found.scores[0]) > 0.5
     assert float(box_iou(found.boxes[:1], car_picture().box)) > 0.6
-
-
-def test_the_shipped_weights_are_small() -> None:
-    assert SMALL_RCNN_WEIGHTS.stat().st_size <= 12_000_000

@@ -16,14 +16,10 @@ from attacks.detectors.torchvision.adapter import TorchvisionDetector, threshold
 from attacks.detectors.torchvision.faster_rcnn import RCNNDetector
 from attacks.detectors.torchvision.one_stage import OneStageDetector
 from attacks.detectors.torchvision.published import PUBLISHED, build_published, freeze_norms, from_hub, published_labels
-from attacks.detectors.weight_files import SMALL_FCOS_WEIGHTS, SMALL_RCNN_WEIGHTS
-from attacks.detectors.weights import apply_weights, read_weights
+from attacks.detectors.weights import apply_weights, read_weights, small_weights
 
-_SMALL: dict[str, tuple[Callable[[], nn.Module], Path]] = {
-    "fasterrcnn_small": (small.build, SMALL_RCNN_WEIGHTS),
-    "fcos_small": (small_fcos.build, SMALL_FCOS_WEIGHTS),
-}
-"""Name to what builds the network, and to the file of its weights."""
+_SMALL: dict[str, Callable[[], nn.Module]] = {"fasterrcnn_small": small.build, "fcos_small": small_fcos.build}
+"""Name to what builds the network."""
 
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
@@ -48,8 +44,7 @@ def load_small(weights: Path | None = None, *, name: str = "fasterrcnn_small") -
     Raises:
         DetectorError: There are no weights, or they do not fit.
     """
-    build, shipped = _SMALL[name]
-    model, path = build(), shipped if weights is None else Path(weights)
+    model, path = _SMALL[name](), small_weights(name, weights)
     apply_weights(model, read_weights(path), path)
     return wrap(name, model, (BACKGROUND, *SMALL_CLASSES))
 
@@ -78,7 +73,7 @@ def random_detector(name: str, *, seed: int = 0) -> TorchvisionDetector:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         if name in _SMALL:
-            model = _SMALL[name][0]()
+            model = _SMALL[name]()
             warm_up(model.eval())
             return wrap(name, model, (BACKGROUND, *SMALL_CLASSES))
         model = PUBLISHED[name].builder(weights=None, weights_backbone=None)
