@@ -34,10 +34,9 @@ def test_an_attack_is_judged_by_the_detector_attacked_and_by_another(tmp_path: P
     own = matrix["fasterrcnn_small"]
     assert (own.targeted.successes, own.targeted.total) == (1, 1)
     assert own.noise_targeted.successes == own.noise_untargeted.successes == 0
-    for detector in judges[1:]:
-        other = matrix[detector]
-        assert other.targeted.total == 1
-        assert other.noise_targeted.successes == 0
+    for detector in judges[1:]:  # it does not find the clean car from there, but nor does it see a person
+        assert matrix[detector].runs == 1
+        assert record["judged"][detector]["attacked"]["target"] < 0.5 > record["judged"][detector]["noise"]["target"]
 
 
 def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:
