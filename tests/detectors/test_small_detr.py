@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from attacks.detectors import small_detr
 from attacks.detectors.base import Detector
 from attacks.detectors.small_detr import DETRDetector, Guesses, resized
+from attacks.detectors.training.assignment import least_cost
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.detr import DETRTrainer, matched, set_losses
 from attacks.detectors.training.loop import Training
@@ -116,6 +119,19 @@ def test_the_loss_is_least_where_every_object_is_found_once() -> None:
     empty = set_losses(guesses((LEFT, 1)), [torch.zeros(0, 4)], [torch.zeros(0, dtype=torch.int64)])
     assert float(empty["class"]) > 0.5
     assert float(empty["distance"]) == float(empty["overlap"]) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (1, 1), (3, 3), (5, 40), (16, 80)])
+def test_the_assignment_costs_the_least(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        cost = rng.normal(size=shape)
+        found = least_cost(cost)
+        rows, columns = linear_sum_assignment(cost)
+        assert len(set(found.tolist())) == shape[0]
+        assert cost[np.arange(shape[0]), found].sum() == pytest.approx(cost[rows, columns].sum())
+    tied = least_cost(np.ones(shape))
+    assert len(set(tied.tolist())) == shape[0]
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import Generator, Tensor, nn
 from torchvision.ops import box_convert, generalized_box_iou, sigmoid_focal_loss
 
@@ -13,6 +12,7 @@ from attacks.detectors import small_detr
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_SIDE
 from attacks.detectors.small_detr import DETR, DETRDetector, Guesses, resized
+from attacks.detectors.training.assignment import least_cost
 from attacks.detectors.training.loop import Targets
 from attacks.detectors.training.pretraining import CutOutTrainer
 
@@ -111,8 +111,8 @@ def matched(logits: Tensor, boxes: Tensor, true: Tensor, labels: Tensor, each: i
         overlap = generalized_box_iou(_corners(boxes), _corners(true))
         cost = _WEIGHTS["class"] * (gain - loss) + _WEIGHTS["distance"] * torch.cdist(boxes, true, p=1)
         cost = (cost - _WEIGHTS["overlap"] * overlap).repeat(1, each)
-    found, objects = linear_sum_assignment(cost.numpy())
-    return torch.from_numpy(found), torch.from_numpy(objects) % max(len(true), 1)
+    found = torch.from_numpy(least_cost(cost.double().numpy().T))
+    return found, torch.arange(len(found)) % max(len(true), 1)
 
 
 def _corners(boxes: Tensor) -> Tensor:
