@@ -14,7 +14,7 @@ from torch import Tensor
 from attacks import cli
 from attacks.cloak.experiments.detection_rates import ELSEWHERE, chosen, detection_rates, spread
 from attacks.cloak.experiments.detection_report import FILES, tables, write_detection_curve
-from attacks.cloak.experiments.sightings import Sighting, Sightings, finished_splats, watch
+from attacks.cloak.experiments.view_reports import ViewReport, ViewReports, finished_splats, watch
 from attacks.cloak.study.cache import content_of
 from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.study.figure_files import TRUE
@@ -46,10 +46,10 @@ STUDY = StudyConfig(
 EVERY = 6
 
 
-def seen(view: int, azimuth: float, elevation: float, own: float, target: float = 0.0) -> Sighting:
-    """A sighting from a direction of `STUDY`, with the signs of its depths."""
+def seen(view: int, azimuth: float, elevation: float, own: float, target: float = 0.0) -> ViewReport:
+    """A view_report from a direction of `STUDY`, with the signs of its depths."""
     rear = abs(azimuth - 180) <= 30 and elevation <= 38.1
-    return Sighting(
+    return ViewReport(
         view=view,
         azimuth=azimuth,
         elevation=elevation,
@@ -61,13 +61,13 @@ def seen(view: int, azimuth: float, elevation: float, own: float, target: float 
     )
 
 
-def series(pictures: str, seed: int | None, *confidences: float, target: float = 0.0) -> Sightings:
+def series(pictures: str, seed: int | None, *confidences: float, target: float = 0.0) -> ViewReports:
     """One camera at 5 degrees, one at 45, one from behind and one at 85, with these confidences."""
     places = [(10.0, 5.0), (10.0, 45.0), (180.0, 5.0), (300.0, 85.0)]
-    sightings = [
+    view_reports = [
         seen(i, *place, value, target) for i, (place, value) in enumerate(zip(places, confidences, strict=True))
     ]
-    return Sightings(pictures=pictures, seed=seed, detector="d", sightings=tuple(sightings))
+    return ViewReports(pictures=pictures, seed=seed, detector="d", view_reports=tuple(view_reports))
 
 
 FOUND = [
@@ -131,7 +131,7 @@ def results(tmp_path: Path) -> Path:
     return folder
 
 
-def look(results: Path, detectors: Sequence[Watcher]) -> tuple[StudyPipeline, list[TrainedSplat], list[Sightings]]:
+def look(results: Path, detectors: Sequence[Watcher]) -> tuple[StudyPipeline, list[TrainedSplat], list[ViewReports]]:
     pipeline = StudyPipeline(study=STUDY, folder=results / "stages")
     splats = finished_splats(STUDY, results, results / "stages")
     return pipeline, splats, watch(pipeline, splats, detectors, every=EVERY)
@@ -140,14 +140,14 @@ def look(results: Path, detectors: Sequence[Watcher]) -> tuple[StudyPipeline, li
 def test_who_has_looked_does_not_look_again(variant: str, results: Path, tmp_path: Path) -> None:
     first = Watcher()
     pipeline, splats, found = look(results, [first])
-    cameras = len(found[0].sightings)
+    cameras = len(found[0].view_reports)
     assert cameras > 3
     assert first.pictures == 5 * cameras
     assert [(one.pictures, one.seed) for one in found] == [
         (TRUE, None),
         *[(which, seed) for seed in STUDY.seeds for which in ("clean", "cloaked")],
     ]
-    assert max(one.own for one in found[0].sightings) > 0  # the true car is red
+    assert max(one.own for one in found[0].view_reports) > 0  # the true car is red
     same, retrained = Watcher(), Watcher("2" * 16)
     retrained.name = "retrained"
     _, _, again = look(results, [same, retrained])

@@ -45,9 +45,9 @@ SOURCES: dict[str, tuple[str, ...]] = {
         *("mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/metrics.py"),
         *("attacks/detectors/torchvision", "attacks/detectors/ultralytics.py"),
     ),
-    "sightings": (
+    "view_reports": (
         _NEAR,
-        *(*_SETUP, "attacks/cloak/experiments/sightings.py", "attacks/cloak/triggers.py"),
+        *(*_SETUP, "attacks/cloak/experiments/view_reports.py", "attacks/cloak/triggers.py"),
         *("mi_splat/io/images.py", "attacks/objectives.py", "mi_splat/rasterization", "mi_splat/rendering.py"),
         *("attacks/detectors/torchvision", "attacks/detectors/ultralytics.py", "attacks/detectors/coco"),
         "attacks/detectors/tfjs",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from attacks.cloak.experiments.sightings import Sighting, Sightings
+from attacks.cloak.experiments.view_reports import ViewReport, ViewReports
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import overhead
 from attacks.evaluation.rates import Rate
@@ -32,20 +32,20 @@ class Group:
     kind: str
     name: str
     low: float
-    holds: Callable[[Sighting], bool]
+    holds: Callable[[ViewReport], bool]
 
 
 def groups(study: StudyConfig) -> list[Group]:
     """Bands of elevation outside of attacks with an azimuth of their own, sectors of low cameras, and regions."""
     turned = [attack.name for attack in study.attack if attack.azimuth is not None]
 
-    def band(low: float) -> Callable[[Sighting], bool]:
+    def band(low: float) -> Callable[[ViewReport], bool]:
         return lambda one: low <= one.elevation < low + BAND and all(one.depths[name] < 0 for name in turned)
 
-    def sector(low: float) -> Callable[[Sighting], bool]:
+    def sector(low: float) -> Callable[[ViewReport], bool]:
         return lambda one: low <= one.azimuth < low + SECTOR and one.elevation < LOW
 
-    def region(name: str) -> Callable[[Sighting], bool]:
+    def region(name: str) -> Callable[[ViewReport], bool]:
         return lambda one: one.depths[name] >= 0
 
     bands = [BAND * number for number in range(int(90 / BAND))]
@@ -67,7 +67,7 @@ class Row:
         detector: Which detector.
         pictures: "path traced", "clean" or "cloaked".
         seed: Of the splat; None: of all seeds together.
-        reported: Field of `Sighting` that counts, "own" or "target".
+        reported: Field of `ViewReport` that counts, "own" or "target".
         confidence: From which it counts.
         rate: How often.
     """
@@ -94,23 +94,23 @@ class Row:
         }
 
 
-def detection_rates(study: StudyConfig, found: Sequence[Sightings]) -> list[Row]:
+def detection_rates(study: StudyConfig, found: Sequence[ViewReports]) -> list[Row]:
     """Every rate, of each seed and of all together; of groups in which there is a camera."""
     return [row for group in groups(study) for row in _rates(group, found) if row.rate.total]
 
 
-def _rates(group: Group, found: Sequence[Sightings]) -> Iterator[Row]:
+def _rates(group: Group, found: Sequence[ViewReports]) -> Iterator[Row]:
     """The rates of one group."""
-    together: dict[tuple[str, str], list[Sightings]] = {}
+    together: dict[tuple[str, str], list[ViewReports]] = {}
     for one in found:
         together.setdefault((one.detector, one.pictures), []).append(one)
     for (detector, pictures), some in together.items():
-        seeds: Mapping[int | None, Sequence[Sightings]] = {
+        seeds: Mapping[int | None, Sequence[ViewReports]] = {
             None: some,
             **{one.seed: [one] for one in some if one.seed is not None},
         }
         for seed, series in seeds.items():
-            here = [one for each in series for one in each.sightings if group.holds(one)]
+            here = [one for each in series for one in each.view_reports if group.holds(one)]
             for reported in ("own", "target"):
                 for confidence in CONFIDENCES:
                     yield Row(

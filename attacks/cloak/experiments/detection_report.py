@@ -20,7 +20,7 @@ from attacks.cloak.experiments.detection_rates import (
     detection_rates,
     spread,
 )
-from attacks.cloak.experiments.sightings import Sightings
+from attacks.cloak.experiments.view_reports import ViewReports
 from attacks.cloak.study import setup
 from attacks.cloak.study.figure_files import TRUE, draw_rates, new_axes, save_figure
 from attacks.cloak.study.markdown import words_of
@@ -50,7 +50,7 @@ FILES = (
 
 def write_detection_curve(
     pipeline: StudyPipeline,
-    found: Sequence[Sightings],
+    found: Sequence[ViewReports],
     splats: Sequence[TrainedSplat],
     detectors: Sequence[Detector],
     folder: Path,
@@ -61,7 +61,7 @@ def write_detection_curve(
 
     Args:
         pipeline: The study.
-        found: From `attacks.cloak.experiments.sightings.watch`.
+        found: From `attacks.cloak.experiments.view_reports.watch`.
         splats: The study's; those of the first seed are shown.
         detectors: Those that looked.
         folder: For the files; it is there.
@@ -75,7 +75,7 @@ def write_detection_curve(
     fingerprints = {detector.name: detector.fingerprint for detector in detectors}
     names = list(fingerprints)
     document = {
-        "cameras": len(found[0].sightings),
+        "cameras": len(found[0].view_reports),
         "detectors": fingerprints,
         "splats": [{"splat": one.splat, "seed": one.seed, "hash": one.hash} for one in splats],
         "rates": [row.as_dict() for row in rows],
@@ -187,7 +187,7 @@ def contact_sheet(
         pipeline: The study.
         splats: The study's; those of the first seed are shown.
         detectors: Those that looked.
-        every: As in `attacks.cloak.experiments.sightings.watch`.
+        every: As in `attacks.cloak.experiments.view_reports.watch`.
     """
     study, centre = pipeline.study, setup.centre_of(pipeline.study)
     cameras = setup.held_out_cameras(study, pipeline.mesh_scene.target)[::every]

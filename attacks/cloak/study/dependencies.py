@@ -149,7 +149,7 @@ def of_observations(
     }
 
 
-def of_sightings(study: StudyConfig, source: str, pictures: str, detector: tuple[str, str]) -> dict[str, Any]:
+def of_view_reports(study: StudyConfig, source: str, pictures: str, detector: tuple[str, str]) -> dict[str, Any]:
     """What one detector reports on the object in a series of pictures from held-out cameras.
 
     Args:

@@ -26,7 +26,14 @@ Padding = tuple[int, int, int, int]
 
 
 def same_padding(size: int, kernel: int, stride: int, dilation: int) -> tuple[int, int]:
-    """Pixels before and after one side of a picture, so that ceil(size / stride) outputs come out."""
+    """Pixels before and after one side of a picture, so that ceil(size / stride) outputs come out.
+
+    Args:
+        size: Pixels along the side.
+        kernel: Of the filter.
+        stride: Pixels from one output to the next.
+        dilation: Pixels from one of the filter's to the next.
+    """
     wanted = (math.ceil(size / stride) - 1) * stride + (kernel - 1) * dilation + 1
     missing = max(wanted - size, 0)
     return missing // 2, missing - missing // 2
@@ -50,7 +57,14 @@ def _dilations(node: Node) -> tuple[int, int]:
 
 
 def unsupported(node: Node, what: str, expected: str, got: object) -> DetectorError:
-    """The error for a setting of an operation that this reader does not know."""
+    """The error for a setting of an operation that this reader does not know.
+
+    Args:
+        node: The operation.
+        what: The setting.
+        expected: What is known.
+        got: What the file has.
+    """
     name = f"{what} of {node.op} {node.name}"
     return DetectorError(message(name, expected, got, "use a model without it"))
 

@@ -41,7 +41,7 @@ _BATCH = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sighting:
+class ViewReport:
     """What a detector reports on the object from one camera: highest confidences, 0 where there is no such detection.
 
     Attributes:
@@ -66,20 +66,20 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sightings:
+class ViewReports:
     """One series of pictures as one detector sees it.
 
     Attributes:
         pictures: "path traced", "clean" or "cloaked".
         seed: Of the splat; None of true pictures.
         detector: Its name.
-        sightings: One for each camera.
+        view_reports: One for each camera.
     """
 
     pictures: str
     seed: int | None
     detector: str
-    sightings: tuple[Sighting, ...]
+    view_reports: tuple[ViewReport, ...]
 
 
 def finished_splats(study: StudyConfig, results: Path, stages: Path) -> list[TrainedSplat]:
@@ -109,7 +109,7 @@ def finished_splats(study: StudyConfig, results: Path, stages: Path) -> list[Tra
 
 def watch(
     pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], *, every: int = 1
-) -> list[Sightings]:
+) -> list[ViewReports]:
     """Look at the scene and at all splats from held-out cameras, or read what was seen before.
 
     Args:
@@ -167,7 +167,7 @@ def _rendered(pipeline: StudyPipeline, splat: TrainedSplat, cameras: Sequence[Ca
 
 def _look(
     pipeline: StudyPipeline, series: _Series, detector: Detector, cameras: Sequence[Camera], every: int
-) -> Sightings:
+) -> ViewReports:
     """One detector's look at one series."""
 
     def make(path: Path) -> None:
@@ -178,27 +178,27 @@ def _look(
             with torch.no_grad():
                 reports = detector.detect(torch.stack(images[start : start + _BATCH]).to(torch.float32) / 255)
             for view, report in enumerate(reports, start):
-                seen.append(asdict(_sighting(pipeline, report, view, cameras[view])))
+                seen.append(asdict(_view_report(pipeline, report, view, cameras[view])))
             pipeline.on_step(text, len(seen), len(images))
-        save_json(seen, path / "sightings.json", indent=0)
+        save_json(seen, path / "view_reports.json", indent=0)
 
-    depends_on = dependencies.of_sightings(
+    depends_on = dependencies.of_view_reports(
         pipeline.study,
         pipeline.source.digest,
         f"{series.content}, one in {every}",
         (detector.name, detector.fingerprint),
     )
-    stage = pipeline.cache.finished("sightings", depends_on, make)
-    values = json.loads((stage.folder / "sightings.json").read_text())
-    return Sightings(
+    stage = pipeline.cache.finished("view_reports", depends_on, make)
+    values = json.loads((stage.folder / "view_reports.json").read_text())
+    return ViewReports(
         pictures=series.pictures,
         seed=series.seed,
         detector=detector.name,
-        sightings=tuple(Sighting(**one) for one in values),
+        view_reports=tuple(ViewReport(**one) for one in values),
     )
 
 
-def _sighting(pipeline: StudyPipeline, report: Any, view: int, camera: Camera) -> Sighting:
+def _view_report(pipeline: StudyPipeline, report: Any, view: int, camera: Camera) -> ViewReport:
     """What a report says of the object."""
     study, centre = pipeline.study, setup.centre_of(pipeline.study)
     box = setup.box_of(pipeline.mesh_scene.target, camera)
@@ -209,7 +209,7 @@ def _sighting(pipeline: StudyPipeline, report: Any, view: int, camera: Camera) -
     def highest(labels: Sequence[str], iou: float) -> float:
         return 0.0 if box is None else confidence(report, box, labels=labels, iou=iou)
 
-    return Sighting(
+    return ViewReport(
         view=view,
         azimuth=direction.azimuth,
         elevation=direction.elevation,
