@@ -10,9 +10,9 @@ from attacks.cli.options import CloakExperimentOptions
 from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
-from attacks.cloak.experiments.view_reports import finished_splats, watch
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.experiments.view_reports import finished_splats, watch
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import need_matplotlib
 from attacks.cloak.study.pipeline import StudyPipeline

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from attacks.cli.options import DetectorsOptions
-from attacks.detectors.coco.fetch import Fetched, fetch
 from attacks.detectors.coco.sources import weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.registry import DETECTORS
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.ranges import UsageError
 from mi_splat.errors import message
+
+if TYPE_CHECKING:
+    from attacks.detectors.coco.fetch import Fetched
 
 SHOWN = 8
 
@@ -65,6 +68,8 @@ def run(options: DetectorsOptions) -> int:
 
 def _get(options: DetectorsOptions) -> int:
     """Get the detectors that are named, or those that the files hold."""
+    from attacks.detectors.coco.fetch import fetch  # torch comes with it
+
     got: list[Fetched] = []
     try:
         with progress("looking") as advance:

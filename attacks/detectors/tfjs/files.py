@@ -110,12 +110,13 @@ def load_graph_model(graph: Path, weights: Path) -> GraphModel:
     Raises:
         DetectorError: A file is missing, or not what it should be.
     """
+    constants = read_weights(weights)
     try:
         document = _document(graph.read_bytes())
     except OSError as error:
         do = "get the detector again"
         raise DetectorError(message(f"graph {graph}", "a readable file", error.strerror, do)) from error
-    return _graph(document, read_weights(weights))
+    return _graph(document, constants)
 
 
 def _document(model_json: bytes) -> dict[str, Any]:
