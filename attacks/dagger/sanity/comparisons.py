@@ -16,7 +16,6 @@ import torch
 from attacks.dagger.sanity.finding import Finding
 from attacks.dagger.sanity.runs import Runs, Scored
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import GONE
 from attacks.pgd import rank
 from mi_splat.scene import ATTRIBUTES
 
@@ -35,9 +34,12 @@ UNBOUNDED = 1000.0
 NOISE_DRAWS = 3
 """Draws of random noise for each seed."""
 
+FOUND = 0.5
+"""Confidence from which the clean object counts as found."""
+
 
 def clean(runs: Runs) -> Finding:
-    """Before the attack the detector finds the object, at `GONE` or more, and not the target."""
+    """Before the attack the detector finds the object, at `FOUND` or more, and not the target."""
     label = runs.case.objective.label
     views = [view for result in runs.results(noise_draws=NOISE_DRAWS) for view in result.views]
     found = [view.confidence(view.before.target.original, attacked=False) for view in views]
@@ -45,7 +47,7 @@ def clean(runs: Runs) -> Finding:
     return Finding(
         name="clean",
         claim="starts where the object is found and the target is not",
-        passed=min(found) >= GONE and max(wanted) < runs.case.objective.confidence,
+        passed=min(found) >= FOUND and max(wanted) < runs.case.objective.confidence,
         figures=f"object at {_list(found)}, {label} at {_list(wanted)}",
         meaning="there is nothing to attack: success and failure say little",
         values={"object": found, "target": wanted},
