@@ -42,9 +42,10 @@ class MomentumDescent:
     """Steps against the steepest direction of a decaying sum of gradients: MI-FGSM (Dong et al. 2018) in any norm.
 
     Each gradient is divided by its mean absolute value before it is added, so that no single picture outweighs the
-    others; the paper divides by the sum, which only scales. Without decay and with the constant schedule the steps are
-    those of `attacks.pgd.steepest_descent`. A power between 0 and 1 makes small gradients count for more: the direction
-    is then the steepest one of the l_p norm with p = 1 + 1 / power, between that of l2 (1) and that of linf (0).
+    others; the paper divides by the sum, which only scales. Without decay there is nothing to add, and gradients stay
+    as they are: with the constant schedule the steps are those of `attacks.pgd.steepest_descent`, to the bit. A power
+    between 0 and 1 makes small gradients count for more: the direction is then the steepest one of the l_p norm with
+    p = 1 + 1 / power, between that of l2 (1) and that of linf (0).
 
     Attributes:
         state: What it remembers; set it to go on with another run's.
@@ -69,9 +70,10 @@ class MomentumDescent:
     def __call__(self, gradients: Parameters) -> Parameters:
         """The change of the parameters."""
         before = self.state.velocity
+        raised = self._raised(gradients)
         velocity = {
             name: unit + self._decay * before[name] if name in before else unit
-            for name, unit in normalised(self._raised(gradients)).items()
+            for name, unit in (normalised(raised) if self._decay else raised).items()
         }
         factor = self._length(self.state.index / self._steps)
         self.state = OptimiserState(index=self.state.index + 1, velocity=velocity)

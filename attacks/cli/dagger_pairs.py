@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 
@@ -24,12 +25,10 @@ def run(options: DaggerPairsOptions) -> int:
             raise InvalidValueError(message(name, "one or more, each once", values or "none", "name them"))
     limit_threads((os.cpu_count() or 1) // 2)
     attacks: dict[str, Attack] = {}
-    scenes: dict[str, AttackScene] = {}
 
+    @functools.cache
     def read(name: str) -> AttackScene:
-        if name not in scenes:
-            scenes[name] = read_attack_scene(options.scenes / f"{name}.xml")
-        return scenes[name]
+        return read_attack_scene(options.scenes / f"{name}.xml")
 
     objective = {"confidence": options.confidence, **SEARCHES[options.search].objective}
     detectors = [load_detector(name) for name in options.detectors]

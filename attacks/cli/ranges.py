@@ -36,6 +36,7 @@ ALL_RANGES: dict[str, Range] = {
     "stop_at": POSITIVE_FRACTION,
     "held_out": at_least(1, "views"),
     "judge_seed": SEED,
+    "image_psnr": above(0, "dB", "26 is easily seen, 40 hardly"),
     "pairs": Range(0, 5, unit="whole"),
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),

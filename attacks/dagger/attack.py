@@ -24,7 +24,7 @@ from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective, check_objective
 from attacks.optimisers import momentum
-from attacks.pgd import Optimiser, Outcome, Parameters, Step, pgd, steepest_descent
+from attacks.pgd import Outcome, Parameters, Step, pgd
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
@@ -128,17 +128,12 @@ def _search(
         step=config.step,
         steps=config.steps,
         starts=starts(),
-        optimiser=_optimiser(config),
+        optimiser=momentum(
+            decay=config.momentum, schedule=config.schedule, steps=config.steps, power=config.gradient_power
+        ),
         early_stop=config.early_stop,
         on_step=on_step,
     )
-
-
-def _optimiser(config: DaggerConfig) -> Optimiser:
-    """What makes a step of the gradients."""
-    if (config.momentum, config.schedule, config.gradient_power) == (0.0, "constant", 1.0):
-        return steepest_descent  # the same steps as below, without a rounding
-    return momentum(decay=config.momentum, schedule=config.schedule, steps=config.steps, power=config.gradient_power)
 
 
 def _noise_control(

@@ -19,7 +19,7 @@ from attacks.dagger.report import before_and_after, summary
 from attacks.dagger.study import PAIRS, run_jobs
 from attacks.limits import SearchName
 from mi_splat import provenance
-from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.documents import save_json, save_png, save_text
 
 SUMMARY = "summary.json"
 Pair = tuple[str, str, str]
@@ -194,7 +194,7 @@ def pair_row(detector: str, job: Job, found: Mapping[str, Any]) -> dict[str, Any
 def write_summary(found: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write summary.json and table.md; returns their paths."""
     save_json(dict(found), folder / SUMMARY)
-    (folder / "table.md").write_text(pairs_table(found))
+    save_text(pairs_table(found), folder / "table.md")
     return [folder / SUMMARY, folder / "table.md"]
 
 

@@ -75,6 +75,7 @@ def attack_views(
         objective=objective,
         originals=_originals(views, detectors, config),
         render=views.render,
+        clean=views.picture,
     )
     key = _key(views, problem, config)
     found = search(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)

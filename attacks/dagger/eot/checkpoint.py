@@ -12,12 +12,13 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
+from attacks.dagger.eot.image_budget import ImagePrice
 from attacks.optimisers import OptimiserState
 from attacks.pgd import Parameters, Step
 from mi_splat.errors import MiSplatError, message
 from mi_splat.io.atomic import atomic_write, write_all
 
-FORMAT = 1
+FORMAT = 2
 _GROUPS = ("point", "velocity", "square", "best")
 
 
@@ -34,6 +35,7 @@ class SearchState:
         optimiser: What the optimiser remembers; its index is the number of steps done.
         best: The best point so far; `point` before anything was judged.
         best_line: Its line of the trace; None before anything was judged.
+        price: Of the pictures' squared error; None where it costs nothing.
         trace: Every point before `point`.
         seconds: Time spent so far.
     """
@@ -42,6 +44,7 @@ class SearchState:
     optimiser: OptimiserState
     best: Parameters
     best_line: Step | None
+    price: ImagePrice | None
     trace: tuple[Step, ...]
     seconds: float
 
@@ -68,6 +71,7 @@ def save_state(state: SearchState, path: Path, *, key: str) -> None:
         "key": key,
         "index": state.optimiser.index,
         "best_line": None if state.best_line is None else dataclasses.asdict(state.best_line),
+        "price": None if state.price is None else dataclasses.asdict(state.price),
         "trace": [dataclasses.asdict(line) for line in state.trace],
         "seconds": state.seconds,
         "threads": torch.get_num_threads(),
@@ -100,12 +104,13 @@ def load_state(path: Path, *, key: str) -> SearchState | None:
             {name.partition("/")[2]: value for name, value in tensors.items() if name.startswith(f"{group}/")}
             for group in _GROUPS
         )
-        line = notes["best_line"]
+        line, price = notes["best_line"], notes["price"]
         return SearchState(
             point=point,
             optimiser=OptimiserState(index=notes["index"], velocity=velocity, square=square),
             best=best,
             best_line=None if line is None else Step(**line),
+            price=None if price is None else ImagePrice(**price),
             trace=tuple(Step(**one) for one in notes["trace"]),
             seconds=notes["seconds"],
         )

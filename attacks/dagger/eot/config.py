@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from attacks.dagger.config import Perturbation, check_momentum, check_power, check_share
@@ -35,6 +36,8 @@ class EotConfig(Perturbation):
         noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less.
             0 changes a Gaussian's colour by the same from everywhere. None keeps the scene's own.
+        image_psnr: PSNR that the pictures keep, dB, over the validation views; None asks for nothing. The search then
+            pays for the pictures' squared error (`attacks.dagger.eot.image_budget`); the ball is a second bound.
         seed: Seed of the attack's views, of its validation views, and of the noise.
         judge_seed: Seed of the held-out views; another one.
 
@@ -61,6 +64,7 @@ class EotConfig(Perturbation):
     required_views: float = 0.8
     held_out: int = 60
     judge_seed: int = 1000
+    image_psnr: float | None = None
 
     def __post_init__(self) -> None:
         Perturbation.__post_init__(self)
@@ -68,6 +72,9 @@ class EotConfig(Perturbation):
         check_share(self, "required_views", *([] if self.stop_at is None else ["stop_at"]))
         check_momentum(self.momentum, self.schedule)
         check_power(self.gradient_power)
+        if self.image_psnr is not None and not 0 < self.image_psnr < math.inf:
+            expected = "a number of dB > 0, or None"
+            raise InvalidValueError(message("image_psnr", expected, self.image_psnr, "26 is easily seen, 40 hardly"))
         if self.optimiser not in OPTIMISERS:
             expected = f"one of {', '.join(OPTIMISERS)}"
             raise InvalidValueError(message("optimiser", expected, self.optimiser, "choose one"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,12 +14,27 @@ from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Target, Verdict
 from attacks.pgd import Parameters
-from mi_splat.cameras import RenderFn
+from mi_splat.cameras import Camera, RenderFn
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene
 
 _LOOKED_AT_ONCE = 4
 """Pictures that a detector gets together when nothing is differentiated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Estimate:
+    """What the views of one step say of a point.
+
+    Attributes:
+        loss: Lower is better for the attacker.
+        gradients: Of the loss by each parameter.
+        error: Mean squared error of the pictures; 0 where nothing asked for it.
+    """
+
+    loss: float
+    gradients: Parameters
+    error: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -32,6 +47,7 @@ class EotProblem:
         objective: The aim.
         originals: What each detector calls the clean object in most views, by the detector's name; None for nothing.
         render: The renderer.
+        clean: The clean scene's picture from a camera.
     """
 
     subset: GaussianSubset
@@ -39,6 +55,7 @@ class EotProblem:
     objective: Objective
     originals: Mapping[str, str | None]
     render: RenderFn
+    clean: Callable[[Camera], Tensor]
 
     def reference(self, attributes: Sequence[str], sh_degree: int | None) -> Parameters:
         """What may change: the object's rows of the attributes, of SH only the coefficients up to a degree."""
@@ -67,7 +84,7 @@ class EotProblem:
             original=self.originals[detector.name],
         )
 
-    def loss(self, parameters: Parameters, views: Sequence[DrawnView]) -> tuple[float, Parameters]:
+    def loss(self, parameters: Parameters, views: Sequence[DrawnView], weight: float = 0.0) -> Estimate:
         """Mean loss over views and detectors, and its gradients.
 
         Every picture is rendered once for all detectors, and a detector gets all pictures together.
@@ -75,17 +92,33 @@ class EotProblem:
         Args:
             parameters: A point of the search.
             views: Those of one step, whose pictures have one size.
+            weight: Of the mean squared error of the pictures, before anything happens to them, in the loss.
         """
         leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
         scene = self.subset.scene_with(self.complete(leaves))
-        pictures = torch.stack([view.changed(bounded(self.render(scene, view.camera))) for view in views])
+        rendered = [bounded(self.render(scene, view.camera)) for view in views]
+        pictures = torch.stack([view.changed(picture) for picture, view in zip(rendered, views, strict=True)])
         total = pictures.new_zeros(())
         for detector in self.detectors:
             for view, candidates in zip(views, detector.candidates(pictures), strict=True):
                 total = total + self.objective(candidates, self.target(view, detector))
         total = total / (len(views) * len(self.detectors))
+        error = 0.0
+        if weight:
+            squares = torch.stack([self._error(one, view) for one, view in zip(rendered, views, strict=True)]).mean()
+            total, error = total + weight * squares, float(squares.detach())
         found = torch.autograd.grad(total, list(leaves.values()), materialize_grads=True)
-        return float(total.detach()), dict(zip(leaves, found, strict=True))
+        return Estimate(loss=float(total.detach()), gradients=dict(zip(leaves, found, strict=True)), error=error)
+
+    def error(self, parameters: Parameters, views: Sequence[DrawnView]) -> float:
+        """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
+        with torch.no_grad():
+            scene = self.subset.scene_with(self.complete(parameters))
+            errors = [self._error(self.render(scene, view.camera).clamp(0, 1), view) for view in views]
+            return float(torch.stack(errors).mean())
+
+    def _error(self, picture: Tensor, view: DrawnView) -> Tensor:
+        return (picture - self.clean(view.camera)).square().mean()
 
     def verdicts(self, parameters: Parameters, views: Sequence[DrawnView]) -> list[list[Verdict]]:
         """For each view the verdict of every detector, on 8-bit pictures."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from attacks.dagger.eot.checkpoint import SearchState, load_state, save_state
 from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.image_budget import ImagePrice, fitted
 from attacks.dagger.eot.problem import EotProblem, joined
 from attacks.dagger.eot.views import DrawnView, ViewDistribution, batch_indices
 from attacks.optimisers import START, AdamDescent, MomentumDescent
@@ -66,7 +67,10 @@ def search(
     reference, budget = problem.reference(config.attributes, config.sh_degree), config.budget
     begun = None if checkpoint is None else load_state(checkpoint.path, key=key)
     if begun is None:
-        begun = SearchState(point=reference, optimiser=START, best=reference, best_line=None, trace=(), seconds=0.0)
+        price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr)
+        begun = SearchState(
+            point=reference, optimiser=START, best=reference, best_line=None, price=price, trace=(), seconds=0.0
+        )
     update = _update(config, begun)
     run = _Run(problem, views, config, begun, update, key, checkpoint, on_step)
 
@@ -123,7 +127,8 @@ class _Run:
         self._update, self._key, self._checkpoint, self._on_step = update, key, checkpoint, on_step
         self._first, self._earlier, self._clock = begun.optimiser.index, begun.seconds, time.perf_counter()
         self._trace, self.best, self._best_line = list(begun.trace), begun.best, begun.best_line
-        self._point = begun.point
+        self._point = self._judged = begun.point
+        self._price = begun.price
         self._validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
 
     def state(self) -> SearchState:
@@ -133,6 +138,7 @@ class _Run:
             optimiser=self._update.state,
             best=self.best,
             best_line=self._best_line,
+            price=self._price,
             trace=tuple(self._trace),
             seconds=self._earlier + time.perf_counter() - self._clock,
         )
@@ -144,10 +150,14 @@ class _Run:
         kept = self._checkpoint
         if kept is not None and index > self._first and index % kept.every == 0:
             save_state(self.state(), kept.path, key=self._key)
-        loss, gradients = self._problem.loss(point, self._batch(index))
+        found = self._problem.loss(point, self._batch(index), 0.0 if self._price is None else self._price.weight)
+        if self._price is not None:
+            self._price = self._price.after(found.error)
+        loss, gradients = found.loss, found.gradients
         if (index == 0 or index % config.validate_every) and index != config.steps:
             return Evaluation(loss=loss, gradients=gradients, success=False, score=NOT_JUDGED, unambiguous=False)
-        successes, score = joined(self._problem.verdicts(point, self._validation))
+        self._judged = self._within_image_budget(point)
+        successes, score = joined(self._problem.verdicts(self._judged, self._validation))
         share = successes / len(self._validation)
         enough = config.stop_at is not None and share >= config.stop_at - 1e-9
         success = share >= config.required_views - 1e-9
@@ -166,9 +176,16 @@ class _Run:
         self._trace.append(numbered)
         judged = line.score != NOT_JUDGED
         if judged and (self._best_line is None or rank(numbered) > rank(self._best_line)):
-            self.best, self._best_line = self._point, numbered
+            self.best, self._best_line = self._judged, numbered
         if self._on_step is not None:
             self._on_step(numbered)
+
+    def _within_image_budget(self, point: Parameters) -> Parameters:
+        """A point, or what is left of it within the image budget."""
+        if self._price is None:
+            return point
+        reference = self._problem.reference(self._config.attributes, self._config.sh_degree)
+        return fitted(point, reference, self._price.limit, lambda one: self._problem.error(one, self._validation))
 
     def _batch(self, index: int) -> Sequence[DrawnView]:
         """The views of a step."""

@@ -45,6 +45,7 @@ def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> 
         (5, {"pool": 0}),
         (5, {"optimiser": "momentum"}),
         (8, {"norm": "l2", "eps": (9.0,), "schedule": "cosine"}),
+        (5, {"optimiser": "adam", "image_psnr": 35.0}),
     ],
     ids=str,
 )

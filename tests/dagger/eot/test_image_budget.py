@@ -1,0 +1,61 @@
+"""The pictures of an attack keep the PSNR that was asked for, and the price of their error follows it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.image_budget import ImagePrice, fitted
+from mi_splat.errors import InvalidValueError
+from tests.dagger.eot.toy import quick
+
+
+def test_the_price_begins_where_an_error_at_the_limit_costs_one() -> None:
+    price = ImagePrice.of(20.0)
+    assert price.limit == pytest.approx(0.01)
+    assert price.weight * price.limit == pytest.approx(1.0)
+
+
+def test_the_price_rises_while_pictures_are_too_bad_and_falls_while_they_are_good() -> None:
+    price = ImagePrice.of(20.0)
+    assert price.after(0.02).weight > price.weight > price.after(0.005).weight
+    assert price.after(0.01).weight == pytest.approx(price.weight)
+
+
+def test_the_price_stays_within_its_bounds() -> None:
+    for error, bound in ((1.0, 100.0), (0.0, 0.03)):
+        price = ImagePrice.of(20.0)
+        for _ in range(100):
+            price = price.after(error)
+        assert price.weight * price.limit == pytest.approx(bound)
+
+
+def test_a_point_is_pulled_back_to_the_limit_along_a_line() -> None:
+    reference, point = {"sh": torch.ones(3)}, {"sh": torch.tensor([2.0, 3.0, 5.0])}
+
+    def error(one: dict[str, torch.Tensor]) -> float:
+        return float((one["sh"] - reference["sh"]).square().sum())
+
+    found = fitted(point, reference, 21 / 4, error)
+    assert 0.97 * 21 / 4 <= error(found) <= 21 / 4
+    way = (found["sh"] - 1) / (point["sh"] - 1)
+    assert torch.allclose(way, way[0].expand(3))
+    assert fitted(point, reference, 21.5, error) is point
+    assert fitted(point, reference, 0.0, error) is reference
+
+
+def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> None:
+    free, limited = quick(), quick(image_psnr=35.0)
+    assert free.judgement.image.psnr is not None
+    assert limited.judgement.image.psnr is not None
+    assert free.judgement.image.psnr < 30
+    # Held-out views are others than those that the limit is held on.
+    assert limited.judgement.image.psnr > 34
+    assert max(limited.used.values()) > 0
+
+
+def test_an_impossible_limit_is_refused() -> None:
+    for psnr in (0.0, -3.0, float("inf"), float("nan")):
+        with pytest.raises(InvalidValueError, match="image_psnr"):
+            EotConfig(image_psnr=psnr)
