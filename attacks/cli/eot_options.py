@@ -67,7 +67,7 @@ class DaggerEotStudyOptions:
     """
 
     groups: tuple[str, ...] = ()
-    """Tables to make, all if none is named: pairs, smallest, curve, pool, degree, changes, attributes."""
+    """Tables to make, all if none is named: pairs, smallest, curve, psnr, pool, degree, changes, attributes."""
     pairs: tuple[int, ...] = ()
     """Numbers of the paper's six pairs, all if none is named."""
     scenes: Path = Path("scenes")

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.evaluation.rates import Rate
-from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.documents import save_json
+from mi_splat.io.documents import save_json, save_text
 
 Record = Mapping[str, Any]
 
@@ -188,8 +187,7 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
         The files written.
     """
     paths = [out / "table.md", out / "table.json"]
-    with atomic_write(paths[0]) as file:
-        write_all(file, memoryview(markdown(records).encode()))
+    save_text(markdown(records), paths[0])
     save_json({"rows": rows(records), "by_radius": by_radius(records)}, paths[1])
     draw = _plotter()
     if draw is not None:

@@ -7,7 +7,6 @@ is there (`attacks.dagger.study.run_jobs`), so an interrupted study goes on wher
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,8 +21,11 @@ from mi_splat.attributes import Attribute
 Ask = Callable[[EotJob], Mapping[str, Any]]
 """Runs one attack, or finds its stored result; returns the summary."""
 
-RADII = (0.02, 0.03, 0.045, 0.07, 0.1, 0.14, 0.2, 0.3)
-"""Of linf balls over SH: where the smallest radius is looked for, and the curve."""
+RADII = (0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4)
+"""Of linf balls over SH: where the smallest radius is looked for, without a limit on the pictures."""
+
+CURVE = (0.05, 0.12, 0.25, 0.5)
+"""Radii of the curve."""
 
 POOLS = (1, 8, 64, 0)
 """Numbers of views that an attack draws from; 0 draws new ones at each step."""
@@ -31,19 +33,23 @@ POOLS = (1, 8, 64, 0)
 PSNRS = (30.0, 26.0)
 """Image budgets, dB, at which attributes are compared."""
 
-PSNR_SLACK, PSNR_ATTEMPTS = 0.3, 4
-"""How near the PSNR of an attack comes to the budget, dB, and after how many attacks we give up."""
+PSNR_CURVE = (36.0, 34.0, 32.0, 30.0, 28.0, 26.0)
+"""Image budgets, dB, of the curve."""
+
+MARGIN = 0.3
+"""Added to an image budget, dB: the search holds it on its validation views, and others judge."""
 
 MIXTURES: tuple[dict[Attribute, float], ...] = (
-    {"sh": 0.15},
-    {"means": 0.015},
-    {"scales": 0.5},
-    {"rotations": 0.2},
-    {"opacities": 2.0},
-    {"sh": 0.1, "opacities": 1.0},
-    {"sh": 0.1, "means": 0.005, "scales": 0.1, "rotations": 0.05, "opacities": 0.5},
+    {"sh": 1.0},
+    {"means": 0.1},
+    {"scales": 1.5},
+    {"rotations": 1.0},
+    {"opacities": 4.0},
+    {"sh": 1.0, "opacities": 4.0},
+    {"means": 0.1, "scales": 1.5, "rotations": 1.0},
+    {"sh": 1.0, "means": 0.05, "scales": 0.75, "rotations": 0.5, "opacities": 2.0},
 )
-"""Attributes that may change together, with the radii that the search begins with; it scales them by one factor."""
+"""Attributes that may change together, with radii so large that the pictures are what binds."""
 
 PHOTOGRAPHED = PictureChanges(exposure=0.3, white_balance=0.1, gamma=0.15, blur=1.0, resize=0.6, noise=0.03, jpeg=40)
 """What may happen to a picture on its way to the detector, for the table of picture changes."""
@@ -97,7 +103,7 @@ def smallest(ask: Ask, setup: StudySetup) -> None:
         low, high = -1, len(RADII)  # fails, succeeds
         while high - low > 1:
             middle = (low + high) // 2
-            if ask(setup.job("smallest", pair, eps=(RADII[middle],)))["success"]:
+            if ask(setup.job("smallest", pair, eps=(RADII[middle],), image_psnr=None))["success"]:
                 high = middle
             else:
                 low = middle
@@ -105,8 +111,14 @@ def smallest(ask: Ask, setup: StudySetup) -> None:
 
 def curve(ask: Ask, setup: StudySetup) -> None:
     """The first pair at every other radius."""
-    for eps in RADII[1::2]:
-        ask(setup.job("curve", eps=(eps,)))
+    for eps in CURVE:
+        ask(setup.job("curve", eps=(eps,), image_psnr=None))
+
+
+def psnr(ask: Ask, setup: StudySetup) -> None:
+    """The first pair at every image budget."""
+    for limit in PSNR_CURVE:
+        ask(setup.job("psnr", image_psnr=limit + MARGIN))
 
 
 def pool(ask: Ask, setup: StudySetup) -> None:
@@ -131,61 +143,27 @@ def changes(ask: Ask, setup: StudySetup) -> None:
 
 
 def attributes(ask: Ask, setup: StudySetup) -> None:
-    """The first pair with every attribute and some mixtures, each at the radius that uses the image budget up."""
-    for psnr in PSNRS:
+    """The first pair with every attribute and some mixtures, at equal image budgets."""
+    for limit in PSNRS:
         for radii in MIXTURES:
-            at_psnr(lambda job: ask(job)["image_psnr"], setup, radii, psnr)
-
-
-def at_psnr(
-    measure: Callable[[EotJob], float | None], setup: StudySetup, radii: Mapping[Attribute, float], psnr: float
-) -> None:
-    """Scale radii until the attack's pictures have a PSNR.
-
-    The first guess is that a change grows with the radius: a factor of 10 takes 20 dB. After that, the line through the
-    last two attacks.
-
-    Args:
-        measure: Attacks; returns the PSNR of the held-out pictures, None when nothing changed.
-        setup: The study.
-        radii: By attribute, where to begin.
-        psnr: Wanted, dB.
-    """
-    names, first = tuple(radii), [radii[name] for name in radii]
-    scale, slope, before = 0.0, -20.0, None  # decades; dB for a decade
-    for _ in range(PSNR_ATTEMPTS):
-        eps = tuple(float(f"{value * 10**scale:.4g}") for value in first)
-        found = measure(setup.job(f"attributes{psnr:.0f}", attributes=names, eps=eps))
-        if found is None or abs(found - psnr) <= PSNR_SLACK:
-            return
-        if before is not None and scale != before[0]:
-            slope = min(-4.0, (found - before[1]) / (scale - before[0]))
-        before = (scale, found)
-        scale += max(-1.0, min(1.0, (psnr - found) / slope))
+            ask(
+                setup.job(
+                    f"attributes{limit:.0f}",
+                    attributes=tuple(radii),
+                    eps=tuple(radii.values()),
+                    image_psnr=limit + MARGIN,
+                )
+            )
 
 
 GROUPS: dict[str, Callable[[Ask, StudySetup], None]] = {
     "pairs": pairs,
     "smallest": smallest,
     "curve": curve,
+    "psnr": psnr,
     "pool": pool,
     "degree": degree,
     "changes": changes,
     "attributes": attributes,
 }
 """Name of a part of the study to what asks for its attacks."""
-
-
-def nearest_to(records: list[Mapping[str, Any]], psnr: float) -> list[Mapping[str, Any]]:
-    """For each mixture of attributes the attack whose PSNR is nearest to the budget."""
-    best: dict[tuple[str, ...], Mapping[str, Any]] = {}
-
-    def gap(record: Mapping[str, Any]) -> float:
-        found = record["result"]["image_psnr"]
-        return math.inf if found is None else abs(found - psnr)
-
-    for record in records:
-        names = tuple(record["job"]["config"]["attributes"])
-        if names not in best or gap(record) < gap(best[names]):
-            best[names] = record
-    return list(best.values())

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.dagger.eot.study import PSNRS, nearest_to
+from attacks.dagger.eot.study import PSNRS
 from attacks.dagger.tables import grid, number
 from attacks.evaluation.rates import Rate
-from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.documents import save_json
+from mi_splat.io.documents import save_json, save_text
 
 Record = Mapping[str, Any]
 
 TITLES = {
     "pairs": "The paper's six pairs",
     "smallest": "Smaller radii",
-    "curve": "Success over the radius",
+    "curve": "Success over the radius, without a limit on the pictures",
+    "psnr": "Success over the image budget",
     "pool": "Number of views in the pool (0: new ones at each step)",
     "degree": "Highest SH degree that may change (0: the same colour from everywhere)",
     "changes": "Pictures that change on their way to the detector",
@@ -28,6 +28,7 @@ _COLUMNS = (
     "attack",
     "detectors",
     "what may change",
+    "PSNR asked for",
     "azimuths",
     "pool",
     "degree",
@@ -38,6 +39,7 @@ _COLUMNS = (
     "noise: views, PSNR",
     "clean",
     "steps",
+    "seed",
     "seconds",
 )
 
@@ -51,6 +53,7 @@ def row(record: Record) -> dict[str, Any]:
         "attributes": config["attributes"],
         "norm": config["norm"],
         "eps": config["eps"],
+        "image_budget": config["image_psnr"],
         "azimuths": job["transformations"]["cameras"]["azimuths"],
         "pool": config["pool"],
         "sh_degree": config["sh_degree"],
@@ -80,21 +83,11 @@ def _changed(transformations: Mapping[str, Any]) -> bool:
     return any(value != (1.0 if name == "resize" else 0) for name, value in pictures.items())
 
 
-def shown(records: Sequence[Record]) -> list[Record]:
-    """The records that a table shows: of a search for a PSNR the attack that came nearest."""
-    found = [record for record in records if not record["job"]["group"].startswith("attributes")]
-    for psnr in PSNRS:
-        some = [record for record in records if record["job"]["group"] == f"attributes{psnr:.0f}"]
-        for names in sorted({tuple(record["job"]["detectors"]) for record in some}):
-            found += nearest_to([record for record in some if tuple(record["job"]["detectors"]) == names], psnr)
-    return found
-
-
 def smallest_radii(records: Sequence[Record]) -> list[dict[str, Any]]:
     """For each pair, detector, region and SH degree the smallest radius that was enough, the largest that was not."""
     found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for line in map(row, records):
-        if line["group"] in ("pairs", "smallest"):
+        if line["group"] == "smallest":
             key = (line["object"], line["target"], tuple(line["detectors"]), tuple(line["azimuths"]), line["sh_degree"])
             found.setdefault(key, []).append(line)
     lines = []
@@ -120,7 +113,7 @@ def smallest_radii(records: Sequence[Record]) -> list[dict[str, Any]]:
 
 def markdown(records: Sequence[Record]) -> str:
     """All tables as one Markdown page."""
-    rows = [row(record) for record in shown(records)]
+    rows = [row(record) for record in records]
     lines = ["# DAGGER over distributions of views", "", *_preamble(records)]
     if any(line["group"] == "smallest" for line in rows):
         lines += ["", "## Smallest radius that was enough", ""]
@@ -179,6 +172,7 @@ def _cells(line: Mapping[str, Any]) -> tuple[str, ...]:
         f"{line['object']} to {line['target'] or 'nothing'}",
         f"{', '.join(line['detectors'])}" + (f" at {line['confidence']:g}" if line["confidence"] else ""),
         f"{line['norm']}: " + ", ".join(f"{n} {e:.3g}" for n, e in zip(line["attributes"], radii, strict=True)),
+        number(line["image_budget"], "g"),
         " to ".join(f"{angle:.0f}" for angle in line["azimuths"]),
         str(line["pool"]),
         "-" if line["sh_degree"] is None else str(line["sh_degree"]),
@@ -189,6 +183,7 @@ def _cells(line: Mapping[str, Any]) -> tuple[str, ...]:
         f"{line['noise_successes']}/{line['noise_views']}, {number(line['noise_psnr'], '.1f')}",
         f"{line['clean_successes']}/{line['views']}",
         f"{line['steps']} of {line['all_steps']}",
+        str(line["seed"]),
         f"{line['seconds']:.0f}",
     )
 
@@ -200,7 +195,6 @@ def write_eot_tables(records: Sequence[Record], out: Path) -> list[Path]:
         The files written.
     """
     paths = [out / "table.md", out / "table.json"]
-    with atomic_write(paths[0]) as file:
-        write_all(file, memoryview(markdown(records).encode()))
+    save_text(markdown(records), paths[0])
     save_json({"rows": [row(record) for record in records], "smallest": smallest_radii(records)}, paths[1])
     return paths

@@ -14,6 +14,8 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 REGION = CameraRegion(azimuths=(-120.0, -60.0), elevations=(0.0, 30.0), distances=(0.9, 1.1))
 QUICK: dict[str, Any] = {
+    "optimiser": "momentum",
+    "image_psnr": None,
     "eps": (2.0,),
     "steps": 8,
     "step_factor": 4.0,
