@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.evaluation.rates import Rate
+from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_json, save_text
 
 Record = Mapping[str, Any]

@@ -32,7 +32,9 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
         Transformations(cameras=region),
         render=Renderer(loaded.settings),
     )
-    config = EotConfig(steps=14, step_factor=4.0, batch=2, pool=14, validation=2, validate_every=7, held_out=6)
+    config = EotConfig(
+        steps=14, step_factor=4.0, image_psnr=None, batch=2, pool=14, validation=2, validate_every=7, held_out=6
+    )
     found = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)
     assert found.rate.successes >= 4
     assert found.judgement.noise().successes == found.judgement.clean().successes == 0
