@@ -19,8 +19,9 @@ from torchvision.ops import box_convert, clip_boxes_to_image
 
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.small import Backbone
-from attacks.detectors.weights import apply_weights, fingerprint, read_weights, small_weights
+from attacks.detectors.weights import apply_weights, read_weights, small_weights
 
 _WIDTH, _HEADS, _FEED_FORWARD = 96, 4, 256
 _ENCODERS, _DECODERS, _QUERIES = 2, 3, 40
@@ -127,7 +128,7 @@ def encoding(boxes: Tensor) -> Tensor:
     return torch.cat([angles.sin(), angles.cos()], -1).flatten(-2)
 
 
-class DETRDetector:
+class DETRDetector(FrozenDetector):
     """A frozen `DETR` behind the `Detector` interface.
 
     Attributes:
@@ -139,18 +140,8 @@ class DETRDetector:
 
     def __init__(self, name: str, model: DETR, *, min_confidence: float = 0.05) -> None:
         """Wrap `model`, whose class number i is SMALL_CLASSES[i]."""
-        self.name, self.classes, self.min_confidence = name, SMALL_CLASSES, min_confidence
-        self.model = model.eval().requires_grad_(False)
-
-    @property
-    def fingerprint(self) -> str:
-        """See `Detector`."""
-        return fingerprint(self.model.state_dict())
-
-    def to(self, device: torch.device | str) -> DETRDetector:
-        """Move the weights to a device, in place."""
-        self.model.to(device)
-        return self
+        super().__init__(name, model, SMALL_CLASSES)
+        self.min_confidence = min_confidence
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Every query after the last layer; which cells became queries is constant for the gradient.

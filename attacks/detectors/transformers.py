@@ -20,8 +20,8 @@ from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.batch_norm import keep_gradients_right
 from attacks.detectors.classes import BACKGROUND, UNUSED
 from attacks.detectors.errors import DetectorError
+from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.weight_files import TRANSFORMERS_HUB
-from attacks.detectors.weights import fingerprint
 from mi_splat.errors import message
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
@@ -64,7 +64,7 @@ _KINDS: Mapping[str, tuple[Any, Any, Callable[[Tensor], Tensor]]] = {
 """Model, image processor, and how (B, Q, L) scores come from logits, by the library's name of the architecture."""
 
 
-class TransformersDetector:
+class TransformersDetector(FrozenDetector):
     """A frozen DETR or RT-DETR behind the `Detector` interface.
 
     Attributes:
@@ -84,23 +84,12 @@ class TransformersDetector:
             processor: The image processor that goes with it.
             min_confidence: Confidence below which `detect` reports nothing.
         """
-        self.name, self.processor, self.min_confidence = name, processor, min_confidence
-        self.model = model.eval().requires_grad_(False)
-        keep_gradients_right(self.model)
-        self._scores = _KINDS[self.model.config.model_type][2]
-        self._labels = _labels(self.model.config.id2label)
+        self._labels = _labels(model.config.id2label)
         self._columns = [i for i, label in enumerate(self._labels) if label not in (BACKGROUND, UNUSED)]
-        self.classes = tuple(self._labels[i] for i in self._columns)
-
-    @property
-    def fingerprint(self) -> str:
-        """See `Detector`."""
-        return fingerprint(self.model.state_dict())
-
-    def to(self, device: torch.device | str) -> TransformersDetector:
-        """Move the weights to a device, in place."""
-        self.model.to(device)
-        return self
+        super().__init__(name, model, [self._labels[i] for i in self._columns])
+        keep_gradients_right(self.model)
+        self.processor, self.min_confidence = processor, min_confidence
+        self._scores = _KINDS[self.model.config.model_type][2]
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Every query as every class, before the threshold.

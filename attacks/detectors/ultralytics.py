@@ -21,8 +21,9 @@ from torch import Tensor, nn
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.errors import DetectorError
+from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.weight_files import SMALL_YOLO_WEIGHTS
-from attacks.detectors.weights import apply_weights, fingerprint, read_weights
+from attacks.detectors.weights import apply_weights, read_weights
 from mi_splat.errors import message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -62,7 +63,7 @@ _FAMILY = re.compile(r"yolov?\d+")
 """How the library names a family of architectures: yolov8, yolo11."""
 
 
-class YOLODetector:
+class YOLODetector(FrozenDetector):
     """A frozen YOLOv8 or YOLO11 behind the `Detector` interface.
 
     Attributes:
@@ -85,20 +86,10 @@ class YOLODetector:
             side: Longer image side that the network works at, pixels.
             min_confidence: Confidence below which `detect` reports nothing.
         """
-        self.name, self.classes, self.side, self.min_confidence = name, tuple(classes), side, min_confidence
-        self.model = model.eval().requires_grad_(False)
+        super().__init__(name, model, classes)
+        self.side, self.min_confidence = side, min_confidence
         strides: Any = model.stride
         self._stride = int(strides.max())
-
-    @property
-    def fingerprint(self) -> str:
-        """See `Detector`."""
-        return fingerprint(self.model.state_dict())
-
-    def to(self, device: torch.device | str) -> YOLODetector:
-        """Move the weights to a device, in place."""
-        self.model.to(device)
-        return self
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Every cell of the three grids, before threshold and non-maximum suppression.

@@ -62,7 +62,9 @@ def gaussians(props: Any) -> Any:
         )
     extra = {key: props[key] for key in _PASSED_ON if key in props}
     children = dict(props.objects())
-    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra, **children})
+    return mi.load_dict(
+        {"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra, **children}, parallel=False
+    )
 
 
 def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:

@@ -165,7 +165,7 @@ def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
 def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
     """Picture to the largest score: along a random direction, in float64."""
     detector = load_published(name)
-    detector.network.double()
+    detector.model.double()
     generator = torch.Generator().manual_seed(0)
     image = torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
     direction = torch.randn(image.shape, generator=generator, dtype=torch.float64)

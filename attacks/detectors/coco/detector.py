@@ -15,9 +15,9 @@ from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.coco import centernet, nanodet
 from attacks.detectors.coco.sources import GRAPH, PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
+from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.tfjs.files import load_graph_model
 from attacks.detectors.tfjs.network import GraphNetwork
-from attacks.detectors.weights import fingerprint
 from mi_splat.errors import message
 
 
@@ -63,7 +63,7 @@ FAMILIES: Mapping[str, Family] = {
 """Name to family of the detectors that can be got (`attacks.detectors.coco.sources.PUBLISHED`)."""
 
 
-class GraphDetector:
+class GraphDetector(FrozenDetector):
     """A detector that others trained on COCO, its weights frozen.
 
     A picture of any size is resized to the network's square, whatever its shape, as the published programs do.
@@ -71,32 +71,17 @@ class GraphDetector:
     Attributes:
         name: Name in `attacks.detectors.DETECTORS`.
         classes: The 80 classes of COCO.
-        network: The graph.
+        model: The graph.
     """
 
-    name: str
-    classes: tuple[str, ...] = COCO_CLASSES
-
     def __init__(self, name: str, network: GraphNetwork, family: Family) -> None:
-        self.name = name
-        self.network = network.eval()
+        super().__init__(name, network, COCO_CLASSES)
         self._family = family
-        self._fingerprint = fingerprint(network.state_dict())
-
-    @property
-    def fingerprint(self) -> str:
-        """See `Detector`."""
-        return self._fingerprint
 
     @property
     def min_confidence(self) -> float:
         """See `Detector`."""
         return self._family.min_confidence
-
-    def to(self, device: torch.device | str) -> GraphDetector:
-        """Move the weights to a device, in place."""
-        self.network.to(device)
-        return self
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Every cell of every level as every class, before peaks, thresholds and non-maximum suppression.
@@ -137,7 +122,7 @@ class GraphDetector:
         """Boxes (A, 4) in pixels of the picture, inside it, and scores (A, C)."""
         side = self._family.side
         square = functional.interpolate(image.permute(2, 0, 1)[None], (side, side), mode="bilinear")
-        boxes, scores = self._family.decode(self.network(self._family.prepare(square)))
+        boxes, scores = self._family.decode(self.model(self._family.prepare(square)))
         high, wide = image.shape[:2]
         scale = boxes.new_tensor([wide, high, wide, high]) / side
         return torch.minimum((boxes * scale).clamp(min=0), boxes.new_tensor([wide, high, wide, high])), scores

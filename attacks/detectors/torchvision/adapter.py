@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -13,12 +13,10 @@ from torchvision.ops.boxes import clip_boxes_to_image
 
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import BACKGROUND, UNUSED
-from attacks.detectors.weights import fingerprint
-
-_Self = TypeVar("_Self", bound="TorchvisionDetector")
+from attacks.detectors.frozen import FrozenDetector
 
 
-class TorchvisionDetector(ABC):
+class TorchvisionDetector(FrozenDetector, ABC):
     """A frozen detector of torchvision behind the `Detector` interface.
 
     Attributes:
@@ -27,31 +25,16 @@ class TorchvisionDetector(ABC):
         model: The library's model, in evaluation mode, its weights without gradients.
     """
 
-    name: str
-    classes: tuple[str, ...]
-
     def __init__(self, name: str, model: nn.Module, labels: Sequence[str]) -> None:
         """Wrap `model`, whose label number i means labels[i]; labels[0] is the background."""
-        self.name = name
-        self.model: Any = model.eval().requires_grad_(False)
         self._labels = tuple(labels)
         self._columns = [i for i, label in enumerate(labels) if label not in (BACKGROUND, UNUSED)]
-        self.classes = tuple(labels[i] for i in self._columns)
-
-    @property
-    def fingerprint(self) -> str:
-        """See `Detector`."""
-        return fingerprint(self.model.state_dict())
+        super().__init__(name, model, [labels[i] for i in self._columns])
 
     @property
     def min_confidence(self) -> float:
         """See `Detector`; what the model was built with."""
         return float(threshold_holder(self.model).score_thresh)
-
-    def to(self: _Self, device: torch.device | str) -> _Self:
-        """Move the weights to a device, in place."""
-        self.model.to(device)
-        return self
 
     @abstractmethod
     def candidates(self, images: Tensor) -> list[Candidates]:
