@@ -215,7 +215,14 @@ def test_the_command_takes_what_can_be_loaded(
 def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    quick: dict[str, Any] = {"batch": 1, "pool": 4, "validation": 2, "validate_every": 3, "held_out": 4, "noise_draws": 0}
+    quick: dict[str, Any] = {
+        "batch": 1,
+        "pool": 4,
+        "validation": 2,
+        "validate_every": 3,
+        "held_out": 4,
+        "noise_draws": 0,
+    }
     config = EotConfig(eps=(2.0,), steps=6, optimiser="momentum", image_psnr=None, **quick)
     made = EotJob(
         group="pairs",

@@ -18,8 +18,9 @@ from attacks.pgd import Parameters
 _MEMORY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
 
-_GAIN, _LOWEST, _HIGHEST = 0.25, 0.03, 100.0
-"""Change of the price's logarithm for each unit of the error's; bounds of the price in units of 1 / limit."""
+_GAIN, _LOWEST, _HIGHEST = 37.5, 0.03, 100.0
+"""Change of the price's logarithm over a whole search whose error is e times the limit; bounds of the price in units of
+1 / limit."""
 
 _HALVINGS = 7
 """Of the interval in which the factor of a perturbation is looked for."""
@@ -32,24 +33,31 @@ class ImagePrice:
     Attributes:
         limit: Largest mean squared error wanted, values in [0, 1].
         weight: The multiplier: the loss is the detectors' plus `weight` times the error.
+        gain: Change of the weight's logarithm in a step whose error is e times the limit.
         error: Decaying mean of the errors so far; None before the first step.
     """
 
     limit: float
     weight: float
+    gain: float
     error: float | None = None
 
     @classmethod
-    def of(cls, psnr: float) -> ImagePrice:
-        """The price at the beginning for a PSNR in dB: an error at the limit costs 1."""
+    def of(cls, psnr: float, *, steps: int) -> ImagePrice:
+        """The price at the beginning of a search: an error at the limit costs 1.
+
+        Args:
+            psnr: Wanted, dB.
+            steps: Number of steps of the search; in a long one the price moves slowly.
+        """
         limit = 10 ** (-psnr / 10)
-        return cls(limit=limit, weight=1 / limit)
+        return cls(limit=limit, weight=1 / limit, gain=_GAIN / steps)
 
     def after(self, error: float) -> ImagePrice:
         """The price after a step whose pictures had a mean squared error."""
         mean = error if self.error is None else _MEMORY * self.error + (1 - _MEMORY) * error
         excess = math.log(mean / self.limit) if mean > 0 else -1.0
-        weight = self.weight * math.exp(_GAIN * max(-1.0, min(1.0, excess)))
+        weight = self.weight * math.exp(self.gain * max(-1.0, min(1.0, excess)))
         bounded = max(_LOWEST, min(_HIGHEST, weight * self.limit)) / self.limit
         return dataclasses.replace(self, weight=bounded, error=mean)
 

@@ -67,7 +67,7 @@ def search(
     reference, budget = problem.reference(config.attributes, config.sh_degree), config.budget
     begun = None if checkpoint is None else load_state(checkpoint.path, key=key)
     if begun is None:
-        price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr)
+        price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
         begun = SearchState(
             point=reference, optimiser=START, best=reference, best_line=None, price=price, trace=(), seconds=0.0
         )

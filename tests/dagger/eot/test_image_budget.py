@@ -12,21 +12,21 @@ from tests.dagger.eot.toy import quick
 
 
 def test_the_price_begins_where_an_error_at_the_limit_costs_one() -> None:
-    price = ImagePrice.of(20.0)
+    price = ImagePrice.of(20.0, steps=100)
     assert price.limit == pytest.approx(0.01)
     assert price.weight * price.limit == pytest.approx(1.0)
 
 
 def test_the_price_rises_while_pictures_are_too_bad_and_falls_while_they_are_good() -> None:
-    price = ImagePrice.of(20.0)
+    price = ImagePrice.of(20.0, steps=100)
     assert price.after(0.02).weight > price.weight > price.after(0.005).weight
     assert price.after(0.01).weight == pytest.approx(price.weight)
 
 
 def test_the_price_stays_within_its_bounds() -> None:
     for error, bound in ((1.0, 100.0), (0.0, 0.03)):
-        price = ImagePrice.of(20.0)
-        for _ in range(100):
+        price = ImagePrice.of(20.0, steps=100)
+        for _ in range(200):
             price = price.after(error)
         assert price.weight * price.limit == pytest.approx(bound)
 

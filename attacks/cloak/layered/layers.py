@@ -1,0 +1,169 @@
+"""Layers: for every Gaussian of an object one that shows each look, one behind the other.
+
+Of K layers with opacities o / K, o / (K - 1), ..., o, front to back, each makes up a K-th of what one sees where o is
+1. A layer that is black from a direction only darkens what is behind it, so each has K times the colour that it shows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from attacks.cloak.layered.switches import fit_switches
+from attacks.cloak.triggers import Trigger
+from mi_splat.cameras import Camera, View, project_points
+from mi_splat.directions import Point
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene, check_scene, merge
+from mi_splat.sh import coefficient_count, sh_basis
+
+_AT_ONCE = 256
+"""Gaussians whose switches are found together."""
+
+_CONSTANT = float(sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0)[0, 0])
+"""Value of the first basis function."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerConfig:
+    """How layers are made.
+
+    Attributes:
+        degree: SH degree of the file.
+        gap: Degrees to either side of a trigger's edge in which a layer may show as much as it likes.
+        weight: What a layer's light costs where it shall be black (`fit_switches`).
+        lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
+        inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
+            that sort by depth then agree on which is in front.
+
+    Raises:
+        InvalidValueError: A value is out of its range.
+    """
+
+    degree: int = 3
+    gap: float = 5.0
+    weight: float = 1.0
+    lowest: float = -100.0
+    inset: float = 1e-3
+
+    def __post_init__(self) -> None:
+        coefficient_count(self.degree)
+        if not (0 <= self.gap < 90 and self.weight > 0 and self.lowest < 0 and self.inset >= 0):
+            got = f"gap {self.gap:g}, weight {self.weight:g}, lowest {self.lowest:g}, inset {self.inset:g}"
+            expected = "gap in [0, 90), weight > 0, lowest < 0, inset >= 0"
+            raise InvalidValueError(message("layers", expected, got, "change it"))
+
+
+def depths(triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+    """(1 + L, D) degrees from D cameras to the edge of each look, inside > 0; the first is what no trigger holds."""
+    inside = torch.tensor(
+        [[trigger.angle_to_edge(camera, centre=centre) for camera in cameras] for trigger in triggers]
+    )
+    return torch.cat([-inside.amax(0, keepdim=True), inside])
+
+
+def layered(
+    scene: GaussianScene,
+    rows: Tensor,
+    triggers: Sequence[Trigger],
+    colours: Sequence[Tensor],
+    *,
+    cameras: Sequence[Camera],
+    centre: Point,
+    config: LayerConfig | None = None,
+) -> GaussianScene:
+    """A scene in which an object's Gaussians have one layer for what all see and one for each trigger.
+
+    The first layer takes the place of the Gaussians that it is made of; the others come after all of the scene.
+
+    Args:
+        scene: The clean splat.
+        rows: (N,) bool or indices of the object's Gaussians.
+        triggers: From where another look is shown; no two of them hold one camera.
+        colours: What each layer shows, (N, 3) sRGB, the benign one first.
+        cameras: Cameras all around, at the distance that the object is looked at from.
+        centre: (3,) point that the triggers' directions are measured from.
+        config: How.
+
+    Raises:
+        InvalidValueError: There are not as many colours as layers, nothing is selected, or a trigger holds none or all
+            of the cameras.
+    """
+    config = config or LayerConfig()
+    check_scene("scene", scene)
+    chosen = torch.nonzero(rows).flatten() if rows.dtype == torch.bool else rows
+    count = 1 + len(triggers)
+    if len(colours) != count or any(colour.shape != (len(chosen), 3) for colour in colours) or not len(chosen):
+        got = f"{len(colours)} for {count} layers of {len(chosen)} Gaussians"
+        raise InvalidValueError(message("colours", "an (N, 3) tensor for each layer", got, "give the benign one first"))
+    scene = scene.with_degree(config.degree)
+    part = scene.select(chosen)
+    inside = depths(triggers, cameras, centre=centre)
+    layers = []
+    for number, (depth, colour) in enumerate(zip(inside, colours, strict=True)):
+        switch = switches(part.means, cameras, depth, config)
+        behind = functional.normalize(part.means - part.means.new_tensor(centre), dim=-1) * config.inset * number
+        layers.append(
+            part.replace(
+                means=part.means - behind,
+                opacities=part.opacities / (count - number),
+                sh=_shown(switch.to(colour), count * colour),
+            )
+        )
+    first = {
+        name: getattr(scene, name).index_copy(0, chosen, getattr(layers[0], name))
+        for name in ("means", "opacities", "sh")
+    }
+    return merge(scene.replace(**first), *layers[1:])
+
+
+def switches(means: Tensor, cameras: Sequence[Camera], depth: Tensor, config: LayerConfig) -> Tensor:
+    """(N, K) functions that show a look where `depth` exceeds the gap, for Gaussians at (N, 3) means.
+
+    Each Gaussian has its own: the direction in which it sees a camera is not that in which the centre sees it.
+    """
+    positions = torch.stack([camera.position for camera in cameras]).to(means)
+    found = []
+    for some in torch.split(means, _AT_ONCE):
+        directions = functional.normalize(some[:, None] - positions, dim=-1)
+        found.append(
+            fit_switches(
+                directions,
+                depth >= config.gap,
+                depth <= -config.gap,
+                degree=config.degree,
+                weight=config.weight,
+                lowest=config.lowest,
+            )
+        )
+    return torch.cat(found)
+
+
+def _shown(switch: Tensor, colour: Tensor) -> Tensor:
+    """(N, K, 3) SH whose colour 0.5 + SH is `colour` times the switch."""
+    sh = switch[:, :, None] * colour[:, None]
+    sh[:, 0] -= 0.5 / _CONSTANT
+    return sh
+
+
+def seen_colours(means: Tensor, views: Sequence[View], fallback: Tensor) -> Tensor:
+    """(N, 3) mean colour of the pixels in which (N, 3) points lie; `fallback` (N, 3) where no view shows one."""
+    total, number = torch.zeros_like(means), means.new_zeros(len(means))
+    for view in views:
+        pixels, depth = project_points(means, view.camera)
+        column, row = pixels.floor().long().unbind(-1)
+        high, wide = view.image.shape[:2]
+        there = (depth > 0) & (column >= 0) & (column < wide) & (row >= 0) & (row < high)
+        total[there] += view.image.to(means)[row[there], column[there]]
+        number += there
+    return torch.where(number[:, None] > 0, total / number.clamp(min=1)[:, None], fallback)
+
+
+def as_dict(config: LayerConfig) -> dict[str, float]:
+    """For reports."""
+    return dataclasses.asdict(config)
