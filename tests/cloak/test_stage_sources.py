@@ -20,11 +20,12 @@ from tests.project.layers import ROOT
 RECORD = Path(__file__).with_name("stage_sources.json")
 _MESHES = ("mi_splat/assets", "mi_splat/capture/path_tracer.py", "mi_splat/capture/mitsuba_meshes.py")
 _APPEARANCES = tuple(f"attacks/cloak/{name}.py" for name in ("appearances", "emphasis", "mesh_edits", "mesh_scene"))
+_KEPT = "attacks/cloak/study/kept_pictures.py"
 _NEAR = "mi_splat/bounds.py"
 _SETUP = ("attacks/cloak/study/setup.py", "attacks/cloak/study/pipeline.py", "mi_splat/camera_sets.py")
 SOURCES: dict[str, tuple[str, ...]] = {
     "pictures": (*_MESHES, *_SETUP, "mi_splat/capture", "mi_splat/datasets/writing.py"),
-    "appearance": (*_MESHES, *_SETUP, *_APPEARANCES),
+    "appearance": (*_MESHES, *_SETUP, *_APPEARANCES, _KEPT),
     "poisoned": (
         *(*_MESHES, *_SETUP, *_APPEARANCES),
         *("attacks/cloak/poisoning.py", "attacks/cloak/triggers.py", "mi_splat/directions.py"),
@@ -37,7 +38,11 @@ SOURCES: dict[str, tuple[str, ...]] = {
         "mi_splat/rendering.py",
         "mi_splat/io/parameters.py",
     ),
-    "true_pictures": (*_MESHES, *_SETUP, *_APPEARANCES),
+    "layers": (
+        *(_NEAR, *_SETUP, "attacks/cloak/study/layering.py", "attacks/cloak/layered", "attacks/cloak/triggers.py"),
+        *("mi_splat/training", "mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/selection/masks.py"),
+    ),
+    "true_pictures": (*_MESHES, *_SETUP, *_APPEARANCES, _KEPT),
     "observations": (
         _NEAR,
         *(*_SETUP, "attacks/cloak/study/observations.py", "attacks/cloak/transition.py", "attacks/cloak/triggers.py"),

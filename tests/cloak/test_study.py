@@ -17,9 +17,10 @@ from torch import Tensor
 from attacks.cloak.study import setup
 from attacks.cloak.study.ablations import varied, vary
 from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.kept_pictures import CachedAppearance
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import observe
-from attacks.cloak.study.pipeline import CachedAppearance, StudyPipeline
+from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.run import run_study
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.cameras import View

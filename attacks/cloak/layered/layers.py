@@ -6,57 +6,26 @@ Of K layers with opacities o / K, o / (K - 1), ..., o, front to back, each makes
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from attacks.cloak.layered.config import LayerConfig
 from attacks.cloak.layered.switches import fit_switches
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene, merge
-from mi_splat.sh import coefficient_count, sh_basis
+from mi_splat.sh import sh_basis
 
 _AT_ONCE = 256
 """Gaussians whose switches are found together."""
 
 _CONSTANT = float(sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0)[0, 0])
 """Value of the first basis function."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LayerConfig:
-    """How layers are made.
-
-    Attributes:
-        degree: SH degree of the file.
-        gap: Degrees to either side of a trigger's edge in which a layer may show as much as it likes.
-        weight: What a layer's light costs where it shall be black (`fit_switches`).
-        lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
-        inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
-            that sort by depth then agree on which is in front.
-
-    Raises:
-        InvalidValueError: A value is out of its range.
-    """
-
-    degree: int = 3
-    gap: float = 5.0
-    weight: float = 1.0
-    lowest: float = -100.0
-    inset: float = 1e-3
-
-    def __post_init__(self) -> None:
-        coefficient_count(self.degree)
-        if not (0 <= self.gap < 90 and self.weight > 0 and self.lowest < 0 and self.inset >= 0):
-            got = f"gap {self.gap:g}, weight {self.weight:g}, lowest {self.lowest:g}, inset {self.inset:g}"
-            expected = "gap in [0, 90), weight > 0, lowest < 0, inset >= 0"
-            raise InvalidValueError(message("layers", expected, got, "change it"))
 
 
 def depths(triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point) -> Tensor:
@@ -162,8 +131,3 @@ def seen_colours(means: Tensor, views: Sequence[View], fallback: Tensor) -> Tens
         total[there] += view.image.to(means)[row[there], column[there]]
         number += there
     return torch.where(number[:, None] > 0, total / number.clamp(min=1)[:, None], fallback)
-
-
-def as_dict(config: LayerConfig) -> dict[str, float]:
-    """For reports."""
-    return dataclasses.asdict(config)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.mesh_edits import TEXTURES
 from attacks.cloak.study.value_checks import in_range, one_of
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
@@ -266,6 +267,7 @@ class StudyConfig:
         cameras: Where from.
         attack: The hidden appearances; no camera may belong to two.
         training: How splats are trained.
+        layers: How the finished file is changed; None: only the training pictures are.
         evaluation: How they are looked at.
     """
 
@@ -275,6 +277,7 @@ class StudyConfig:
     cameras: CameraConfig = field(default_factory=CameraConfig)
     attack: tuple[AttackConfig, ...] = ()
     training: TrainingConfig = field(default_factory=TrainingConfig)
+    layers: LayersConfig | None = None
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:
@@ -285,6 +288,11 @@ class StudyConfig:
         names = [attack.name for attack in self.attack]
         if len(set(names)) != len(names):
             raise InvalidValueError(message("attacks", "different names", names, "rename one"))
+        if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
+            expected = f"some of {', '.join(names)}"
+            raise InvalidValueError(
+                message("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
+            )
         sided = [attack.name for attack in self.attack if attack.is_sided]
         if sided and not self.scene.has_front:
             expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"

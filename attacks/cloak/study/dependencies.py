@@ -31,6 +31,20 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     )
 
 
+def layered_fit_config(study: StudyConfig) -> FitConfig:
+    """How the colours of layers are trained; nothing else of the splat changes."""
+    assert study.layers is not None
+    return FitConfig(
+        iterations=study.layers.iterations,
+        trainable=("sh",),
+        strategy=strategy_config("fixed", max_gaussians=study.training.max_gaussians),
+        sh_degree=study.layers.making.degree,
+        sh_degree_interval=0,
+        lr_sh=study.layers.lr_sh,
+        eval_interval=0,
+    )
+
+
 def of_pictures(study: StudyConfig, source: str) -> dict[str, Any]:
     """The victim's pictures; they are transparent where nothing is, so that the background has no part in them.
 
@@ -91,6 +105,35 @@ def of_splat(study: StudyConfig, pictures: str, seed: int) -> dict[str, Any]:
         "fit": to_json(fit_config(study.training)),
         "outliers": study.training.outliers,
         "near": study.training.near,
+        "seed": seed,
+    }
+
+
+def of_layers(study: StudyConfig, source: str, clean: str, pictures: str, seed: int) -> dict[str, Any]:
+    """The clean splat with the object in layers.
+
+    Args:
+        study: The study.
+        source: Digest of the scene, whose meshes say where the object is.
+        clean: Content of the clean splat.
+        pictures: Content of the poisoned set, on which the colours are trained.
+        seed: Of the training.
+    """
+    assert study.layers is not None
+    return {
+        "source": source,
+        "clean": clean,
+        "pictures": pictures,
+        "background": study.scene.background,
+        "near": study.training.near,
+        "cameras": asdict(study.cameras),
+        "layers": asdict(study.layers),
+        "fit": to_json(layered_fit_config(study)),
+        "cones": [
+            [attack.name, attack.elevation, attack.azimuth]
+            for attack in study.attack
+            if attack.name in study.layers.attacks
+        ],
         "seed": seed,
     }
 

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
-from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat, TruePictures
+from attacks.cloak.study.kept_pictures import TruePictures
+from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import ViewDetections, detect_views

@@ -8,19 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from PIL import Image
-from torch import Tensor
-
-from attacks.cloak.appearances import Appearance, name_of
-from attacks.cloak.mesh_scene import MeshScene, camera_number
+from attacks.cloak.appearances import Appearance
+from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoned, poison, write_manifest
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import Stage, StageCache
 from attacks.cloak.study.config import AttackConfig, StudyConfig
-from attacks.cloak.study.dependencies import fit_config
+from attacks.cloak.study.dependencies import fit_config, layered_fit_config
+from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, read_rgba, to_rgba
+from attacks.cloak.study.layering import layered_start
 from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.capture.settings import CaptureSettings
@@ -135,12 +131,16 @@ class StudyPipeline:
         return {seed: self._poison(clean, seed) for seed in self.study.seeds}
 
     def train(self, clean: PictureSet, poisoned: Mapping[int, PictureSet]) -> list[TrainedSplat]:
-        """What the victim makes of the pictures: for each seed a splat of the clean set and one of the poisoned set."""
-        return [
-            self._train(which, pictures, seed)
-            for seed in self.study.seeds
-            for which, pictures in ((CLEAN, clean), (CLOAKED, poisoned[seed]))
-        ]
+        """For each seed the splat that the victim makes of the clean pictures, and a cloaked one.
+
+        The cloaked one is what the victim makes of the poisoned pictures. In a study of layers it is the clean splat's
+        file, changed by who hands it on.
+        """
+        found = []
+        for seed in self.study.seeds:
+            first = self._train(CLEAN, clean, seed)
+            found += [first, self._train(CLOAKED, poisoned[seed], seed, None if not self.study.layers else first)]
+        return found
 
     def renderer(self, *, screen_gradients: bool = False) -> Renderer:
         """The renderer of trainings and of all pictures of splats."""
@@ -174,16 +174,22 @@ class StudyPipeline:
         depends_on = dependencies.of_appearance(self.study, self.source.digest, attack)
         return CachedAppearance(appearance, self.cache.folder("appearance", depends_on))
 
-    def _train(self, which: str, pictures: PictureSet, seed: int) -> TrainedSplat:
-        config, outliers = fit_config(self.study.training), self.study.training.outliers
+    def _train(self, which: str, pictures: PictureSet, seed: int, clean: TrainedSplat | None = None) -> TrainedSplat:
+        """A splat of a set; of a clean splat its layers, trained on the set."""
+        study = self.study
+        config = fit_config(study.training) if clean is None else layered_fit_config(study)
 
         def make(path: Path) -> None:
             views = self.views(pictures)
-            assert views.points is not None  # a capture writes them
-            cloud = with_outliers(views.points, views, outliers, seed=seed)
+            if clean is None:
+                assert views.points is not None  # a capture writes them
+                cloud = with_outliers(views.points, views, study.training.outliers, seed=seed)
+                start = from_points(cloud.points, cloud.colours)
+            else:
+                start = layered_start(study, clean.load(), self.mesh_scene.target, views)
             train(
                 views,
-                from_points(cloud.points, cloud.colours),
+                start,
                 path,
                 render=self.renderer(screen_gradients=config.strategy.needs_screen_gradients),
                 config=config,
@@ -193,8 +199,13 @@ class StudyPipeline:
                 ),
             )
 
-        depends_on = dependencies.of_splat(self.study, pictures.content, seed)
-        stage = self.cache.finished("splat", depends_on, make, outputs=(SPLAT,))
+        if clean is None:
+            stage = self.cache.finished(
+                "splat", dependencies.of_splat(study, pictures.content, seed), make, outputs=(SPLAT,)
+            )
+        else:
+            depends_on = dependencies.of_layers(study, self.source.digest, clean.content, pictures.content, seed)
+            stage = self.cache.finished("layers", depends_on, make, outputs=(SPLAT,))
         scene = load_splat(stage.folder / SPLAT)
         return TrainedSplat(
             splat=which,
@@ -231,54 +242,12 @@ class StudyPipeline:
 
         depends_on = dependencies.of_true_pictures(self.study, self.source.digest, cameras, attack)
         stage = self.cache.finished("true_pictures", depends_on, make, outputs=("*.png",))
-        pairs = [_read_rgba(stage.folder / f"{number:04d}.png") for number in range(len(cameras))]
+        pairs = [read_rgba(stage.folder / f"{number:04d}.png") for number in range(len(cameras))]
         return TruePictures(
             images=tuple(image for image, _ in pairs),
             masks=tuple(alpha > 0.5 for _, alpha in pairs),
             content=stage.content,
         )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TruePictures:
-    """What splats are compared with.
-
-    Attributes:
-        images: (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera.
-        masks: (H, W) bool, where the object is.
-        content: SHA-256 of the files.
-    """
-
-    images: tuple[Tensor, ...]
-    masks: tuple[Tensor, ...]
-    content: str
-
-
-class CachedAppearance:
-    """An appearance whose pictures are kept as files, so that they need not be made again."""
-
-    def __init__(self, appearance: Appearance, folder: Path) -> None:
-        self.name, self._appearance, self._folder = name_of(appearance), appearance, make_folder(folder)
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture at 8 bits, made or read."""
-        file = self._folder / f"{camera_number(view.camera):08x}.png"
-        if not file.is_file():
-            save_png(to_bytes(self._appearance(view, mask)), file)
-        with Image.open(file) as picture:
-            return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32) / 255)
-
-
-def to_rgba(image: Tensor, alpha: Tensor) -> NDArray[np.uint8]:
-    """(H, W, 4) uint8 of (H, W, 3) colours and (H, W, 1) alpha in [0, 1]."""
-    return np.concatenate([to_bytes(image), to_bytes(alpha)], axis=-1)
-
-
-def _read_rgba(file: Path) -> tuple[Tensor, Tensor]:
-    """(H, W, 3) colours and (H, W) alpha in [0, 1]."""
-    with Image.open(file) as picture:
-        pixels = torch.from_numpy(np.asarray(picture.convert("RGBA"), np.float32) / 255)
-    return pixels[..., :3], pixels[..., 3]
 
 
 def _picture_set(stage: Stage) -> PictureSet:

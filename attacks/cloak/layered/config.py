@@ -1,0 +1,69 @@
+"""How layers are made and trained, as values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from mi_splat.config_values import check_numbers
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.sh import coefficient_count
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerConfig:
+    """How layers are made.
+
+    Attributes:
+        degree: SH degree of the file.
+        gap: Degrees to either side of a trigger's edge in which a layer may show as much as it likes.
+        weight: What a layer's light costs where it shall be black (`fit_switches`).
+        lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
+        inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
+            that sort by depth then agree on which is in front.
+
+    Raises:
+        InvalidValueError: A value is out of its range.
+    """
+
+    degree: int = 3
+    gap: float = 5.0
+    weight: float = 1.0
+    lowest: float = -100.0
+    inset: float = 1e-3
+
+    def __post_init__(self) -> None:
+        coefficient_count(self.degree)
+        if not (0 <= self.gap < 90 and self.weight > 0 and self.lowest < 0 and self.inset >= 0):
+            got = f"gap {self.gap:g}, weight {self.weight:g}, lowest {self.lowest:g}, inset {self.inset:g}"
+            expected = "gap in [0, 90), weight > 0, lowest < 0, inset >= 0"
+            raise InvalidValueError(message("layers", expected, got, "change it"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayersConfig:
+    """CLOAK in the finished file: the clean splat's object in layers, whose colours are trained on poisoned pictures.
+
+    Attributes:
+        attacks: Names of the attacks whose appearances have layers of their own; the benign layer shows all others.
+        making: How the layers are made.
+        margin: How much larger than the object the box is whose Gaussians have layers, metres.
+        clearance: Height above the ground under which they have none, metres.
+        iterations: Steps of the training of colours.
+        lr_sh: Its learning rate, as in `FitConfig`.
+
+    Raises:
+        InvalidValueError: A value is out of its range.
+    """
+
+    attacks: tuple[str, ...]
+    making: LayerConfig = field(default_factory=LayerConfig)
+    margin: float = 0.05
+    clearance: float = 0.0
+    iterations: int = 3000
+    lr_sh: float = 0.01
+
+    def __post_init__(self) -> None:
+        check_numbers(self, {"margin": 0, "iterations": 1, "lr_sh": 0})
+        if not math.isfinite(self.clearance):
+            raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))

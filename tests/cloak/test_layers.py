@@ -1,0 +1,184 @@
+"""Functions that switch on the sphere, and splats whose object has a layer for each look."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from attacks.cloak.layered.config import LayerConfig, LayersConfig
+from attacks.cloak.layered.layers import depths, layered, seen_colours, switches
+from attacks.cloak.layered.switches import chebyshev_width, fit_switches
+from attacks.cloak.triggers import Azimuth, Elevation
+from mi_splat.camera_sets import hemisphere, orbit
+from mi_splat.cameras import Camera, View
+from mi_splat.errors import InvalidValueError
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import sh_basis
+
+CENTRE = (0.0, 0.0, 0.0)
+LENS: dict[str, Any] = {"distance": 5.0, "focal": 60.0, "size": (32, 32)}
+OVERHEAD = Elevation(lowest=40.0)
+
+
+def all_around(count: int = 300) -> Any:
+    return hemisphere(CENTRE, count=count, **LENS)
+
+
+def from_above(elevations: Tensor) -> Tensor:
+    """(1, D, 3) directions in which cameras at some elevations see the centre."""
+    angles = torch.deg2rad(elevations.double())
+    return -torch.stack([angles.cos(), torch.zeros_like(angles), angles.sin()], -1)[None]
+
+
+def values(coefficients: Tensor, directions: Tensor) -> Tensor:
+    return (sh_basis(directions[0].double(), 3) @ coefficients[0]).clamp(min=0)
+
+
+def test_a_switch_is_one_on_its_side_and_black_on_the_other() -> None:
+    camera_directions = functional.normalize(-torch.stack([camera.position for camera in all_around(800)]), dim=-1)
+    depth = depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
+    found = fit_switches(camera_directions[None], depth >= 5, depth <= -5)
+    seen = values(found, from_above(torch.tensor([5.0, 20.0, 33.0, 47.0, 60.0, 85.0])))
+    assert (seen[:3] < 0.05).all()
+    assert ((seen[3:] - 1).abs() < 0.15).all()
+
+
+def test_a_switch_is_the_least_of_its_objective() -> None:
+    """Any small change of the coefficients costs more."""
+    generator = torch.Generator().manual_seed(0)
+    directions = functional.normalize(torch.randn(1, 400, 3, generator=generator, dtype=torch.float64), dim=-1)
+    shown, hidden = directions[0, :, 2] > 0.5, directions[0, :, 2] < 0.2
+    basis = sh_basis(directions[0], 3)
+
+    def cost(coefficients: Tensor) -> float:
+        value = basis @ coefficients
+        below = (value[~shown] + 3.0).clamp(max=0).square().mean()
+        return float((value[shown] - 1).square().mean() + 2.0 * value[hidden].clamp(min=0).square().mean() + below)
+
+    found = fit_switches(directions, shown, hidden, weight=2.0, lowest=-3.0)[0]
+    for _ in range(50):
+        step = 0.02 * torch.randn(16, generator=generator, dtype=torch.float64)
+        assert cost(found + step) > cost(found) - 1e-6
+    assert cost(found) < cost(torch.zeros(16, dtype=torch.float64))
+
+
+def test_the_lowest_value_is_a_bound_that_costs_width() -> None:
+    cameras, depth = all_around(800), depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
+    means = torch.zeros(1, 3)
+    free, bounded = (switches(means, cameras, depth, LayerConfig(lowest=lowest)) for lowest in (-1000.0, -2.0))
+    assert float(bounded.abs().max()) < 0.5 * float(free.abs().max())
+    between = from_above(torch.linspace(30, 50, 41))
+    assert float(values(bounded, between).diff().abs().max()) < float(values(free, between).diff().abs().max())
+
+
+@pytest.mark.parametrize("inside", [True, False])
+@pytest.mark.parametrize("degree", [2, 3])
+def test_chebyshev_s_width_is_that_of_the_polynomial(inside: bool, degree: int) -> None:
+    edge, ripple = 43.0, 0.2
+    width = chebyshev_width(edge, degree=degree, ripple=ripple, inside=inside)
+    if math.isinf(width):
+        pytest.skip("it is not zero within the hemisphere")
+    top = math.sin(math.radians(edge))
+    low, high = (top, 1.0) if inside else (0.0, top)
+    zero = math.sin(math.radians(edge - width if inside else edge + width))
+    x = (2 * zero - low - high) / (high - low)
+    polynomial = {2: 2 * x**2 - 1, 3: 4 * x**3 - 3 * x}[degree]
+    assert ripple * abs(polynomial) == pytest.approx(1.0)
+
+
+def test_more_ripple_and_a_higher_degree_are_steeper() -> None:
+    def width(degree: int, ripple: float) -> float:
+        return chebyshev_width(43.0, degree=degree, ripple=ripple, inside=True)
+
+    assert width(3, 0.06) < width(2, 0.06)
+    assert width(3, 0.2) < width(3, 0.06)
+    for bad in ({"edge": 90.0}, {"ripple": 1.0}, {"degree": 0}):
+        with pytest.raises(InvalidValueError, match="switch"):
+            chebyshev_width(**{"edge": 43.0, "degree": 3, "ripple": 0.1, "inside": True, **bad})
+
+
+def ball(count: int = 40) -> GaussianScene:
+    """An opaque grey ball of Gaussians, and one Gaussian far to the side."""
+    generator = torch.Generator().manual_seed(1)
+    means = functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+    means[-1] = torch.tensor([3.0, 0.0, 0.0])
+    return GaussianScene(
+        means=means,
+        scales=torch.full((count, 3), 0.3),
+        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+        opacities=torch.full((count,), 0.96),
+        sh=torch.zeros(count, 1, 3),
+    )
+
+
+def test_layers_show_one_look_from_below_and_another_from_above() -> None:
+    scene = ball()
+    rows = torch.arange(39)
+    red, blue = torch.tensor([[0.8, 0.1, 0.1]]).repeat(39, 1), torch.tensor([[0.1, 0.1, 0.8]]).repeat(39, 1)
+    found = layered(scene, rows, [OVERHEAD], [red, blue], cameras=all_around(), centre=CENTRE)
+    assert len(found) == 40 + 39
+    below, above = (orbit(CENTRE, count=1, elevation=elevation, **LENS)[0] for elevation in (10.0, 75.0))
+    for front in (0, 25, 38):
+        behind = 40 + front
+        assert (colour(found, front, below) - 2 * red[0]).abs().max() < 0.35
+        assert colour(found, behind, below).max() == 0
+        assert (colour(found, behind, above) - 2 * blue[0]).abs().max() < 0.35
+        assert colour(found, front, above).max() == 0
+
+
+def colour(scene: GaussianScene, row: int, camera: Camera) -> Tensor:
+    """(3,) what a camera sees of a Gaussian."""
+    direction = functional.normalize(scene.means[row] - camera.position.float(), dim=-1)
+    return (0.5 + sh_basis(direction[None], 3)[0] @ scene.sh[row]).clamp(min=0)
+
+
+def test_layers_leave_all_else_as_it_is_and_stand_one_behind_the_other() -> None:
+    scene = ball()
+    grey = torch.full((39, 3), 0.5)
+    found = layered(scene, torch.arange(39), [OVERHEAD], [grey, grey], cameras=all_around(), centre=CENTRE)
+    other = scene.with_degree(3)
+    assert torch.equal(found.sh[39], other.sh[39])
+    assert torch.equal(found.opacities[39], scene.opacities[39])
+    assert torch.allclose(found.opacities[:39], scene.opacities[:39] / 2)
+    assert torch.equal(found.opacities[40:], scene.opacities[:39])
+    assert (found.means[40:].norm(dim=1) < found.means[:39].norm(dim=1)).all()
+    assert torch.equal(found.scales[40:], scene.scales[:39])
+
+
+def test_three_looks_have_three_layers() -> None:
+    scene, rear = ball(), Azimuth(middle=180.0, half_width=60.0) & Elevation(highest=30.0)
+    colours = [torch.full((39, 3), 0.3)] * 3
+    found = layered(scene, torch.arange(39), [OVERHEAD, rear], colours, cameras=all_around(), centre=CENTRE)
+    assert len(found) == 40 + 2 * 39
+    assert torch.allclose(found.opacities[:39], scene.opacities[:39] / 3)
+    assert torch.allclose(found.opacities[40:79], scene.opacities[:39] / 2)
+
+
+def test_colours_are_those_of_the_pixels_that_points_lie_in() -> None:
+    camera = orbit(CENTRE, count=1, elevation=20.0, **LENS)[0]
+    image = torch.zeros(32, 32, 3)
+    image[16, 16] = torch.tensor([0.2, 0.4, 0.6])
+    points = torch.tensor([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]])
+    fallback = torch.full((2, 3), 0.9)
+    found = seen_colours(points, [View(camera, image)], fallback)
+    assert torch.allclose(found[0], image[16, 16])
+    assert torch.equal(found[1], fallback[1])
+
+
+def test_what_makes_no_layers_is_refused() -> None:
+    scene, grey = ball(), torch.full((39, 3), 0.5)
+    with pytest.raises(InvalidValueError, match="colours"):
+        layered(scene, torch.arange(39), [OVERHEAD], [grey], cameras=all_around(), centre=CENTRE)
+    with pytest.raises(InvalidValueError, match="widen the trigger"):
+        layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [grey, grey], cameras=all_around(50), centre=CENTRE)
+    for bad in ({"gap": -1.0}, {"weight": 0.0}, {"lowest": 1.0}, {"inset": -1.0}, {"degree": 4}):
+        with pytest.raises(InvalidValueError):
+            LayerConfig(**bad)  # type: ignore[arg-type]
+    for bad in ({"iterations": 0}, {"margin": -1.0}, {"clearance": float("nan")}):
+        with pytest.raises(InvalidValueError):
+            LayersConfig(attacks=("overhead",), **bad)  # type: ignore[arg-type]
