@@ -97,9 +97,9 @@ def test_more_ripple_and_a_higher_degree_are_steeper() -> None:
 
     assert width(3, 0.06) < width(2, 0.06)
     assert width(3, 0.2) < width(3, 0.06)
-    for bad in ({"edge": 90.0}, {"ripple": 1.0}, {"degree": 0}):
+    for edge, ripple, degree in ((90.0, 0.1, 3), (43.0, 1.0, 3), (43.0, 0.1, 0)):
         with pytest.raises(InvalidValueError, match="switch"):
-            chebyshev_width(**{"edge": 43.0, "degree": 3, "ripple": 0.1, "inside": True, **bad})
+            chebyshev_width(edge, degree=degree, ripple=ripple, inside=True)
 
 
 def ball(count: int = 40) -> GaussianScene:
@@ -178,7 +178,7 @@ def test_what_makes_no_layers_is_refused() -> None:
         layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [grey, grey], cameras=all_around(50), centre=CENTRE)
     for bad in ({"gap": -1.0}, {"weight": 0.0}, {"lowest": 1.0}, {"inset": -1.0}, {"degree": 4}):
         with pytest.raises(InvalidValueError):
-            LayerConfig(**bad)  # type: ignore[arg-type]
+            LayerConfig(**bad)
     for bad in ({"iterations": 0}, {"margin": -1.0}, {"clearance": float("nan")}):
         with pytest.raises(InvalidValueError):
-            LayersConfig(attacks=("overhead",), **bad)  # type: ignore[arg-type]
+            LayersConfig(attacks=("overhead",), **bad)

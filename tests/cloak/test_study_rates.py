@@ -6,15 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.observations import Fidelity, Observation, ObservedSplat
+from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import TrainedSplat
-from attacks.cloak.study.rates import by_elevation, figures, pairs, rates
+from attacks.cloak.study.rates import by_elevation, figures, pairs, rates, stealth
 from tests.cloak.test_study import STUDY
 
 
-def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0) -> list[ObservedSplat]:
+def seen(
+    view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0, other: float = 0.0
+) -> list[ObservedSplat]:
     """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
     observed = []
     for which, score in (("clean", clean), ("cloaked", cloaked)):
@@ -26,6 +29,7 @@ def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float =
             depths={"overhead": depth, "rear": -10.0},
             scores={"car": score, "stop sign": sign if which == "cloaked" else 0.0},
             any_overlap=score,
+            any_class=max(score, other) if which == "cloaked" else score,
         )
         trained = TrainedSplat(splat=which, seed=0, file=Path(), content="", gaussians=1, hash="")
         observed.append(ObservedSplat(trained=trained, observations=(observation,), fidelities=(), blends=()))
@@ -34,7 +38,7 @@ def seen(view: int, depth: float, clean: float, cloaked: float, *, sign: float =
 
 def test_rates_have_the_denominators_that_they_say() -> None:
     observed = [
-        *seen(0, 10, 0.9, 0.1),
+        *seen(0, 10, 0.9, 0.1, other=0.8),
         *seen(1, 10, 0.9, 0.9),
         *seen(2, 10, 0.2, 0.1),  # the control is not found
         *seen(3, 2, 0.9, 0.1),  # near the edge
@@ -51,6 +55,7 @@ def test_rates_have_the_denominators_that_they_say() -> None:
 
     assert numbers("control_recall") == (3, 4)
     assert numbers("trigger_miss_rate") == (1, 2)
+    assert numbers("nothing_reported") == (0, 2)  # what is no car any more is something else
     assert numbers("trigger_miss_rate_all") == (2, 3)
     assert numbers("trigger_miss_rate_unconditional") == (2, 3)
     assert numbers("benign_recall") == (1, 2)
@@ -114,3 +119,28 @@ def test_a_cloaked_splat_that_is_less_true_has_a_positive_drop() -> None:
     found = figures(replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",))), observed)
     assert found["benign_psnr_drop"] == 1.5
     assert found["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}
+
+
+def along_the_meridian(which: str, *pictures: tuple[float, float, float]) -> ObservedSplat:
+    """A splat's pictures as (depth, PSNR beside the object, PSNR on it)."""
+    trained = TrainedSplat(splat=which, seed=0, file=Path(), content="", gaussians=1, hash="")
+    blends = tuple(
+        Blend(
+            meridian=0, elevation=40 + depth, depth=depth, fraction=0.5, surroundings_psnr=beside, appearance_psnr=own
+        )
+        for depth, beside, own in pictures
+    )
+    return ObservedSplat(trained=trained, observations=(), fidelities=(), blends=blends)
+
+
+@pytest.mark.parametrize(("lost", "stealthy"), [(1.0, True), (2.0, False)])
+def test_stealth_is_what_the_surroundings_lose_inside_the_trigger(lost: float, stealthy: bool) -> None:
+    clean = along_the_meridian("clean", (10, 34.0, 12.0), (20, 36.0, 12.0), (-10, 99.0, 9.0))
+    cloaked = along_the_meridian("cloaked", (10, 34.0 - lost, 30.0), (20, 36.0 - lost, 32.0), (-10, 9.0, 9.0))
+    found = stealth([clean, cloaked])
+    assert found is not None
+    assert found["surroundings_psnr_drop"] == pytest.approx(lost)
+    assert found["surroundings_psnr"]["clean"] == 35.0
+    assert found["appearance_psnr"]["cloaked"] == 31.0
+    assert found["stealthy"] is stealthy
+    assert stealth([clean]) is None

@@ -15,16 +15,13 @@ import torch
 from attacks.cloak.appearances import grown
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import overhead
+from attacks.cloak.study.observations import MARGIN, overhead
 from mi_splat.cameras import RenderFn
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
-
-MARGIN = 10
-"""Pixels around the object, in pictures of 256 x 256, that count as the object's."""
 
 
 def measure_surroundings(

@@ -22,7 +22,7 @@ from mi_splat.io.documents import save_json
 DONE = "done.json"
 
 STAGE_VERSIONS = {
-    **{"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 1, "true_pictures": 1, "observations": 1},
+    **{"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 1, "true_pictures": 1, "observations": 2},
     "view_reports": 1,
     "layers": 1,
 }

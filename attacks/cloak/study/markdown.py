@@ -11,6 +11,7 @@ ROWS = {
     "trigger_miss_rate_all": "cloaked missed, all inside it, where the control is found",
     "trigger_miss_rate_unconditional": "cloaked missed, well inside it",
     "trigger_miss_rate_any_overlap": "nothing of its class near it, well inside it, where the control is found",
+    "nothing_reported": "nothing of any class reported on it, well inside it, where the control is found",
     "benign_recall": "cloaked found, outside of all triggers, where the control is found",
     "control_benign_recall": "control found, outside of all triggers",
     "target_rate": "target class reported on the cloaked splat",
@@ -45,6 +46,14 @@ def markdown(summary: Mapping[str, Any]) -> str:
         psnr, ssim = summary["benign_psnr"], summary["benign_ssim"]
         lines.append(f"| far from the triggers, clean | {psnr['clean']:.2f} dB, SSIM {ssim['clean']:.3f} |")
         lines.append(f"| far from the triggers, cloaked | {psnr['cloaked']:.2f} dB, SSIM {ssim['cloaked']:.3f} |")
+    price = summary["stealth"]
+    if price is not None:
+        before, after = (price["surroundings_psnr"][which] for which in ("clean", "cloaked"))
+        words = "stealthy" if price["stealthy"] else "not stealthy"
+        lines.append(
+            f"| beside the object, inside the trigger, clean and cloaked | {before:.2f} and {after:.2f} dB: {words} |"
+        )
+        lines.append(f"| on the object, against what is wanted there | {price['appearance_psnr']['cloaked']:.2f} dB |")
     for which in ("clean", "cloaked"):
         lines.append(f"| Gaussians, {which} | {', '.join(f'{n:,}' for n in summary['gaussians'][which])} |")
     return "\n".join(lines) + "\n"

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from attacks.cloak.appearances import grown
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.kept_pictures import TruePictures
@@ -23,6 +24,9 @@ from mi_splat.directions import direction_of
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr, ssim
+
+MARGIN = 10
+"""Pixels around the object, in pictures of 256 x 256, that count as the object's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +42,7 @@ class Observation:
         scores: For the object's own class and for each target class, the highest confidence with which it is reported
             on the object: 0 without such a detection that overlaps its box by half.
         any_overlap: The same for the object's own class and a tenth of the box: whether it is found at all.
+        any_class: The highest confidence with which anything is reported on the object, whatever its class.
     """
 
     detector: str
@@ -47,6 +52,7 @@ class Observation:
     depths: Mapping[str, float]
     scores: Mapping[str, float]
     any_overlap: float
+    any_class: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,17 +74,23 @@ class Fidelity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blend:
-    """How far a splat's picture is on the way from the benign to the hidden appearance.
+    """How far a splat's picture is on the way from the benign to the hidden appearance, and how true it is.
 
     Attributes:
         meridian: Number of the meridian.
         elevation: Of the camera, degrees.
+        depth: Degrees inside the trigger; outside < 0.
         fraction: See `attacks.cloak.transition.transition_fraction`.
+        surroundings_psnr: Beside the object (its mask and `MARGIN`), against the true picture of the scene, dB.
+        appearance_psnr: On the object's mask, against what the attacker wants to be seen, dB.
     """
 
     meridian: int
     elevation: float
+    depth: float
     fraction: float
+    surroundings_psnr: float
+    appearance_psnr: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,12 +188,8 @@ def _seen(
     ]
     arc = zip(references.arc, references.benign.images, references.hidden.images, references.benign.masks, strict=True)
     blends = [
-        Blend(
-            meridian=meridian,
-            elevation=elevation(camera),
-            fraction=transition_fraction(picture(camera), benign, hidden, mask),
-        )
-        for (meridian, camera), benign, hidden, mask in arc
+        _blend(study, place, picture(place[1]), benign, hidden, mask)
+        for place, benign, hidden, mask in arc
         if bool(mask.any()) and differ(benign, hidden, mask)
     ]
     return {
@@ -189,6 +197,23 @@ def _seen(
         "fidelities": [asdict(one) for one in fidelities],
         "blends": [asdict(one) for one in blends],
     }
+
+
+def _blend(
+    study: StudyConfig, place: tuple[int, Camera], seen: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor
+) -> Blend:
+    """What one picture of a meridian says."""
+    (meridian, camera), attack, centre = place, overhead(study), setup.centre_of(study)
+    assert attack is not None  # there are no meridians without
+    beside = ~grown(mask, max(1, round(MARGIN * study.cameras.size / 256)))
+    return Blend(
+        meridian=meridian,
+        elevation=direction_of(camera, centre).elevation,
+        depth=attack.cone.angle_to_edge(camera, centre=centre),
+        fraction=transition_fraction(seen, benign, hidden, mask),
+        surroundings_psnr=float(psnr(seen[beside], benign[beside])),
+        appearance_psnr=float(psnr(seen[mask], hidden[mask])),
+    )
 
 
 def _observation(study: StudyConfig, seen: ViewDetections) -> Observation:
@@ -204,6 +229,7 @@ def _observation(study: StudyConfig, seen: ViewDetections) -> Observation:
         depths={attack.name: attack.cone.angle_to_edge(seen.camera, centre=centre) for attack in study.attack},
         scores={label: seen.confidence(label) for label in classes},
         any_overlap=seen.confidence(own, iou=0.1),
+        any_class=seen.confidence(),
     )
 
 

@@ -16,6 +16,9 @@ from attacks.evaluation.rates import Rate
 Pair = tuple[Observation, Observation]
 """Clean and cloaked, from the same camera by the same detector."""
 
+STEALTHY = 1.5
+"""Most that the surroundings of an object may lose where an attack is called stealthy, dB."""
+
 BIN = 5.0
 """Degrees of elevation over which rates are taken."""
 
@@ -42,7 +45,8 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
     `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat is not, of
     cameras well inside it where the control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
     first, whether the control is found or not. `..._any_overlap`: as the first, but missed only if nothing of the
-    object's class is reported that overlaps its box by a tenth. `benign_recall`: the cloaked splat is found outside of
+    object's class is reported that overlaps its box by a tenth. `nothing_reported`: as the first, but missed only if
+    nothing of any class is reported on the object. `benign_recall`: the cloaked splat is found outside of
     all triggers, where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target
     class is reported on the cloaked splat; `control_target_rate`: on the control.
 
@@ -76,6 +80,7 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
             "trigger_miss_rate_any_overlap": Rate.of(
                 well, given=known, holds=lambda pair: pair[1].any_overlap < confidence
             ),
+            "nothing_reported": Rate.of(well, given=known, holds=lambda pair: pair[1].any_class < confidence),
         }
     benign = [pair for pair in seen if all(depth < 0 for depth in pair[0].depths.values())]
     answers["benign_recall"] = Rate.of(benign, given=known, holds=lambda pair: found(pair[1]))
@@ -148,6 +153,28 @@ def fidelity(observed: Sequence[ObservedSplat], splat: str) -> tuple[float, floa
     return statistics.mean(one.psnr for one in seen), statistics.mean(one.ssim for one in seen)
 
 
+def stealth(observed: Sequence[ObservedSplat]) -> dict[str, Any] | None:
+    """How well an attack hides that it hides, from the meridians' cameras inside its trigger; None without any.
+
+    `surroundings_psnr`: mean PSNR beside the object against true pictures of the scene as it is; `..._drop`: what the
+    cloaked splats lose against the clean ones. `appearance_psnr`: on the object, against what the attacker wants to be
+    seen. `stealthy`: whether the drop is at most `STEALTHY`.
+    """
+    inside = {which: [blend for blend in blends_of(observed, which) if blend.depth >= 0] for which in (CLEAN, CLOAKED)}
+    if not inside[CLEAN] or not inside[CLOAKED]:
+        return None
+    beside = {which: statistics.mean(one.surroundings_psnr for one in blends) for which, blends in inside.items()}
+    drop = beside[CLEAN] - beside[CLOAKED]
+    return {
+        "surroundings_psnr": beside,
+        "surroundings_psnr_drop": drop,
+        "appearance_psnr": {
+            which: statistics.mean(one.appearance_psnr for one in blends) for which, blends in inside.items()
+        },
+        "stealthy": drop <= STEALTHY,
+    }
+
+
 def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
@@ -169,6 +196,7 @@ def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, 
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "transition_degrees": None if band is None else band.width,
         "transition": None if band is None else {"from": band.start, "to": band.end, "meridians": meridians(observed)},
+        "stealth": stealth(observed),
         "gaussians": counts,
         "gaussians_ratio": sum(counts[CLOAKED]) / max(sum(counts[CLEAN]), 1),
         "by_detector": {name: _all(rates(study, pairs(observed, name))) for name in detectors},
