@@ -14,10 +14,12 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.ablations import varied, vary
 from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.kept_pictures import CachedAppearance
+from attacks.cloak.study.layering import object_rows
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
@@ -71,7 +73,11 @@ class Redness:
 
 
 def done(
-    folder: Path, *, study: StudyConfig = STUDY, stop_at: tuple[str, int] | None = None
+    folder: Path,
+    *,
+    study: StudyConfig = STUDY,
+    stages: Path | None = None,
+    stop_at: tuple[str, int] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """The summary of a study and what was going on; interrupted at a step if one is named."""
     said: list[str] = []
@@ -82,7 +88,7 @@ def done(
             raise KeyboardInterrupt
 
     torch.set_num_threads(1)
-    return run_study(study, [Redness()], folder, on_step=step), said
+    return run_study(study, [Redness()], folder, stages=stages, on_step=step), said
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +105,17 @@ def summary(folder: Path) -> dict[str, Any]:
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
     found = summary(finished)
-    for key in (*ROWS, "benign_psnr_drop", "transition_degrees", "seeds", "versions", "commit", "study", "by_detector"):
+    for key in (
+        *ROWS,
+        "benign_psnr_drop",
+        "stealth",
+        "transition_degrees",
+        "seeds",
+        "versions",
+        "commit",
+        "study",
+        "by_detector",
+    ):
         assert key in found, key
     assert found["by_seed"]["0"]["redness"] == found["by_detector"]["redness"]
     assert found["by_attack"]["overhead"]["redness"]["target_rate"] is None
@@ -127,6 +143,25 @@ def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
     assert sum(control) > 2
     assert sum(cloaked) < 0.75 * sum(control)
     assert -1 < summary(finished)["benign_psnr_drop"] < 3
+
+
+def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
+    """The pictures and the clean splat are those of the study without layers: its stages are shared."""
+    study = replace(STUDY, name="layers", layers=LayersConfig(attacks=("overhead",), iterations=40))
+    found, said = done(finished.with_name("layers"), study=study, stages=finished / "stages")
+    assert not any("pictures" in text or text.startswith("training the clean") for text in said)
+    (clean,), (cloaked,) = found["gaussians"]["clean"], found["gaussians"]["cloaked"]
+    assert clean < cloaked <= 2 * clean
+    pipeline = StudyPipeline(study=study, folder=finished / "stages")
+    trained = pipeline.train(pipeline.capture(), pipeline.poison(pipeline.capture()))
+    before, after = (one.load() for one in trained)
+    other = ~object_rows(study, before, pipeline.mesh_scene.target)
+    assert torch.equal(before.means[other], after.means[: len(before)][other])
+    control, hidden = (
+        [one.scores["car"] for one in item.observations if one.elevation >= 50]
+        for item in observe(pipeline, trained, [Redness()])
+    )
+    assert sum(hidden) < 0.5 * sum(control)
 
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:

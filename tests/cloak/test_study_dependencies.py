@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache
 from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig, TrainingConfig
@@ -21,8 +22,9 @@ STUDY = StudyConfig(
     attack=(ATTACK,),
     cameras=CameraConfig(train=12, size=32, distance=7.4, samples=2, points=100),
     training=TrainingConfig(iterations=100),
+    layers=LayersConfig(attacks=("overhead",)),
 )
-ALL = frozenset({"pictures", "appearance", "poisoned", "splat", "true_pictures", "observations"})
+ALL = frozenset({"pictures", "appearance", "poisoned", "splat", "true_pictures", "observations", "layers"})
 MADE = ALL - {"splat"}  # what is made of the scene itself; a splat is made of pictures, and known by their content
 SCENE: dict[str, tuple[Any, frozenset[str]]] = {
     "object": ("bird", MADE),
@@ -38,25 +40,25 @@ SCENE: dict[str, tuple[Any, frozenset[str]]] = {
     "rotate": ((0.0, 0.0, 90.0), frozenset()),
     "front": ("-x", frozenset()),
 }
-LENS = frozenset({"pictures", "appearance", "true_pictures", "observations"})
+LENS = frozenset({"pictures", "appearance", "true_pictures", "observations", "layers"})
 CAMERAS: dict[str, tuple[Any, frozenset[str]]] = {
     # Poisoned sets and splats depend on the content of the pictures, in which these show.
-    "train": (14, frozenset({"pictures", "appearance", "observations", "true_pictures"})),
+    "train": (14, frozenset({"pictures", "appearance", "observations", "true_pictures", "layers"})),
     "distance": (8.0, LENS),
     "height": (0.9, LENS | {"poisoned"}),
     "fov": (50.0, LENS),
     "size": (40, LENS),
     "samples": (3, LENS | {"poisoned"}),
-    "points": (120, frozenset({"pictures", "appearance", "observations", "true_pictures"})),
+    "points": (120, frozenset({"pictures", "appearance", "observations", "true_pictures", "layers"})),
 }
 SHOWN = frozenset({"appearance", "poisoned", "true_pictures"})
 ATTACKS: dict[str, tuple[Any, frozenset[str]]] = {
-    "name": ("another", frozenset({"poisoned", "observations"})),  # which the manifest and the rates say
+    "name": ("another", frozenset({"poisoned", "observations", "layers"})),  # which the manifest and the rates say
     "appearance": ("paint", SHOWN),
     "texture": ("road", SHOWN),
     "other_object": ("bird", SHOWN),
-    "elevation": ((50.0, 90.0), SHOWN | {"observations"}),
-    "azimuth": ((180.0, 30.0), SHOWN | {"observations"}),
+    "elevation": ((50.0, 90.0), SHOWN | {"observations", "layers"}),
+    "azimuth": ((180.0, 30.0), SHOWN | {"observations", "layers"}),
     "poison_fraction": (0.5, frozenset({"poisoned"})),
     "target_class": ("bird", frozenset({"observations"})),
     "emphasis": (2.0, frozenset({"poisoned"})),
@@ -73,7 +75,7 @@ TRAINING: dict[str, tuple[Any, frozenset[str]]] = {
     "sh_degree": (2, SPLAT),
     "sh_degree_interval": (20, SPLAT),
     "outliers": (10, SPLAT),
-    "near": (0.1, SPLAT | {"observations"}),
+    "near": (0.1, SPLAT | {"observations", "layers"}),
 }
 OBSERVED = frozenset({"observations"})
 EVALUATION: dict[str, tuple[Any, frozenset[str]]] = {
@@ -86,6 +88,14 @@ EVALUATION: dict[str, tuple[Any, frozenset[str]]] = {
     "reference_views": (7, OBSERVED),
     "meridians": (2, OBSERVED | {"true_pictures"}),
     "meridian_step": (10.0, OBSERVED | {"true_pictures"}),
+}
+OWN = frozenset({"layers"})
+LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
+    "making": (LayerConfig(gap=7.0), OWN),
+    "margin": (0.1, OWN),
+    "clearance": (0.02, OWN),
+    "iterations": (50, OWN),
+    "lr_sh": (0.02, OWN),
 }
 TOP: dict[str, tuple[Any, frozenset[str]]] = {
     "name": ("other", frozenset()),
@@ -104,6 +114,7 @@ def keys(study: StudyConfig, *, seed: int = 0, content: str = "content") -> dict
         "appearance": dependencies.of_appearance(study, source, attack),
         "poisoned": dependencies.of_poisoned(study, source, content, seed),
         "splat": dependencies.of_splat(study, content, seed),
+        "layers": dependencies.of_layers(study, source, content, content, seed),
         "true_pictures": dependencies.of_true_pictures(study, source, arc, overhead(study) or attack),
         "observations": dependencies.of_observations(study, source, content, [content], {"a": content}),
     }
@@ -119,6 +130,7 @@ CASES = [
     *(("scene", name, *case) for name, case in SCENE.items()),
     *(("cameras", name, *case) for name, case in CAMERAS.items()),
     *(("training", name, *case) for name, case in TRAINING.items()),
+    *(("layers", name, *case) for name, case in LAYERS.items()),
     *(("evaluation", name, *case) for name, case in EVALUATION.items()),
 ]
 
@@ -136,7 +148,9 @@ def test_a_field_changes_the_stages_that_it_has_a_part_in(
 def test_a_field_of_an_attack_changes_the_stages_that_it_has_a_part_in(name: str) -> None:
     value, stages = ATTACKS[name]
     assert getattr(ATTACK, name) != value
-    assert changed(replace(STUDY, attack=(replace(ATTACK, **{name: value}),))) == stages
+    attack = replace(ATTACK, **{name: value})
+    layers = LayersConfig(attacks=(attack.name,))
+    assert changed(replace(STUDY, attack=(attack,), layers=layers)) == stages
 
 
 @pytest.mark.parametrize("name", TOP)
@@ -151,16 +165,17 @@ def test_every_field_has_a_case() -> None:
     for name, table in tables.items():
         assert is_dataclass(hints[name])
         assert set(table) == {entry.name for entry in fields(hints[name])}
+    assert {"attacks", *LAYERS} == {entry.name for entry in fields(LayersConfig)}
     assert set(ATTACKS) == {entry.name for entry in fields(AttackConfig)}
-    assert {*tables, *TOP, "attack"} == {entry.name for entry in fields(StudyConfig)}
+    assert {*tables, *TOP, "attack", "layers"} == {entry.name for entry in fields(StudyConfig)}
 
 
 def test_the_content_of_inputs_and_the_seed_count() -> None:
     usual = keys(STUDY)
     other = keys(STUDY, content="other")
-    assert {name for name in usual if usual[name] != other[name]} == {"poisoned", "splat", "observations"}
+    assert {name for name in usual if usual[name] != other[name]} == {"poisoned", "splat", "layers", "observations"}
     seeded = keys(STUDY, seed=1)
-    assert {name for name in usual if usual[name] != seeded[name]} == {"splat"}
+    assert {name for name in usual if usual[name] != seeded[name]} == {"splat", "layers"}
     part = replace(STUDY, attack=(replace(ATTACK, poison_fraction=0.5),))
     assert keys(part)["poisoned"] != keys(part, seed=1)["poisoned"]
 

@@ -14,7 +14,7 @@ from attacks.cloak.study.config import AttackConfig, StudyConfig, TrainingConfig
 from mi_splat.cameras import Camera
 from mi_splat.training.checkpoints import to_json
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import strategy_config
+from mi_splat.training.strategies import FixedConfig, strategy_config
 
 _POISONING_ONLY = ("name", "poison_fraction", "emphasis", "emphasis_depth", "target_class")
 """Fields of an attack that have no part in what its appearance looks like."""
@@ -37,7 +37,7 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
     return FitConfig(
         iterations=study.layers.iterations,
         trainable=("sh",),
-        strategy=strategy_config("fixed", max_gaussians=study.training.max_gaussians),
+        strategy=FixedConfig(),
         sh_degree=study.layers.making.degree,
         sh_degree_interval=0,
         lr_sh=study.layers.lr_sh,

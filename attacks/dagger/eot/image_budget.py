@@ -18,7 +18,7 @@ from attacks.pgd import Parameters
 _MEMORY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
 
-_GAIN, _LOWEST, _HIGHEST = 37.5, 0.03, 100.0
+_GAIN, _LOWEST, _HIGHEST = 20.0, 0.2, 100.0
 """Change of the price's logarithm over a whole search whose error is e times the limit; bounds of the price in units of
 1 / limit."""
 
@@ -52,6 +52,14 @@ class ImagePrice:
         """
         limit = 10 ** (-psnr / 10)
         return cls(limit=limit, weight=1 / limit, gain=_GAIN / steps)
+
+    @property
+    def now(self) -> float:
+        """What an error costs in the next step: more than the weight while errors are above the limit.
+
+        The weight alone follows the errors late, so that these would swing about the limit.
+        """
+        return self.weight * max(1.0, (self.error or 0.0) / self.limit)
 
     def after(self, error: float) -> ImagePrice:
         """The price after a step whose pictures had a mean squared error."""

@@ -150,7 +150,7 @@ class _Run:
         kept = self._checkpoint
         if kept is not None and index > self._first and index % kept.every == 0:
             save_state(self.state(), kept.path, key=self._key)
-        found = self._problem.loss(point, self._batch(index), 0.0 if self._price is None else self._price.weight)
+        found = self._problem.loss(point, self._batch(index), 0.0 if self._price is None else self._price.now)
         if self._price is not None:
             self._price = self._price.after(found.error)
         loss, gradients = found.loss, found.gradients

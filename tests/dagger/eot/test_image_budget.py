@@ -23,8 +23,17 @@ def test_the_price_rises_while_pictures_are_too_bad_and_falls_while_they_are_goo
     assert price.after(0.01).weight == pytest.approx(price.weight)
 
 
+def test_an_error_above_the_limit_costs_more_at_once() -> None:
+    price = ImagePrice.of(20.0, steps=100)
+    assert price.now == price.weight
+    worse = price.after(0.03)
+    assert worse.now == pytest.approx(3 * worse.weight)
+    better = price.after(0.003)
+    assert better.now == better.weight
+
+
 def test_the_price_stays_within_its_bounds() -> None:
-    for error, bound in ((1.0, 100.0), (0.0, 0.03)):
+    for error, bound in ((1.0, 100.0), (0.0, 0.2)):
         price = ImagePrice.of(20.0, steps=100)
         for _ in range(200):
             price = price.after(error)
