@@ -11,7 +11,7 @@ from attacks.cloak.experiments.detection_report import FILES, write_detection_cu
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
 from attacks.cloak.experiments.view_reports import finished_splats, watch
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import need_matplotlib
@@ -40,7 +40,7 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     if options.experiment == "paint-direction":
         return measure_paint_directions(study)
     if options.experiment == "transition-limit":
-        return measure_transition_limit(study)
+        return {"one_layer": measure_transition_limit(study), "two_layers": measure_layer_limit(study)}
     if options.results is None:
         do = "pass the folder that mi-splat cloak has written"
         raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))

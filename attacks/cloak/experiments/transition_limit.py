@@ -1,9 +1,12 @@
-"""How sharply colour alone can switch over elevation.
+"""How sharply colour alone can switch over elevation, with one layer of Gaussians and with two.
 
 Spherical harmonics of each degree are fitted by least squares to a step that is 0 at the study's benign cameras and, in
 the hiding trigger, 1 or what the study's emphasis makes of it, not clipped. The limit is that of one Gaussian that is
 seen from everywhere. What a splat does besides (geometry, clipped colours, Gaussians that are seen from few sides) is
 not in it.
+
+Two layers (`attacks.cloak.layered`) switch faster, for each may be far below zero where it shall be black. Their limit
+depends on how far below: coefficients that are too large do not survive coarse file formats, and show in an audit.
 """
 
 from __future__ import annotations
@@ -14,15 +17,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from attacks.cloak.layered.config import LayerConfig
+from attacks.cloak.layered.layers import depths, switches
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.observations import overhead
 from attacks.cloak.transition import fit_transition
+from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import sh_basis
 
 ELEVATIONS = [0.5 * step for step in range(181)]
 AZIMUTHS = range(0, 360, 15)
+DIRECTIONS = 800
+"""Cameras over the hemisphere for which a layer's switch is made."""
+LOWEST = (-1.0, -3.0, -10.0, -100.0)
+"""Lowest values of a layer, in multiples of what it shows."""
 
 
 def measure_transition_limit(study: StudyConfig) -> list[dict[str, Any]]:
@@ -31,10 +41,7 @@ def measure_transition_limit(study: StudyConfig) -> list[dict[str, Any]]:
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    attack = overhead(study)
-    if attack is None:
-        do = "add an attack without an azimuth, up to 90 degrees"
-        raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))
+    attack = _overhead(study)
     centre = setup.centre_of(study)
     cameras = setup.training_cameras(study, setup.target_of(study.scene))
     middle = torch.tensor(centre, dtype=torch.float64)
@@ -47,6 +54,53 @@ def measure_transition_limit(study: StudyConfig) -> list[dict[str, Any]]:
         for name, wanted in ((1.0, step), (attack.emphasis, step * gain))
         for degree in range(1, 4)
     ]
+
+
+def measure_layer_limit(study: StudyConfig) -> list[dict[str, Any]]:
+    """The same for two layers, for each SH degree and each lowest value of a layer.
+
+    Of a picture that shows a share b of the benign look and a share h of the hidden one, both cut at zero, the way from
+    one to the other is (1 - b + h) / 2.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around.
+    """
+    attack, centre = _overhead(study), setup.centre_of(study)
+    lens = setup.lens_of(study, setup.target_of(study.scene))
+    cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
+    sides = depths([attack.cone], cameras, centre=centre)
+    middle, rows = torch.tensor([centre]), []
+    for degree in range(1, 4):
+        for lowest in LOWEST:
+            making = LayerConfig(degree=degree, lowest=lowest)
+            benign, hidden = (switches(middle, cameras, side, making)[0] for side in sides)
+            shares = [
+                [
+                    float((_basis(_around(elevation), degree) @ switch).clamp(min=0).mean())
+                    for switch in (benign, hidden)
+                ]
+                for elevation in ELEVATIONS
+            ]
+            band = fit_transition(ELEVATIONS, [(1 - seen + shown) / 2 for seen, shown in shares])
+            largest = float(torch.cat([benign, hidden]).abs().max())
+            rows.append(
+                {
+                    "sh_degree": degree,
+                    "lowest": lowest,
+                    "largest_coefficient": largest,
+                    **{"from": band.start, "to": band.end, "width": band.width},
+                }
+            )
+    return rows
+
+
+def _overhead(study: StudyConfig) -> AttackConfig:
+    """The attack whose transition is meant."""
+    attack = overhead(study)
+    if attack is None:
+        do = "add an attack without an azimuth, up to 90 degrees"
+        raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))
+    return attack
 
 
 def _limit(directions: Tensor, wanted: Tensor, degree: int) -> dict[str, float | None]:
