@@ -15,7 +15,7 @@ from attacks import cli
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import measure_transition_limit
+from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig
 from mi_splat.cameras import Camera
@@ -40,6 +40,16 @@ def test_colour_switches_faster_with_more_bands_and_with_emphasis() -> None:
     assert widths == sorted(widths, reverse=True)
     assert 15 < widths[2] < 40
     assert found[3, 3.0]["highest"] > found[3, 1.0]["highest"] > 1
+
+
+def test_two_layers_switch_faster_than_one_and_the_faster_the_lower_they_may_go() -> None:
+    one = {row["sh_degree"]: row["width"] for row in measure_transition_limit(STUDY) if row["emphasis"] == 1.0}
+    two = {(row["sh_degree"], row["lowest"]): row for row in measure_layer_limit(STUDY)}
+    for degree in (1, 2, 3):
+        assert two[degree, -100.0]["width"] < 0.85 * one[degree]
+    assert two[3, -100.0]["width"] < two[2, -100.0]["width"] < two[1, -100.0]["width"]
+    assert two[3, -10.0]["width"] < two[3, -3.0]["width"] < two[3, -1.0]["width"]
+    assert two[3, -10.0]["largest_coefficient"] > two[3, -3.0]["largest_coefficient"]
 
 
 @pytest.mark.slow
