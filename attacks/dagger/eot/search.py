@@ -72,7 +72,9 @@ def search(
             point=reference, optimiser=START, best=reference, best_line=None, price=price, trace=(), seconds=0.0
         )
     update = _update(config, begun)
-    run = _Run(problem, views, config, begun, update, key, checkpoint, on_step)
+    run = _Run(problem, views, config, begun, update, on_step)
+    if checkpoint is not None:
+        run.keep(checkpoint, key)
 
     def same_memory(ball: Ball, step: object) -> Update:
         return update
@@ -119,17 +121,21 @@ class _Run:
         config: EotConfig,
         begun: SearchState,
         update: MomentumDescent | AdamDescent,
-        key: str,
-        checkpoint: Checkpoint | None,
         on_step: Callable[[Step], None] | None,
     ) -> None:
         self._problem, self._views, self._config = problem, views, config
-        self._update, self._key, self._checkpoint, self._on_step = update, key, checkpoint, on_step
+        self._update, self._on_step = update, on_step
+        self._checkpoint: Checkpoint | None = None
+        self._key = ""
         self._first, self._earlier, self._clock = begun.optimiser.index, begun.seconds, time.perf_counter()
         self._trace, self.best, self._best_line = list(begun.trace), begun.best, begun.best_line
         self._point = self._judged = begun.point
         self._price = begun.price
         self._validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
+
+    def keep(self, checkpoint: Checkpoint, key: str) -> None:
+        """Write the search from now on."""
+        self._checkpoint, self._key = checkpoint, key
 
     def state(self) -> SearchState:
         """The search as it stands."""
