@@ -14,6 +14,9 @@ from attacks.pgd import Step
 from attacks.transformations.config import Transformations
 from mi_splat.scene import GaussianScene
 
+PSNR_SLACK = 0.5
+"""How far the held-out pictures may be below the image budget before a result warns of it, dB."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EotResult:
@@ -130,4 +133,7 @@ def find_warnings(result: EotResult) -> tuple[str, ...]:
         found.append(
             f"without another class of more confidence on the object: {rate.successes} of {rate.total} views only"
         )
+    wanted, psnr = result.config.image_psnr, judgement.image.psnr
+    if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
+        found.append(f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of the validation views")
     return tuple(found)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 import torch
 
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.image_budget import ImagePrice, fitted
+from attacks.dagger.eot.result import find_warnings
 from mi_splat.errors import InvalidValueError
 from tests.dagger.eot.toy import quick
 
@@ -62,6 +65,13 @@ def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> N
     # Held-out views are others than those that the limit is held on.
     assert limited.judgement.image.psnr > 34
     assert max(limited.used.values()) > 0
+
+
+def test_a_result_that_is_below_its_budget_warns() -> None:
+    found = quick(image_psnr=35.0)
+    assert not any("dB of the validation views" in warning for warning in found.warnings)
+    asked_for_more = dataclasses.replace(found, config=dataclasses.replace(found.config, image_psnr=45.0))
+    assert any("less than the 45 dB of the validation views" in one for one in find_warnings(asked_for_more))
 
 
 def test_an_impossible_limit_is_refused() -> None:
