@@ -9,6 +9,7 @@ from attacks.cli.loading import load_detectors
 from attacks.cli.options import CloakExperimentOptions
 from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
 from attacks.cloak.experiments.distance import measure_distances
+from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
@@ -50,6 +51,8 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     render = Renderer(RenderSettings(background=study.scene.background, near=near_of(study, target_of(study.scene))))
     if options.experiment == "surroundings":
         return measure_surroundings(study, splats, render=render, every=options.every)
+    if options.experiment == "formats":
+        return measure_formats(study, splats["cloaked"], _detectors(options, study), render=render, every=options.every)
     return measure_distances(study, splats, _detectors(options, study), render=render, every=options.every)
 
 

@@ -205,17 +205,17 @@ class CloakExperimentOptions:
     """
 
     experiment: Positional[
-        Literal["surroundings", "distance", "transition-limit", "paint-direction", "detection-curve"]
+        Literal["surroundings", "distance", "formats", "transition-limit", "paint-direction", "detection-curve"]
     ]
     """Which experiment."""
     study: Positional[Path]
     """TOML file of the study."""
     results: Path | None = None
-    """Folder that `mi-splat cloak` has written for this study (surroundings, distance, detection-curve)."""
+    """Folder that `mi-splat cloak` has written for this study (surroundings, distance, formats, detection-curve)."""
     every: int = 4
-    """Use each so manieth of the held-out cameras (surroundings, distance, detection-curve)."""
+    """Use each so manieth of the held-out cameras (surroundings, distance, formats, detection-curve)."""
     detectors: tuple[str, ...] = ()
-    """Names of detectors in the place of those of the study (distance, detection-curve)."""
+    """Names of detectors in the place of those of the study (distance, formats, detection-curve)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     stages: Path | None = None

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from attacks import cli
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
+from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
@@ -79,6 +80,26 @@ def test_distance_counts_each_detector_and_group() -> None:
     assert sum(row["found"] for row in near) > 0
 
 
+def test_formats_say_which_of_them_keeps_large_coefficients() -> None:
+    """A renderer that shows red where the splat has lost its large coefficient, and grey where it has it."""
+    sh = torch.zeros(1, 16, 3)
+    sh[0, 15] = 50.0
+    scene = one_gaussian(0.5).replace(sh=sh)
+
+    def render(scene: GaussianScene, camera: Camera) -> Tensor:
+        kept = scene.degree == 3 and float(scene.sh.max()) > 45
+        return torch.tensor([0.5, 0.5, 0.5] if kept else [1.0, 0.0, 0.0]).expand(48, 48, 3)
+
+    rows = measure_formats(STUDY, scene, [Redness()], render=render, every=40)
+    lost = {row["form"] for row in rows if row["psnr"] is not None}
+    assert {".compressed.ply", ".spz", ".splat", "SH of degree 0", "SH of degree 1", "SH of degree 2"} <= lost
+    assert not lost & {".ply", ".glb", "SH in float16"}
+    assert all(row["found"] == 0 for row in rows if row["form"] not in lost)
+    assert sum(row["found"] for row in rows) > 0
+    with pytest.raises(InvalidValueError, match="every"):
+        measure_formats(STUDY, scene, [Redness()], render=render, every=0)
+
+
 def test_surroundings_leave_the_object_out() -> None:
     """Splats that differ by a tenth everywhere but at the object, where they differ by more."""
     study = replace(STUDY, evaluation=replace(STUDY.evaluation, cameras=60))
@@ -128,6 +149,6 @@ def test_the_command_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["cloak-experiment", "transition-limit", str(path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["experiment"] == "transition-limit"
-    assert len(document["found"]) == 6
+    assert {name: len(rows) for name, rows in document["found"].items()} == {"one_layer": 6, "two_layers": 12}
     assert cli.main(["cloak-experiment", "distance", str(path)]) == 1
     assert "--results" in capsys.readouterr().err

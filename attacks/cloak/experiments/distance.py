@@ -50,22 +50,36 @@ def measure_distances(
     if every < 1:
         raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
     target = setup.target_of(study.scene)
-    groups = {name: some[::every] for name, some in _groups(study, target).items()}
+    groups = {name: some[::every] for name, some in camera_groups(study, target).items()}
     report = []
     for splat, scene in splats.items():
         for factor in FACTORS:
             for name, cameras in groups.items():
                 moved = [_moved(camera, factor, study) for camera in cameras]
-                counts = dict.fromkeys((detector.name for detector in detectors), 0)
-                boxes = [setup.box_of(target, camera) for camera in moved]
-                for seen in detect_views(scene, moved, detectors, render=render, boxes=boxes):
-                    counts[seen.detector] += seen.confidence(study.scene.class_name) >= study.evaluation.confidence
+                counts = count_found(study, target, scene, moved, detectors, render=render)
                 place = {"splat": splat, "distance": factor, "cameras": name, "of": len(moved)}
                 report += [{**place, "detector": detector, "found": found} for detector, found in counts.items()]
     return report
 
 
-def _groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
+def count_found(
+    study: StudyConfig,
+    target: Asset,
+    scene: GaussianScene,
+    cameras: Sequence[Camera],
+    detectors: Sequence[Detector],
+    *,
+    render: RenderFn,
+) -> dict[str, int]:
+    """From how many cameras each detector finds the object of a study."""
+    counts = dict.fromkeys((detector.name for detector in detectors), 0)
+    boxes = [setup.box_of(target, camera) for camera in cameras]
+    for seen in detect_views(scene, cameras, detectors, render=render, boxes=boxes):
+        counts[seen.detector] += seen.confidence(study.scene.class_name) >= study.evaluation.confidence
+    return counts
+
+
+def camera_groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
     """Held-out cameras well inside the hiding trigger, and outside of all triggers."""
     hiding = overhead(study)
     if hiding is None:

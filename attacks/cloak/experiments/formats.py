@@ -1,0 +1,79 @@
+"""What is left of a cloaked splat in other file formats, in half precision, and with fewer SH bands.
+
+Layers (`attacks.cloak.layered`) need large coefficients, which coarse formats do not keep.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from attacks.cloak.experiments.distance import camera_groups, count_found
+from attacks.cloak.study import setup
+from attacks.cloak.study.config import StudyConfig
+from attacks.detectors.base import Detector
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import SplatLossWarning, load_splat, save_splat
+from mi_splat.scene import GaussianScene
+
+FORMATS = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".splat")
+"""Formats that a splat goes through."""
+
+
+def measure_formats(
+    study: StudyConfig, scene: GaussianScene, detectors: Sequence[Detector], *, render: RenderFn, every: int = 4
+) -> list[dict[str, Any]]:
+    """From how many cameras the object is found, and the PSNR to the splat's own pictures, for each form of it.
+
+    Args:
+        study: The study.
+        scene: Its cloaked splat.
+        detectors: Those that look.
+        render: The renderer.
+        every: Each so manieth of the held-out cameras is used.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around, or `every` is not positive.
+    """
+    if every < 1:
+        raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
+    target = setup.target_of(study.scene)
+    groups = {name: some[::every] for name, some in camera_groups(study, target).items()}
+    report = []
+    for form, changed in _forms(scene):
+        for name, cameras in groups.items():
+            place = {"form": form, "cameras": name, "of": len(cameras), "psnr": _psnr(scene, changed, cameras, render)}
+            counts = count_found(study, target, changed, cameras, detectors, render=render)
+            report += [{**place, "detector": detector, "found": found} for detector, found in counts.items()]
+    return report
+
+
+def _forms(scene: GaussianScene) -> Iterator[tuple[str, GaussianScene]]:
+    """Name and splat of each form."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", SplatLossWarning)
+        for suffix in FORMATS:
+            path = Path(folder) / f"splat{suffix}"
+            save_splat(scene, path)
+            yield suffix, load_splat(path)
+    yield "SH in float16", scene.replace(sh=scene.sh.half().to(scene.sh))
+    for degree in range(scene.degree):
+        yield f"SH of degree {degree}", scene.with_degree(degree)
+
+
+def _psnr(before: GaussianScene, after: GaussianScene, cameras: Sequence[Camera], render: RenderFn) -> float | None:
+    """Of the mean squared error over all pictures, dB; None where they are the same."""
+    with torch.no_grad():
+        errors = [
+            float((render(before, camera).clamp(0, 1) - render(after, camera).clamp(0, 1)).square().mean())
+            for camera in cameras
+        ]
+    error = sum(errors) / len(errors)
+    return -10 * math.log10(error) if error > 0 else None
