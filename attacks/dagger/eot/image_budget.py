@@ -18,7 +18,7 @@ from attacks.pgd import Parameters
 _MEMORY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
 
-_GAIN, _LOWEST, _HIGHEST = 20.0, 0.2, 100.0
+_GAIN, _LOWEST, _HIGHEST = 20.0, 0.02, 100.0
 """Change of the price's logarithm over a whole search whose error is e times the limit; bounds of the price in units of
 1 / limit."""
 
