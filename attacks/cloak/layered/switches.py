@@ -79,8 +79,8 @@ def chebyshev_width(edge: float, *, degree: int, ripple: float, inside: bool) ->
     """Degrees of elevation in which the steepest polynomial about the vertical falls from 1 - ripple to 0.
 
     The polynomial is 1 + c T(x) in s = sin(elevation), T that of Chebyshev of the degree and x a scale that maps the
-    side on which it is shown to [-1, 1]: among all polynomials that stay within 1 +- ripple there, T grows fastest
-    beyond (Rivlin, "Chebyshev Polynomials", 1990, theorem 1.10). It is 0 where |T(x)| = 1 / ripple, that is at
+    side on which it is shown to [-1, 1]: among all polynomials that stay within 1 +- ripple there, it falls fastest
+    beyond. It is 0 where |T(x)| = 1 / ripple, that is at
     |x| = cosh(arcosh(1 / ripple) / degree).
 
     Args:
