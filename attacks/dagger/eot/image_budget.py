@@ -3,7 +3,8 @@
 A ball in the units of a file says little about what one sees: the same radius costs few decibels on a hidden Gaussian
 and many on the bonnet. With a limit on the pictures the attacker pays for their squared error. The price is a Lagrange
 multiplier, which is raised while the pictures are worse than the limit, and lowered while they are better. A point that
-is worse than the limit is pulled towards the clean object before it may become the result.
+is worse than the limit is pulled towards the clean object before it may become the result; one that is better and does
+not deceive everywhere may be stretched up to the limit.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from attacks.pgd import Parameters
+from attacks.pgd import Ball, Parameters
 
 _MEMORY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
@@ -24,6 +25,9 @@ _GAIN, _LOWEST, _HIGHEST = 20.0, 0.02, 100.0
 
 _HALVINGS = 7
 """Of the interval in which the factor of a perturbation is looked for."""
+
+_FARTHEST = 1.5
+"""Largest factor by which a perturbation is stretched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,3 +97,23 @@ def fitted(
         else:
             high = middle
     return found
+
+
+def stretched(
+    parameters: Parameters, reference: Parameters, ball: Ball, limit: float, error: Callable[[Parameters], float]
+) -> Parameters:
+    """The farthest point beyond parameters on the line from the reference whose error is within the limit.
+
+    Args:
+        parameters: A point whose error is within the limit.
+        reference: The clean object.
+        ball: Where the point stays.
+        limit: Largest mean squared error.
+        error: Mean squared error of the pictures of a point; taken to rise along the way.
+    """
+    farther = {name: base + _FARTHEST * (parameters[name] - base) for name, base in reference.items()}
+
+    def inside(point: Parameters) -> float:
+        return error(ball.project(point, reference))
+
+    return ball.project(fitted(farther, reference, limit, inside), reference)

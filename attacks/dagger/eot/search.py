@@ -9,7 +9,7 @@ from pathlib import Path
 
 from attacks.dagger.eot.checkpoint import SearchState, load_state, save_state
 from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.image_budget import ImagePrice, fitted
+from attacks.dagger.eot.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.eot.problem import EotProblem, joined
 from attacks.dagger.eot.views import DrawnView, ViewDistribution, batch_indices
 from attacks.optimisers import START, AdamDescent, MomentumDescent
@@ -162,8 +162,7 @@ class _Run:
         loss, gradients = found.loss, found.gradients
         if (index == 0 or index % config.validate_every) and index != config.steps:
             return Evaluation(loss=loss, gradients=gradients, success=False, score=NOT_JUDGED, unambiguous=False)
-        self._judged = self._within_image_budget(point)
-        successes, score = joined(self._problem.verdicts(self._judged, self._validation))
+        successes, score, self._judged = self._judge(point)
         share = successes / len(self._validation)
         enough = config.stop_at is not None and share >= config.stop_at - 1e-9
         success = share >= config.required_views - 1e-9
@@ -186,12 +185,25 @@ class _Run:
         if self._on_step is not None:
             self._on_step(numbered)
 
-    def _within_image_budget(self, point: Parameters) -> Parameters:
-        """A point, or what is left of it within the image budget."""
+    def _judge(self, point: Parameters) -> tuple[int, float, Parameters]:
+        """Validation views that are deceived, the score, and the point judged: what the image budget makes of it."""
+
+        def judged(one: Parameters) -> tuple[int, float, Parameters]:
+            return (*joined(self._problem.verdicts(one, self._validation)), one)
+
         if self._price is None:
-            return point
+            return judged(point)
+
+        def error(one: Parameters) -> float:
+            return self._problem.error(one, self._validation)
+
         reference = self._problem.reference(self._config.attributes, self._config.sh_degree)
-        return fitted(point, reference, self._price.limit, lambda one: self._problem.error(one, self._validation))
+        within = fitted(point, reference, self._price.limit, error)
+        found = judged(within)
+        if within is not point or found[0] == len(self._validation):
+            return found
+        farther = judged(stretched(point, reference, self._config.budget, self._price.limit, error))
+        return farther if farther[1] > found[1] else found
 
     def _batch(self, index: int) -> Sequence[DrawnView]:
         """The views of a step."""

@@ -7,8 +7,9 @@ import dataclasses
 import pytest
 import torch
 
+from attacks.budgets import Budget
 from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.image_budget import ImagePrice, fitted
+from attacks.dagger.eot.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.eot.result import find_warnings
 from mi_splat.errors import InvalidValueError
 from tests.dagger.eot.toy import quick
@@ -55,6 +56,20 @@ def test_a_point_is_pulled_back_to_the_limit_along_a_line() -> None:
     assert torch.allclose(way, way[0].expand(3))
     assert fitted(point, reference, 21.5, error) is point
     assert fitted(point, reference, 0.0, error) is reference
+
+
+def test_a_point_is_stretched_to_the_limit_and_not_out_of_its_ball() -> None:
+    reference, point = {"sh": torch.zeros(2)}, {"sh": torch.tensor([1.0, 2.0])}
+
+    def error(one: dict[str, torch.Tensor]) -> float:
+        return float(one["sh"].square().sum())
+
+    wide, narrow = (Budget(radius={"sh": radius}, norm="linf") for radius in (10.0, 2.2))
+    found = stretched(point, reference, wide, 7.2, error)["sh"]
+    assert float(found[1] / found[0]) == pytest.approx(2.0)
+    assert 6.9 < float(found.square().sum()) <= 7.2
+    assert float(stretched(point, reference, narrow, 7.2, error)["sh"].abs().max()) == pytest.approx(2.2)
+    assert torch.allclose(stretched(point, reference, wide, 100.0, error)["sh"], 1.5 * point["sh"])
 
 
 def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> None:
