@@ -71,7 +71,16 @@ def count_found(
     *,
     render: RenderFn,
 ) -> dict[str, int]:
-    """From how many cameras each detector finds the object of a study."""
+    """From how many cameras each detector finds the object of a study.
+
+    Args:
+        study: The study.
+        target: Its object.
+        scene: The splat.
+        cameras: Where from.
+        detectors: Those that look.
+        render: The renderer.
+    """
     counts = dict.fromkeys((detector.name for detector in detectors), 0)
     boxes = [setup.box_of(target, camera) for camera in cameras]
     for seen in detect_views(scene, cameras, detectors, render=render, boxes=boxes):

@@ -95,6 +95,12 @@ def switches(means: Tensor, cameras: Sequence[Camera], depth: Tensor, config: La
     """(N, K) functions that show a look where `depth` exceeds the gap, for Gaussians at (N, 3) means.
 
     Each Gaussian has its own: the direction in which it sees a camera is not that in which the centre sees it.
+
+    Args:
+        means: (N, 3) world units.
+        cameras: D cameras all around.
+        depth: (D,) degrees inside the region of the look, outside < 0.
+        config: Gap, degree and bounds.
     """
     positions = torch.stack([camera.position for camera in cameras]).to(means)
     found = []
