@@ -47,10 +47,8 @@ def measure_distances(
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around, or `every` is not positive.
     """
-    if every < 1:
-        raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
     target = setup.target_of(study.scene)
-    groups = {name: some[::every] for name, some in camera_groups(study, target).items()}
+    groups = camera_groups(study, target, every)
     report = []
     for splat, scene in splats.items():
         for factor in FACTORS:
@@ -88,8 +86,14 @@ def count_found(
     return counts
 
 
-def camera_groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
-    """Held-out cameras well inside the hiding trigger, and outside of all triggers."""
+def camera_groups(study: StudyConfig, target: Asset, every: int) -> dict[str, list[Camera]]:
+    """Each so manieth of the held-out cameras well inside the hiding trigger, and of those outside of all triggers.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around, or `every` is not positive.
+    """
+    if every < 1:
+        raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
     hiding = overhead(study)
     if hiding is None:
         do = "add an attack without an azimuth, up to 90 degrees"
@@ -101,7 +105,7 @@ def camera_groups(study: StudyConfig, target: Asset) -> dict[str, list[Camera]]:
             groups["overhead"].append(camera)
         elif all(attack.cone.angle_to_edge(camera, centre=centre) < 0 for attack in study.attack):
             groups["elsewhere"].append(camera)
-    return groups
+    return {name: some[::every] for name, some in groups.items()}
 
 
 def _moved(camera: Camera, factor: float, study: StudyConfig) -> Camera:

@@ -19,7 +19,6 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.scene import GaussianScene
 
@@ -42,10 +41,8 @@ def measure_formats(
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around, or `every` is not positive.
     """
-    if every < 1:
-        raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
     target = setup.target_of(study.scene)
-    groups = {name: some[::every] for name, some in camera_groups(study, target).items()}
+    groups = camera_groups(study, target, every)
     report = []
     for form, changed in _forms(scene):
         for name, cameras in groups.items():
