@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import typing
 from dataclasses import fields, is_dataclass, replace
@@ -11,9 +12,10 @@ from typing import Any
 import pytest
 
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
+from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache
-from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.config import AttackConfig, CameraConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.observations import overhead
 
 ATTACK = AttackConfig(name="overhead", appearance="occluder", texture="grass", elevation=(40.0, 90.0))
@@ -103,10 +105,17 @@ TOP: dict[str, tuple[Any, frozenset[str]]] = {
 }
 
 
+@functools.cache
+def built(scene: SceneConfig, cameras: CameraConfig) -> tuple[MeshScene, str]:
+    """The meshes of a study and their digest: most fields have no part in them, and they take the longest."""
+    study = replace(STUDY, scene=scene, cameras=cameras)
+    mesh_scene = setup.mesh_scene_of(study)
+    return mesh_scene, setup.capture_source(study, mesh_scene).digest
+
+
 def keys(study: StudyConfig, *, seed: int = 0, content: str = "content") -> dict[str, str]:
     """What each stage depends on, as text, where every input has the content given."""
-    mesh_scene = setup.mesh_scene_of(study)
-    source = setup.capture_source(study, mesh_scene).digest
+    mesh_scene, source = built(study.scene, study.cameras)
     attack = study.attack[0]
     arc = [camera for meridian in setup.meridian_cameras(study, mesh_scene.target) for camera in meridian]
     found = {
