@@ -53,7 +53,9 @@ def read_scene(path: str | Path) -> SplatScene:
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
     try:
-        loaded = mi.load_file(str(path), parallel=False)  # threads that make Python plugins were seen to fail, rarely
+        loaded = mi.load_file(
+            str(path), parallel=False
+        )  # rare failures were seen with threads; their cause is not known
     except RuntimeError as error:
         raise _reason(error, path) from None
     from mi_splat.plugins import sensor as sensors

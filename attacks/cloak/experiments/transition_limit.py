@@ -21,6 +21,7 @@ from attacks.cloak.layered.config import LayerConfig
 from attacks.cloak.layered.layers import depths, switches
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.layering import DIRECTIONS
 from attacks.cloak.study.observations import overhead
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
@@ -29,8 +30,6 @@ from mi_splat.sh import sh_basis
 
 ELEVATIONS = [0.5 * step for step in range(181)]
 AZIMUTHS = range(0, 360, 15)
-DIRECTIONS = 800
-"""Cameras over the hemisphere for which a layer's switch is made."""
 LOWEST = (-1.0, -3.0, -10.0, -100.0)
 """Lowest values of a layer, in multiples of what it shows."""
 

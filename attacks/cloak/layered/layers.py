@@ -19,13 +19,10 @@ from mi_splat.cameras import Camera, View, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene, merge
-from mi_splat.sh import sh_basis
+from mi_splat.sh import colour_to_dc
 
 _AT_ONCE = 256
 """Gaussians whose switches are found together."""
-
-_CONSTANT = float(sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0)[0, 0])
-"""Value of the first basis function."""
 
 
 def depths(triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point) -> Tensor:
@@ -122,7 +119,7 @@ def switches(means: Tensor, cameras: Sequence[Camera], depth: Tensor, config: La
 def _shown(switch: Tensor, colour: Tensor) -> Tensor:
     """(N, K, 3) SH whose colour 0.5 + SH is `colour` times the switch."""
     sh = switch[:, :, None] * colour[:, None]
-    sh[:, 0] -= 0.5 / _CONSTANT
+    sh[:, 0] += colour_to_dc(torch.zeros_like(colour))
     return sh
 
 

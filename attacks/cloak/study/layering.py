@@ -15,7 +15,7 @@ from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.masks import box_mask
-from mi_splat.sh import sh_basis
+from mi_splat.sh import dc_to_colour
 
 DIRECTIONS = 800
 """Cameras over the hemisphere for which a layer's switch is made."""
@@ -35,7 +35,7 @@ def layered_start(study: StudyConfig, clean: GaussianScene, target: Asset, views
     chosen = layered_attacks(study)
     rows = torch.nonzero(object_rows(study, clean, target)).flatten()
     part = clean.select(rows)
-    benign = benign_colours(part)
+    benign = dc_to_colour(part.sh[:, 0]).clamp(0, 1)
     cones = [attack.cone for attack in chosen]
     cameras = [view.camera for view in views]
     inside = [cone.holds(cameras, centre=centre) for cone in cones]
@@ -68,9 +68,3 @@ def object_rows(study: StudyConfig, scene: GaussianScene, target: Asset) -> Tens
     return box_mask(
         scene, (x0 - margin, y0 - margin, z0 + study.layers.clearance, x1 + margin, y1 + margin, z1 + margin)
     )
-
-
-def benign_colours(part: GaussianScene) -> Tensor:
-    """(N, 3) sRGB of the constant of each Gaussian's SH, in [0, 1]."""
-    constant = float(sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0)[0, 0])
-    return (0.5 + constant * part.sh[:, 0]).clamp(0, 1)
