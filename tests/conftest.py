@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import hypothesis
 import pytest
@@ -39,6 +40,15 @@ def variant() -> str:
     from mi_splat.variant import use
 
     return use()
+
+
+@pytest.fixture
+def scalar() -> Iterator[None]:
+    """Mitsuba's scalar variant for a whole test: path tracers switch to it, but each switch back costs."""
+    from mi_splat.capture.path_tracer import scalar_variant
+
+    with scalar_variant():
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -23,6 +23,8 @@ from mi_splat.errors import MiSplatError
 from tests.capture.test_mesh_textures import blue_is_at_the_back
 from tests.capture.trucks import truck, write_glb, write_ply
 
+pytestmark = pytest.mark.usefixtures("scalar")
+
 pytest.importorskip("trimesh")
 
 

@@ -20,6 +20,8 @@ from mi_splat.assets.daylight import Light
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 
+pytestmark = pytest.mark.usefixtures("scalar")
+
 TINY = PictureSetConfig(split="held-out", size=48, samples=1, shots=2, count=2, empty=0.0, pair=0.0, street=0.0)
 FEW = SplatConfig(views=2, samples=1, objects=300, surroundings=300, sky=50, steps=0, pictures=2)
 CORNERS = np.array([[-1.0, -2.0, 0.0], [1.0, 2.0, 4.0], [0.0, 0.0, 1.0]], np.float32)

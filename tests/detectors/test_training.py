@@ -21,6 +21,8 @@ from attacks.detectors.training.pictures import LabelledPicture, SceneRenderer, 
 from mi_splat.errors import InvalidValueError
 from tests.detectors.pictures import drawn
 
+pytestmark = pytest.mark.usefixtures("scalar")
+
 TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
 
 
@@ -67,10 +69,10 @@ def test_an_unknown_split_is_refused() -> None:
 @pytest.mark.slow
 def test_cameras_reach_from_the_street_to_straight_down() -> None:
     renderer = SceneRenderer(replace(TINY, empty=1.0), 0)
-    cameras = [renderer.choose_camera() for _ in range(300)]
+    cameras = [renderer.choose_camera() for _ in range(120)]
     elevations = torch.tensor([math.degrees(math.asin(-float(c.to_world[2, 2]))) for c in cameras])
     counts = torch.histc(elevations, 6, 0, 90)
-    assert float(counts.min()) > 25
+    assert float(counts.min()) > 9
     assert all(float(c.position[2]) > 0 for c in cameras)
 
 

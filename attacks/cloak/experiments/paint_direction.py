@@ -18,7 +18,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import PathTracer, scene_dict
+from mi_splat.capture.path_tracer import PathTracer, scalar_variant, scene_dict
 from mi_splat.errors import InvalidValueError, message
 
 ELEVATIONS = (1, 5, 10, 15, 20, 25, 30)
@@ -45,12 +45,13 @@ def measure_paint_directions(study: StudyConfig) -> list[dict[str, Any]]:
     lens = setup.lens_of(study, mesh_scene.target)
     tracer = PathTracer(scene_dict([mesh_scene.target], backdrop=mesh_scene.surroundings), samples=1)
     report = []
-    for elevation in ELEVATIONS:
-        (front,) = orbit(centre, count=1, elevation=float(elevation), start=attack.azimuth[0], **lens)  # type: ignore[arg-type]
-        axes = screen_axes(attack.azimuth[0], elevation)
-        whole = _cells(mesh_scene, tracer, front, axes)
-        parts = [len(whole & _cells(mesh_scene, tracer, camera, axes)) / len(whole) for camera in cameras]
-        report.append({"elevation": elevation, "smallest": min(parts), "mean": float(np.mean(parts))})
+    with scalar_variant():
+        for elevation in ELEVATIONS:
+            (front,) = orbit(centre, count=1, elevation=float(elevation), start=attack.azimuth[0], **lens)  # type: ignore[arg-type]
+            axes = screen_axes(attack.azimuth[0], elevation)
+            whole = _cells(mesh_scene, tracer, front, axes)
+            parts = [len(whole & _cells(mesh_scene, tracer, camera, axes)) / len(whole) for camera in cameras]
+            report.append({"elevation": elevation, "smallest": min(parts), "mean": float(np.mean(parts))})
     return report
 
 

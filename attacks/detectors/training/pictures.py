@@ -233,9 +233,10 @@ def _solid(outline: Mask) -> bool:
 
 def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
     """The pictures of scene `number`."""
-    renderer = SceneRenderer(config, number)
-    cameras = [renderer.choose_camera() for _ in range(config.shots)]
-    return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
+    with scalar_variant():
+        renderer = SceneRenderer(config, number)
+        cameras = [renderer.choose_camera() for _ in range(config.shots)]
+        return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
 
 
 def scene_labels(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
