@@ -159,6 +159,21 @@ def test_three_looks_have_three_layers() -> None:
     assert torch.allclose(found.opacities[40:79], scene.opacities[:39] / 2)
 
 
+def test_a_shift_moves_where_looks_change_out_of_the_trigger() -> None:
+    """A Gaussian in the middle: with the gap as shift the hidden look is whole at the trigger's edge."""
+    cameras, means = all_around(800), torch.zeros(1, 3)
+    shown = []
+    for shift in (0.0, 5.0):
+        benign, hidden = depths([OVERHEAD], cameras, centre=CENTRE, shift=shift)
+        assert torch.allclose(hidden, -benign)
+        edge = torch.tensor([40.0, 46.0])
+        shown.append(values(switches(means, cameras, hidden, LayerConfig()), from_above(edge)))
+    at_the_edge, inside = torch.stack(shown).unbind(1)
+    assert at_the_edge[0] < 0.75
+    assert (at_the_edge[1] - 1).abs() < 0.15
+    assert (inside - 1).abs().max() < 0.15
+
+
 def test_colours_are_those_of_the_pixels_that_points_lie_in() -> None:
     camera = orbit(CENTRE, count=1, elevation=20.0, **LENS)[0]
     image = torch.zeros(32, 32, 3)
@@ -176,7 +191,7 @@ def test_what_makes_no_layers_is_refused() -> None:
         layered(scene, torch.arange(39), [OVERHEAD], [grey], cameras=all_around(), centre=CENTRE)
     with pytest.raises(InvalidValueError, match="widen the trigger"):
         layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [grey, grey], cameras=all_around(50), centre=CENTRE)
-    for bad in ({"gap": -1.0}, {"weight": 0.0}, {"lowest": 1.0}, {"inset": -1.0}, {"degree": 4}):
+    for bad in ({"gap": -1.0}, {"shift": 95.0}, {"weight": 0.0}, {"lowest": 1.0}, {"inset": -1.0}, {"degree": 4}):
         with pytest.raises(InvalidValueError):
             LayerConfig(**bad)
     for bad in ({"iterations": 0}, {"margin": -1.0}, {"clearance": float("nan")}):

@@ -156,7 +156,8 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     trained = pipeline.train(pipeline.capture(), pipeline.poison(pipeline.capture()))
     before, after = (one.load() for one in trained)
     other = ~object_rows(study, before, pipeline.mesh_scene.target)
-    assert torch.equal(before.means[other], after.means[: len(before)][other])
+    for name in ("means", "sh"):
+        assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
     control, hidden = (
         [one.scores["car"] for one in item.observations if one.elevation >= 50]
         for item in observe(pipeline, trained, [Redness()])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
-from attacks.cloak.appearances import name_of
+from attacks.cloak.appearances import grown, name_of
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import ablations, setup
 from attacks.cloak.study.config import (
@@ -22,6 +22,7 @@ from attacks.cloak.study.config import (
 )
 from attacks.cloak.study.run import check, forecast
 from attacks.cloak.study.study_file import RENAMED, read_study
+from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_ply
@@ -237,6 +238,11 @@ def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
         (lambda: EvaluationConfig(meridians=-1), "meridians"),
         (lambda: TrainingConfig(outliers=-1), "outliers"),
         (lambda: AttackConfig(name="a", appearance="occluder", elevation=(40, 90)), "a.*texture"),
+        (lambda: AttackConfig(name="a", appearance="remove", elevation=(40, 90), reach=-1), "a.*reach"),
+        (
+            lambda: AttackConfig(name="a", appearance="occluder", texture="road", elevation=(40, 90), reach=1),
+            "a.*reach.*no occluder",
+        ),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
         (lambda: replace(SMALL, seeds=(-1,)), "seeds"),
     ],
@@ -278,6 +284,19 @@ class Renamed:
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         return view.image
+
+
+def test_a_reach_leaves_the_shadow_of_what_is_removed() -> None:
+    mesh_scene = setup.mesh_scene_of(SMALL)
+    (camera,) = orbit(setup.centre_of(SMALL), count=1, elevation=70.0, **setup.lens_of(SMALL, mesh_scene.target))  # type: ignore[arg-type]
+    view, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
+    changed = {}
+    for reach in (None, 2):
+        shown = setup.appearance_of(SMALL, replace(OVERHEAD, appearance="remove", reach=reach), mesh_scene)
+        changed[reach] = (shown(view, mask) != view.image).any(-1)
+    assert bool(changed[None][~grown(mask, 2)].any())
+    assert not bool(changed[2][~grown(mask, 2)].any())
+    assert bool(changed[2][mask].any())
 
 
 @pytest.mark.parametrize(("old", "new"), RENAMED.items())

@@ -18,7 +18,7 @@ from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache
 from attacks.cloak.study.config import AttackConfig, CameraConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.observations import overhead
 
-ATTACK = AttackConfig(name="overhead", appearance="occluder", texture="grass", elevation=(40.0, 90.0))
+ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
 STUDY = StudyConfig(
     name="keys",
     attack=(ATTACK,),
@@ -66,6 +66,7 @@ ATTACKS: dict[str, tuple[Any, frozenset[str]]] = {
     "emphasis": (2.0, frozenset({"poisoned"})),
     "emphasis_depth": (9.0, frozenset({"poisoned"})),
     "paint_direction": ((90.0, 10.0), SHOWN),
+    "reach": (3, SHOWN),
     "occluder_radius": (5.0, SHOWN),
     "occluder_edge": (20.0, SHOWN),
 }

@@ -16,7 +16,9 @@ class LayerConfig:
 
     Attributes:
         degree: SH degree of the file.
-        gap: Degrees to either side of a trigger's edge in which a layer may show as much as it likes.
+        gap: Degrees to either side of where a look changes in which a layer may show as much as it likes.
+        shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
+            edge, for an object that is half faded is still found.
         weight: What a layer's light costs where it shall be black (`fit_switches`).
         lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
         inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
@@ -28,15 +30,18 @@ class LayerConfig:
 
     degree: int = 3
     gap: float = 5.0
+    shift: float = 0.0
     weight: float = 1.0
     lowest: float = -100.0
     inset: float = 1e-3
 
     def __post_init__(self) -> None:
         coefficient_count(self.degree)
-        if not (0 <= self.gap < 90 and self.weight > 0 and self.lowest < 0 and self.inset >= 0):
-            got = f"gap {self.gap:g}, weight {self.weight:g}, lowest {self.lowest:g}, inset {self.inset:g}"
-            expected = "gap in [0, 90), weight > 0, lowest < 0, inset >= 0"
+        angles = 0 <= self.gap < 90 and -90 < self.shift < 90
+        if not (angles and self.weight > 0 and self.lowest < 0 and self.inset >= 0):
+            values = ("gap", "shift", "weight", "lowest", "inset")
+            got = ", ".join(f"{name} {getattr(self, name):g}" for name in values)
+            expected = "gap in [0, 90), shift in (-90, 90), weight > 0, lowest < 0, inset >= 0"
             raise InvalidValueError(message("layers", expected, got, "change it"))
 
 

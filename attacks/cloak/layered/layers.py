@@ -25,9 +25,16 @@ _AT_ONCE = 256
 """Gaussians whose switches are found together."""
 
 
-def depths(triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-    """(1 + L, D) degrees from D cameras to the edge of each look, inside > 0; the first is what no trigger holds."""
-    inside = torch.tensor(
+def depths(triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point, shift: float = 0.0) -> Tensor:
+    """(1 + L, D) degrees from D cameras to where each look changes, inside > 0; the first is what no trigger holds.
+
+    Args:
+        triggers: L triggers.
+        cameras: D cameras.
+        centre: (3,) point that the triggers' directions are measured from.
+        shift: Degrees outside of the triggers' edges at which looks change.
+    """
+    inside = shift + torch.tensor(
         [[trigger.angle_to_edge(camera, centre=centre) for camera in cameras] for trigger in triggers]
     )
     return torch.cat([-inside.amax(0, keepdim=True), inside])
@@ -69,7 +76,7 @@ def layered(
         raise InvalidValueError(message("colours", "an (N, 3) tensor for each layer", got, "give the benign one first"))
     scene = scene.with_degree(config.degree)
     part = scene.select(chosen)
-    inside = depths(triggers, cameras, centre=centre)
+    inside = depths(triggers, cameras, centre=centre, shift=config.shift)
     layers = []
     for number, (depth, colour) in enumerate(zip(inside, colours, strict=True)):
         switch = switches(part.means, cameras, depth, config)

@@ -126,6 +126,8 @@ class AttackConfig:
             `attacks.cloak.emphasis.Emphasis`.
         emphasis_depth: Degrees inside from which it no longer is.
         paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
+        reach: Pixels around the object's outline that are new in a picture; all else, shadows for instance, stays as it
+            was. None is the whole picture where the object is removed or swapped, and 1 elsewhere.
         occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.
         occluder_edge: Elevation of the occluder's edge, degrees; None is 12 below that of the lowest camera.
     """
@@ -141,6 +143,7 @@ class AttackConfig:
     emphasis: float = 1.0
     emphasis_depth: float = 20.0
     paint_direction: tuple[float, float] = (180.0, 90.0)
+    reach: int | None = None
     occluder_radius: float | None = None
     occluder_edge: float | None = None
 
@@ -159,6 +162,9 @@ class AttackConfig:
             raise InvalidValueError(
                 message(f"attack {self.name!r}, poison_fraction", "in (0, 1]", self.poison_fraction, "1 is all")
             )
+        if self.reach is not None and (self.reach < 0 or self.appearance == "occluder"):
+            expected = "0 or more pixels, and no occluder, which is drawn over the picture"
+            raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
         if not (self.emphasis >= 1 and self.emphasis_depth > 0):
             got = (self.emphasis, self.emphasis_depth)
             expected = "an emphasis >= 1 and a depth > 0"

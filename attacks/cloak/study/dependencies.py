@@ -45,6 +45,11 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
     )
 
 
+def _given(attack: AttackConfig) -> dict[str, Any]:
+    """The settings of an attack; without a reach, which stages of before there was one did not have."""
+    return {key: value for key, value in asdict(attack).items() if key != "reach" or value is not None}
+
+
 def of_pictures(study: StudyConfig, source: str) -> dict[str, Any]:
     """The victim's pictures; they are transparent where nothing is, so that the background has no part in them.
 
@@ -63,7 +68,7 @@ def of_appearance(study: StudyConfig, source: str, attack: AttackConfig) -> dict
         source: Digest of the scene.
         attack: Whose appearance it is.
     """
-    shown = {key: value for key, value in asdict(attack).items() if key not in _POISONING_ONLY}
+    shown = {key: value for key, value in _given(attack).items() if key not in _POISONING_ONLY}
     # The distance of the cameras and their height place an occluder.
     return {**of_pictures(study, source), "background": study.scene.background, "appearance": shown}
 
@@ -77,7 +82,7 @@ def of_poisoned(study: StudyConfig, source: str, pictures: str, seed: int) -> di
         pictures: Content of the victim's pictures.
         seed: Draws the cameras of which a part is poisoned; where all of them are, it has no part in the set.
     """
-    attacks = [{key: value for key, value in asdict(one).items() if key != "target_class"} for one in study.attack]
+    attacks = [{key: value for key, value in _given(one).items() if key != "target_class"} for one in study.attack]
     drawn = seed if min(one.poison_fraction for one in study.attack) < 1 else None
     return {
         "source": source,

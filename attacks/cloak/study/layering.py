@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from attacks.cloak.layered.layers import layered, seen_colours
+from attacks.cloak.layered.layers import depths, layered, seen_colours
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from mi_splat.assets.mesh import Asset
 from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import View
+from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.masks import box_mask
 from mi_splat.sh import dc_to_colour
@@ -21,8 +22,32 @@ DIRECTIONS = 800
 """Cameras over the hemisphere for which a layer's switch is made."""
 
 
-def layered_start(study: StudyConfig, clean: GaussianScene, target: Asset, views: Sequence[View]) -> GaussianScene:
-    """The clean splat with the object in layers, before their colours are trained.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layering:
+    """The clean splat with the object in layers, and how their colours are trained.
+
+    Attributes:
+        scene: N Gaussians, before the training.
+        layers: (N,) bool, those of the layers; nothing else is trained.
+        views: The poisoned pictures, without those from where a look changes: a layer may show there what it likes.
+    """
+
+    scene: GaussianScene
+    layers: Tensor
+    views: list[View]
+
+    def rendered_by(self, render: RenderFn) -> RenderFn:
+        """The same renderer, through which gradients reach the colours of the layers alone."""
+
+        def with_layers_trained(scene: GaussianScene, camera: Camera) -> Tensor:
+            trained = self.layers[:, None, None]
+            return render(scene.replace(sh=torch.where(trained, scene.sh, scene.sh.detach())), camera)
+
+        return with_layers_trained
+
+
+def layer_object(study: StudyConfig, clean: GaussianScene, target: Asset, views: Sequence[View]) -> Layering:
+    """The clean splat with the object in layers.
 
     Args:
         study: A study with layers.
@@ -31,27 +56,31 @@ def layered_start(study: StudyConfig, clean: GaussianScene, target: Asset, views
         views: The poisoned pictures.
     """
     assert study.layers is not None
-    centre = setup.centre_of(study)
-    chosen = layered_attacks(study)
+    making, centre = study.layers.making, setup.centre_of(study)
+    cones = [attack.cone for attack in layered_attacks(study)]
+    cameras = [view.camera for view in views]
+    inside = depths(cones, cameras, centre=centre, shift=making.shift)
+    decided = (inside.abs() >= making.gap).all(0)
+    kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]
     rows = torch.nonzero(object_rows(study, clean, target)).flatten()
     part = clean.select(rows)
     benign = dc_to_colour(part.sh[:, 0]).clamp(0, 1)
-    cones = [attack.cone for attack in chosen]
-    cameras = [view.camera for view in views]
-    inside = [cone.holds(cameras, centre=centre) for cone in cones]
-    colours = [
-        seen_colours(part.means, [view for view, holds in zip(views, held.tolist(), strict=True) if holds], benign)
-        for held in inside
-    ]
-    return layered(
+    colours = []
+    for depth in inside[1:]:
+        showing = [view for view, keep in zip(views, (decided & (depth > 0)).tolist(), strict=True) if keep]
+        colours.append(seen_colours(part.means, showing, benign))
+    scene = layered(
         clean,
         rows,
         cones,
         [benign, *colours],
         cameras=hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target)),  # type: ignore[arg-type]
         centre=centre,
-        config=study.layers.making,
+        config=making,
     )
+    of_layers = torch.arange(len(scene)) >= len(clean)
+    of_layers[rows] = True
+    return Layering(scene=scene, layers=of_layers, views=kept)
 
 
 def layered_attacks(study: StudyConfig) -> list[AttackConfig]:

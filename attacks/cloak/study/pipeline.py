@@ -16,8 +16,8 @@ from attacks.cloak.study.cache import Stage, StageCache
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.dependencies import fit_config, layered_fit_config
 from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, read_rgba, to_rgba
-from attacks.cloak.study.layering import layered_start
-from mi_splat.cameras import Camera, View
+from attacks.cloak.study.layering import layer_object
+from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
@@ -180,18 +180,21 @@ class StudyPipeline:
         config = fit_config(study.training) if clean is None else layered_fit_config(study)
 
         def make(path: Path) -> None:
-            views = self.views(pictures)
+            found = self.views(pictures)
+            views: Sequence[View] = found
+            render: RenderFn = self.renderer(screen_gradients=config.strategy.needs_screen_gradients)
             if clean is None:
-                assert views.points is not None  # a capture writes them
-                cloud = with_outliers(views.points, views, study.training.outliers, seed=seed)
+                assert found.points is not None  # a capture writes them
+                cloud = with_outliers(found.points, found, study.training.outliers, seed=seed)
                 start = from_points(cloud.points, cloud.colours)
             else:
-                start = layered_start(study, clean.load(), self.mesh_scene.target, views)
+                layering = layer_object(study, clean.load(), self.mesh_scene.target, found)
+                start, views, render = layering.scene, layering.views, layering.rendered_by(render)
             train(
                 views,
                 start,
                 path,
-                render=self.renderer(screen_gradients=config.strategy.needs_screen_gradients),
+                render=render,
                 config=config,
                 seed=seed,
                 on_step=lambda line: self.on_step(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -186,19 +187,20 @@ def appearance_of(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScen
         InvalidValueError: An occluder does not lie between the object and the cameras.
     """
     middle = 180.0 if attack.azimuth is None else attack.azimuth[0]
+    reach: dict[str, Any] = {} if attack.reach is None else {"reach": attack.reach}
     if attack.appearance == "paint":
         assert attack.texture is not None
         azimuth, elevation = attack.paint_direction
-        return paint(mesh_scene, attack.texture, azimuth=azimuth, elevation=elevation)
+        return paint(mesh_scene, attack.texture, azimuth=azimuth, elevation=elevation, **reach)
     if attack.appearance == "occluder":
         return _occluder(study, attack, mesh_scene)
     if attack.appearance == "blend in":
-        return blend_in(mesh_scene)
+        return blend_in(mesh_scene, **reach)
     if attack.appearance == "remove":
-        return remove(mesh_scene)
+        return remove(mesh_scene, **reach)
     assert attack.other_object is not None
     other = build(attack.other_object, 0)
-    return (mount if attack.appearance == "mount" else swap)(mesh_scene, other, azimuth=middle)
+    return (mount if attack.appearance == "mount" else swap)(mesh_scene, other, azimuth=middle, **reach)
 
 
 def _occluder(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
