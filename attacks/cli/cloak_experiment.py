@@ -10,6 +10,7 @@ from attacks.cli.options import CloakExperimentOptions
 from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.formats import measure_formats
+from attacks.cloak.experiments.limit_figure import write_limit_figure
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
@@ -41,7 +42,7 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     if options.experiment == "paint-direction":
         return measure_paint_directions(study)
     if options.experiment == "transition-limit":
-        return {"one_layer": measure_transition_limit(study), "two_layers": measure_layer_limit(study)}
+        return _transition_limit(options, study)
     if options.results is None:
         do = "pass the folder that mi-splat cloak has written"
         raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
@@ -54,6 +55,15 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     if options.experiment == "formats":
         return measure_formats(study, splats["cloaked"], _detectors(options, study), render=render, every=options.every)
     return measure_distances(study, splats, _detectors(options, study), render=render, every=options.every)
+
+
+def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, Any]:
+    """The limits, and with --out a figure of them, beside the transition of finished results if they are named."""
+    if options.out is not None:
+        check_new_file(options.out)
+        measured = None if options.results is None else read_json(options.results / SUMMARY).get("transition")
+        write_limit_figure(study, measured, options.out)
+    return {"one_layer": measure_transition_limit(study), "two_layers": measure_layer_limit(study)}
 
 
 def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Detector]:

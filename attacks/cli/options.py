@@ -211,7 +211,7 @@ class CloakExperimentOptions:
     study: Positional[Path]
     """TOML file of the study."""
     results: Path | None = None
-    """Folder that `mi-splat cloak` has written for this study (surroundings, distance, formats, detection-curve)."""
+    """Folder that `mi-splat cloak` has written for this study; of transition-limit, what is drawn beside the limit."""
     every: int = 4
     """Use each so manieth of the held-out cameras (surroundings, distance, formats, detection-curve)."""
     detectors: tuple[str, ...] = ()
@@ -221,7 +221,7 @@ class CloakExperimentOptions:
     stages: Path | None = None
     """Folder of the study's stages; None is a folder in --results (detection-curve)."""
     out: Path | None = None
-    """Folder for what is written (detection-curve)."""
+    """What is written: a folder (detection-curve), or a PNG file with the limit (transition-limit)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -40,26 +40,61 @@ def measure_transition_limit(study: StudyConfig) -> list[dict[str, Any]]:
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    attack = _overhead(study)
-    centre = setup.centre_of(study)
-    cameras = setup.training_cameras(study, setup.target_of(study.scene))
-    middle = torch.tensor(centre, dtype=torch.float64)
-    directions = torch.stack([middle - camera.position.double() for camera in cameras])
-    depths = torch.tensor([attack.cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64)
-    step = (depths >= 0).double()
-    gain = 1 + (attack.emphasis - 1) * (1 - depths / attack.emphasis_depth).clamp(0, 1)
-    return [
-        {"sh_degree": degree, "emphasis": name, **_limit(directions, wanted, degree)}
-        for name, wanted in ((1.0, step), (attack.emphasis, step * gain))
-        for degree in range(1, 4)
-    ]
+    rows = []
+    for emphasised in (False, True):
+        for degree in range(1, 4):
+            curve, gain = one_layer_curve(study, degree, emphasised=emphasised)
+            extremes = {"lowest": min(curve), "highest": max(curve)}
+            rows.append({"sh_degree": degree, "emphasis": gain, **_band(curve), **extremes})
+    return rows
 
 
 def measure_layer_limit(study: StudyConfig) -> list[dict[str, Any]]:
     """The same for two layers, for each SH degree and each lowest value of a layer.
 
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around.
+    """
+    rows = []
+    for degree in range(1, 4):
+        for lowest in LOWEST:
+            curve, largest = two_layer_curve(study, LayerConfig(degree=degree, lowest=lowest))
+            rows.append({"sh_degree": degree, "lowest": lowest, "largest_coefficient": largest, **_band(curve)})
+    return rows
+
+
+def one_layer_curve(study: StudyConfig, degree: int, *, emphasised: bool = False) -> tuple[list[float], float]:
+    """The way from the benign to the hidden look at `ELEVATIONS`, mean over azimuths, and the emphasis at the edge.
+
+    Args:
+        study: Its cameras and its trigger count.
+        degree: SH degree of the least-squares fit.
+        emphasised: Whether the step is overdone as the study overdoes it.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around.
+    """
+    attack, centre = _overhead(study), setup.centre_of(study)
+    cameras = setup.training_cameras(study, setup.target_of(study.scene))
+    middle = torch.tensor(centre, dtype=torch.float64)
+    directions = torch.stack([middle - camera.position.double() for camera in cameras])
+    inside = torch.tensor([attack.cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64)
+    emphasis = attack.emphasis if emphasised else 1.0
+    gain = 1 + (emphasis - 1) * (1 - inside / attack.emphasis_depth).clamp(0, 1)
+    wanted = (inside >= 0).double() * gain
+    fitted = torch.linalg.lstsq(_basis(directions, degree), wanted[:, None]).solution[:, 0]
+    return [float((_basis(_around(elevation), degree) @ fitted).mean()) for elevation in ELEVATIONS], emphasis
+
+
+def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float], float]:
+    """The same for a Gaussian in the middle that has two layers, and the largest of their coefficients.
+
     Of a picture that shows a share b of the benign look and a share h of the hidden one, both cut at zero, the way from
     one to the other is (1 - b + h) / 2.
+
+    Args:
+        study: Its trigger counts.
+        making: How the layers are made.
 
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
@@ -67,30 +102,13 @@ def measure_layer_limit(study: StudyConfig) -> list[dict[str, Any]]:
     attack, centre = _overhead(study), setup.centre_of(study)
     lens = setup.lens_of(study, setup.target_of(study.scene))
     cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
-    sides = depths([attack.cone], cameras, centre=centre)
-    middle, rows = torch.tensor([centre]), []
-    for degree in range(1, 4):
-        for lowest in LOWEST:
-            making = LayerConfig(degree=degree, lowest=lowest)
-            benign, hidden = (switches(middle, cameras, side, making)[0] for side in sides)
-            shares = [
-                [
-                    float((_basis(_around(elevation), degree) @ switch).clamp(min=0).mean())
-                    for switch in (benign, hidden)
-                ]
-                for elevation in ELEVATIONS
-            ]
-            band = fit_transition(ELEVATIONS, [(1 - seen + shown) / 2 for seen, shown in shares])
-            largest = float(torch.cat([benign, hidden]).abs().max())
-            rows.append(
-                {
-                    "sh_degree": degree,
-                    "lowest": lowest,
-                    "largest_coefficient": largest,
-                    **{"from": band.start, "to": band.end, "width": band.width},
-                }
-            )
-    return rows
+    sides = depths([attack.cone], cameras, centre=centre, shift=making.shift)
+    benign, hidden = (switches(torch.tensor([centre]), cameras, side, making)[0] for side in sides)
+    shares = [
+        [float((_basis(_around(elevation), making.degree) @ one).clamp(min=0).mean()) for one in (benign, hidden)]
+        for elevation in ELEVATIONS
+    ]
+    return [(1 - seen + shown) / 2 for seen, shown in shares], float(torch.cat([benign, hidden]).abs().max())
 
 
 def _overhead(study: StudyConfig) -> AttackConfig:
@@ -102,12 +120,10 @@ def _overhead(study: StudyConfig) -> AttackConfig:
     return attack
 
 
-def _limit(directions: Tensor, wanted: Tensor, degree: int) -> dict[str, float | None]:
-    """Band and extremes of the least-squares fit, as means over azimuths."""
-    fitted = torch.linalg.lstsq(_basis(directions, degree), wanted[:, None]).solution[:, 0]
-    means = [float((_basis(_around(elevation), degree) @ fitted).mean()) for elevation in ELEVATIONS]
-    band = fit_transition(ELEVATIONS, means)
-    return {"from": band.start, "to": band.end, "width": band.width, "lowest": min(means), "highest": max(means)}
+def _band(curve: list[float]) -> dict[str, float | None]:
+    """Where a curve goes from 10 to 90 % of its way."""
+    band = fit_transition(ELEVATIONS, curve)
+    return {"from": band.start, "to": band.end, "width": band.width}
 
 
 def _basis(directions: Tensor, degree: int) -> Tensor:
