@@ -1,0 +1,202 @@
+"""What `mi-splat dagger-eot-study` leaves behind: many attacks on all cameras of a region."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.eot.tables import TITLES, row, smallest_radii
+from attacks.dagger.study import PAIRS
+from attacks.rate import Rate
+from attacks.reporting.commands import again, command, flag, flags
+from attacks.reporting.kinds.ledger import ledger
+from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
+from attacks.reporting.wording import counted, listed, number, origin, percent, plural, sentence, shared
+from attacks.transformations.config import CameraRegion
+
+KIND = "DAGGER from all cameras, a study"
+MOST_PICTURES = 4
+_CURVES = {"psnr": ("psnr", "PSNR of the held-out pictures, dB"), "curve": ("eps", "radius")}
+"""Groups that are curves: what they go over, and what that is called."""
+
+Row = Mapping[str, Any]
+
+
+def read(folder: Path, found: Mapping[str, Any]) -> Section:
+    """The section of a study.
+
+    Args:
+        folder: Where it lies; jobs/ in it has every attack.
+        found: Its table.json, which says no more than the jobs do.
+    """
+    records = ledger(folder / "jobs")
+    rows = [row(record) for record in records]
+    groups = list(dict.fromkeys(one["group"] for one in rows))
+    chosen = "pairs" if "pairs" in groups else groups[0]
+    members = [one for one in rows if one["group"] == chosen]
+    rate, noise = _rate(members), _noise(members)
+    reached = Rate(successes=sum(one["success"] for one in members), total=len(members))
+    names = list(dict.fromkeys(listed(one["detectors"]) for one in rows))
+    needed = records[0]["result"]["config"]["required_views"]
+    title = TITLES.get(chosen, chosen)
+    return Section(
+        kind=KIND,
+        title=f"{'; '.join(names)}, {plural(len(records), 'attack')}",
+        folder=str(folder),
+        done=(
+            f"{plural(len(records), 'attack')} on {'; '.join(names)}, each from random cameras of a region, and each "
+            "judged from the saved file, in 8-bit pictures of held-out views that no search has seen, beside random "
+            f"noise of its size. An attack succeeds in {percent(needed)} of its views."
+        ),
+        conclusion=(
+            f"{title}: the aim is reached in {rate.successes:,} of {plural(rate.total, 'held-out view')}, by "
+            f"random noise in {noise.successes:,} of {noise.total:,}; {reached.successes} of "
+            f"{plural(reached.total, 'attack')} hold. Views of one attack are not independent. It says nothing of "
+            "detectors that were not attacked."
+        ),
+        headline=Figure(label=f"held-out views with success ({title})", rate=rate),
+        control=Figure(label="random noise of the same size, on the same views", rate=noise) if noise.total else None,
+        figures=(Figure(label="attacks with enough views", rate=reached),),
+        warnings=tuple(map(sentence, [*doubts_of(rate, noise, what="held-out views"), *_warnings(rows)])),
+        pictures=_pictures(folder, records),
+        charts=(_each(members, title), *_curves(rows)),
+        tables=(*(_table(rows, group) for group in groups), *_smallest(records)),
+        configuration=shared(
+            [{**record["job"], "weights": record["result"].get("detectors", {})} for record in records]
+        ),
+        versions=origin(records[0]["result"]),
+        command=tuple(_commands(folder, records)),
+        repeating=""
+        if len(records) == len({str(record["job"]) for record in records})
+        else "Some attacks were made twice.",
+    )
+
+
+def _rate(rows: Sequence[Row]) -> Rate:
+    return Rate(successes=sum(one["successes"] for one in rows), total=sum(one["views"] for one in rows))
+
+
+def _noise(rows: Sequence[Row]) -> Rate:
+    return Rate(successes=sum(one["noise_successes"] for one in rows), total=sum(one["noise_views"] for one in rows))
+
+
+def _called(one: Row) -> str:
+    return f"{one['object']} to {one['target'] or 'nothing'}"
+
+
+def _warnings(rows: Sequence[Row]) -> Iterator[str]:
+    for one in rows:
+        for text in one["warnings"]:
+            yield f"{TITLES.get(one['group'], one['group'])}, {_called(one)}: {text}"
+
+
+def _pictures(folder: Path, records: Sequence[Mapping[str, Any]]) -> tuple[Picture, ...]:
+    found = []
+    for path in sorted((folder / "results").glob("*/held_out.png")):
+        found.append(
+            Picture(
+                path=path,
+                caption=f"{path.parent.name}: clean on the left of each pair, attacked on the right.",
+                alt="Held-out views in pairs with boxes, clean and attacked",
+                wide=True,
+            )
+        )
+    return shown(found[:MOST_PICTURES] if records else [])
+
+
+def _each(rows: Sequence[Row], title: str) -> Chart:
+    lines: tuple[tuple[str, str, Any], ...] = (("attack", "attack", _rate), ("control", "random noise", _noise))
+    return Chart(
+        title=title,
+        caption="Held-out views of each attack; bars are 95 % intervals.",
+        x_label="attack",
+        y_label="views with success",
+        lines=tuple(
+            Line(
+                name=name,
+                role="attack" if role == "attack" else "control",
+                points=tuple(Point.of(place, count([one])) for place, one in enumerate(rows) if count([one]).total),
+            )
+            for role, name, count in lines
+        ),
+        ticks=tuple(str(place + 1) if len(rows) > 8 else _called(one) for place, one in enumerate(rows)),
+        connected=False,
+    )
+
+
+def _curves(rows: Sequence[Row]) -> Iterator[Chart]:
+    for group, (key, label) in _CURVES.items():
+        members = [one for one in rows if one["group"] == group and one[key] is not None]
+        names = list(dict.fromkeys(listed(one["detectors"]) for one in members))
+        if len(members) < 2:
+            continue
+        yield Chart(
+            title=TITLES[group],
+            caption="Held-out views; bands are 95 % intervals.",
+            x_label=label,
+            y_label="views with success",
+            lines=tuple(
+                Line(
+                    name=name,
+                    role="attack",
+                    points=tuple(
+                        Point.of(one["eps"][0] if key == "eps" else one[key], _rate([one]))
+                        for one in members
+                        if listed(one["detectors"]) == name
+                    ),
+                )
+                for name in names[:6]
+            ),
+        )
+
+
+def _table(rows: Sequence[Row], group: str) -> Table:
+    head = ("attack", "detectors", "what may change", "held-out views", "noise", "no attack", "PSNR", "steps", "seed")
+    cells = []
+    for one in rows:
+        if one["group"] == group:
+            radii = one["eps"] if len(one["eps"]) > 1 else one["eps"] * len(one["attributes"])
+            change = ", ".join(f"{name} {eps:g}" for name, eps in zip(one["attributes"], radii, strict=True))
+            cells.append(
+                (
+                    _called(one),
+                    listed(one["detectors"]),
+                    f"{one['norm']}: {change}",
+                    counted(_rate([one])) + ("" if one["success"] else " (not enough)"),
+                    f"{one['noise_successes']} of {one['noise_views']}",
+                    f"{one['clean_successes']} of {one['views']}",
+                    number(one["psnr"], unit="dB"),
+                    f"{one['steps']} of {one['all_steps']}",
+                    str(one["seed"]),
+                )
+            )
+    return Table(caption=TITLES.get(group, group), head=head, rows=tuple(cells))
+
+
+def _smallest(records: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
+    lines = smallest_radii(records)
+    if lines:
+        cells = tuple(
+            (_called(line), listed(line["detectors"]), number(line["smallest"], "g"), number(line["not_enough"], "g"))
+            for line in lines
+        )
+        head = ("attack", "detectors", "radius", "largest that was not enough")
+        yield Table(caption="Smallest radius that was enough", head=head, rows=cells)
+
+
+def _commands(folder: Path, records: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """A command for each set of detectors; settings are those of the pairs, which no other table varies."""
+    jobs = [record["job"] for record in records]
+    for key in dict.fromkeys((tuple(job["detectors"]), job["search"], job["confidence"]) for job in jobs):
+        own = [job for job in jobs if (tuple(job["detectors"]), job["search"], job["confidence"]) == key]
+        base = next((job for job in own if job["group"] == "pairs"), own[0])
+        groups = dict.fromkeys("attributes" if job["group"].startswith("attributes") else job["group"] for job in own)
+        named = dict.fromkeys((job["scene"], job["object"], job["target"]) for job in own)
+        numbers = [place for place, pair in enumerate(PAIRS) if pair in named]
+        words = [*flag("groups", list(groups)), *flag("detectors", list(key[0]))]
+        words += flag("pairs", numbers) if len(numbers) < len(PAIRS) else []
+        words += [*flag("search", key[1]), *([] if key[2] is None else flag("confidence", key[2]))]
+        words += [*flags(base["config"], EotConfig()), *flags(base["transformations"]["cameras"], CameraRegion())]
+        yield command("dagger-eot-study", *words, *again(folder))
