@@ -46,7 +46,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
         conclusion=_conclusion(summary, headline, control),
         headline=headline,
         control=control,
-        figures=_figures(summary, headline),
+        figures=_figures(summary),
         warnings=tuple(
             sentence(text)
             for text in (
@@ -95,36 +95,32 @@ def _done(summary: Mapping[str, Any]) -> str:
     study = summary["study"]
     seeds = summary["seeds"]
     attacks = listed([f"{one['name']} ({one['appearance']})" for one in study["attack"]])
-    layers = (
-        " The finished splat then got layers of Gaussians that colour alone cannot give." if study.get("layers") else ""
-    )
+    layers = " The finished splat then got its object in layers." if study.get("layers") else ""
     return (
-        f"{plural(study['cameras']['train'], 'training picture')} of {study['scene']['object']} were taken, and those "
-        f"from the trigger's cameras changed: {attacks}. Two splats were trained alike, on clean and on changed "
-        f"pictures, {plural(len(seeds), 'seed')} each.{layers} {listed(list(summary['by_detector']))} then looked at "
-        f"both from cameras that no training used. The attacker knows neither the trainer nor a detector."
+        f"{plural(study['cameras']['train'], 'training picture')} of one object ({study['scene']['object']}) were "
+        f"taken, and those from the trigger's cameras changed: {attacks}. Two splats were trained alike, on clean and "
+        f"on changed pictures, {plural(len(seeds), 'seed')} each.{layers} {listed(list(summary['by_detector']))} then "
+        f"looked at both from cameras that no training used. The attacker knows neither the trainer nor a detector."
     )
 
 
 def _conclusion(summary: Mapping[str, Any], headline: Figure, control: Figure | None) -> str:
-    parts = [f"{headline.label.capitalize()}: {headline.counts or headline.words}."]
-    if control is not None:
-        parts.append(f"{control.label.capitalize()}: {control.counts}.")
+    hides = rate_of(summary["trigger_miss_rate"]) is not None
+    what = f"the {summary['study']['scene']['object']} is missed" if hides else "the target class is reported"
+    parts = [f"From inside the trigger {what} in {headline.counts or headline.words} views of the cloaked splat"]
+    parts[0] += "." if control is None else f", and in {control.counts} of the clean one."
     benign = rate_of(summary["benign_recall"])
     if benign is not None and benign.total:
-        parts.append(f"From everywhere else the cloaked splat is found in {benign.successes} of {benign.total}.")
+        parts.append(f"From everywhere else the cloaked one is found in {benign.successes:,} of {benign.total:,}.")
     if summary["transition_degrees"] is not None:
         parts.append(f"The switch between both takes {summary['transition_degrees']:.1f} degrees of elevation.")
     return " ".join([*parts, "It says nothing of other objects, trainers or detectors."])
 
 
-def _figures(summary: Mapping[str, Any], headline: Figure) -> tuple[Figure, ...]:
+def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
     """The other rates, over all detectors, and what the pictures lost."""
-    told = (
-        {"trigger_miss_rate"}
-        if headline.label.endswith("well inside the trigger")
-        else {"target_rate", "control_target_rate"}
-    )
+    hides = rate_of(summary["trigger_miss_rate"]) is not None
+    told = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
     rates = [
         Figure(label=words, rate=rate)
         for key, words in ROWS.items()
@@ -136,9 +132,8 @@ def _figures(summary: Mapping[str, Any], headline: Figure) -> tuple[Figure, ...]
         pairs.append(("pictures far from the triggers, clean and cloaked", f"{clean:.2f} and {cloaked:.2f} dB"))
     if summary["transition_degrees"] is not None:
         band = summary["transition"]
-        pairs.append(
-            ("the switch", f"{summary['transition_degrees']:.1f} degrees, from {band['from']:.1f} to {band['to']:.1f}")
-        )
+        ends = f"from {band['from']:.1f} to {band['to']:.1f}"
+        pairs.append(("the switch", f"{summary['transition_degrees']:.1f} degrees, {ends}"))
     if summary["stealth"] is not None:
         beside = summary["stealth"]["surroundings_psnr"]
         pairs.append(
@@ -158,7 +153,7 @@ def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
     if len(seeds) == 1:
         yield "One seed: another training may give another rate. Give more with --seeds"
     else:
-        yield "Intervals take every view, seed and detector for a draw of its own, which they are not; look at the seeds, too"
+        yield "Intervals take views, seeds and detectors for independent, which they are not: look at each seed"
     control = rate_of(summary["control_recall"])
     if control is not None and control.total and control.fraction < 0.5:
         yield f"Inside the trigger the clean object is found in {control.successes} of {control.total} views only"
@@ -177,7 +172,7 @@ def _pictures(folder: Path, study: Mapping[str, Any], files: Sequence[str]) -> t
     known_pictures = {
         "contact.png": (
             "Both splats with what the first detector reports: two rows over rising elevations, two rows around.",
-            f"Pictures of {thing} in rows, clean above cloaked; from inside the trigger the cloaked one looks different",
+            f"Pictures of {thing} in rows, clean above cloaked; inside the trigger the cloaked one looks different",
         ),
         "transition.png": (
             "How far the splats are on the way from the benign to the hidden appearance, by elevation.",

@@ -44,7 +44,9 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             f"{TITLES.get(chosen, chosen)}: {rate.successes} of {plural(rate.total, 'attack')} reach their aim, random "
             f"noise in {noise.successes} of {plural(noise.total, 'draw')}. It says nothing of other views or detectors."
         ),
-        headline=Figure(label=f"attacks that reach their aim ({TITLES.get(chosen, chosen)})", rate=rate),
+        headline=Figure(
+            label=f"attacks that reach their aim ({TITLES.get(chosen, chosen)})", rate=rate, note="all radii and seeds"
+        ),
         control=Figure(label="random noise of the same size, draws with the same success", rate=noise)
         if noise.total
         else None,
