@@ -18,6 +18,9 @@ from mi_splat.errors import InvalidValueError, message
 
 SIZE = (4.5, 2.9)
 """Width and height in inches of 72 points; a telephone shows them at about their size."""
+LONGEST_TICK, LONGEST_LABEL = 24, 48
+"""Letters in a chart."""
+MOST_TICKS = 12
 
 _INK, _FAINT, _SHADE = "#010101", "#020202", "#030303"
 _COLOURS = ("#010102", "#010103", "#010104", "#010105", "#010106", "#010107")
@@ -109,12 +112,19 @@ def _draw(axes: Any, chart: Chart) -> None:
         axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
     if chart.ticks:
         axes.set_xlim(-0.5, len(chart.ticks) - 0.5)
-        turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if max(map(len, chart.ticks)) > 9 else {}
-        axes.set_xticks(range(len(chart.ticks)), chart.ticks, **turned)
+        named = range(0, len(chart.ticks), -(-len(chart.ticks) // MOST_TICKS))
+        words = [_short(chart.ticks[place], LONGEST_TICK) for place in named]
+        turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if max(map(len, words)) > 9 else {}
+        axes.set_xticks(list(named), words, **turned)
     elif not chart.logarithmic and all(point.x.is_integer() for line in lines for point in line.points):
         axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.set_xlabel(chart.x_label)
-    axes.set_ylabel(chart.y_label)
+    axes.set_xlabel(_short(chart.x_label, LONGEST_LABEL))
+    axes.set_ylabel(_short(chart.y_label, LONGEST_LABEL))
+
+
+def _short(text: str, most: int) -> str:
+    """The start of a text that would not fit; the page has all of it beside the chart."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def _draw_line(axes: Any, line: Line, place: int, shift: float, *, connected: bool) -> None:

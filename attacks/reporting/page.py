@@ -54,7 +54,10 @@ def page_text(sections: Sequence[Section], *, title: str | None = None) -> str:
     template = environment.from_string(resources.files("attacks.reporting").joinpath("page.html").read_text("utf-8"))
     return template.render(
         title=title or usual_title(sections),
-        parts=[_part(number, section) for number, section in enumerate(sections, start=1)],
+        parts=[
+            {"name": name, **_part(number, section)}
+            for number, (name, section) in enumerate(zip(names(sections), sections, strict=True), start=1)
+        ],
         comparisons=list(comparisons(sections)),
         version=importlib.metadata.version("mi-splat"),
     )
@@ -65,18 +68,28 @@ def usual_title(sections: Sequence[Section]) -> str:
     if len(sections) == 1:
         return f"{sections[0].title} ({sections[0].kind})"
     if len(sections) <= MOST_NAMED:
-        return listed([section.title for section in sections])
+        return listed(names(sections))
     return f"{len(sections)} results"
+
+
+def names(sections: Sequence[Section]) -> list[str]:
+    """What each result is called on a page: its title, with the name of its folder where several have the same."""
+    titles = [section.title for section in sections]
+    return [
+        title if titles.count(title) == 1 else f"{title} ({Path(section.folder).name})"
+        for title, section in zip(titles, sections, strict=True)
+    ]
 
 
 def comparisons(sections: Sequence[Section]) -> Iterator[dict[str, Any]]:
     """For each kind with several results: their figures side by side, and the settings in which they differ."""
-    kinds: dict[str, list[Section]] = {}
-    for section in sections:
-        kinds.setdefault(section.kind, []).append(section)
-    for kind, some in kinds.items():
-        if len(some) > 1:
-            head = ("figure", *(section.title for section in some))
+    kinds: dict[str, list[tuple[str, Section]]] = {}
+    for name, section in zip(names(sections), sections, strict=True):
+        kinds.setdefault(section.kind, []).append((name, section))
+    for kind, members in kinds.items():
+        if len(members) > 1:
+            some = [section for _, section in members]
+            head = ("figure", *(name for name, _ in members))
             figures = [{figure.label: figure.cell for figure in section.all_figures} for section in some]
             settings = [{"folder": section.folder, **dict(section.configuration)} for section in some]
             yield {

@@ -10,7 +10,7 @@ from PIL import Image
 
 from mi_splat.errors import InvalidValueError, message
 
-LONGEST_SIDE = 1400
+LONGEST_SIDE = 1200
 """Pixels that the longer side of a picture on a page has at most."""
 
 

@@ -17,7 +17,7 @@ from attacks.reporting.wording import counted, listed, number, origin, percent, 
 from attacks.transformations.config import CameraRegion
 
 KIND = "DAGGER from all cameras, a study"
-MOST_PICTURES = 4
+MOST_PICTURES = 3
 _CURVES = {"psnr": ("psnr", "PSNR of the held-out pictures, dB"), "curve": ("eps", "radius")}
 """Groups that are curves: what they go over, and what that is called."""
 
