@@ -82,7 +82,12 @@ def plural(count: int, noun: str) -> str:
 def sentence(text: str) -> str:
     """A text with a capital and a full stop, as a warning is shown."""
     text = text.strip()
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+    return capital(text) + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def capital(text: str) -> str:
+    """A text with a capital, unless it begins with a name of the code."""
+    return text if "_" in text.partition(" ")[0] else text[:1].upper() + text[1:]
 
 
 def settings(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:

@@ -13,7 +13,7 @@ from attacks.rate import Rate
 from attacks.reporting.commands import again, command, flag, flags
 from attacks.reporting.kinds.ledger import ledger
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
-from attacks.reporting.wording import counted, listed, number, origin, percent, plural, sentence, shared
+from attacks.reporting.wording import capital, counted, listed, number, origin, percent, plural, sentence, shared
 from attacks.transformations.config import CameraRegion
 
 KIND = "DAGGER from all cameras, a study"
@@ -48,7 +48,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             f"noise of its size. An attack succeeds in {percent(needed)} of its views."
         ),
         conclusion=(
-            f"{headline.label.capitalize()}: {headline.counts}; {control.label}: {control.counts}. "
+            f"{capital(headline.label)}: {headline.counts}; {control.label}: {control.counts}. "
             f"{sum(one['success'] for one in rows)} of {plural(len(rows), 'attack')} hold in enough views. Views of "
             "one attack are not independent. It says nothing of detectors that were not attacked."
         ),

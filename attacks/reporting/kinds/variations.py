@@ -10,7 +10,18 @@ from attacks.rate import Rate
 from attacks.reporting.commands import again, command
 from attacks.reporting.kinds.cloak import headline_of, spread, toml
 from attacks.reporting.section import FEW, Chart, Figure, Line, Point, Role, Section, Table
-from attacks.reporting.wording import counted, listed, number, origin, plural, rate_of, sentence, settings, shared
+from attacks.reporting.wording import (
+    capital,
+    counted,
+    listed,
+    number,
+    origin,
+    plural,
+    rate_of,
+    sentence,
+    settings,
+    shared,
+)
 from mi_splat.io.documents import read_json
 
 KIND = "CLOAK, one thing varied at a time"
@@ -48,7 +59,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             "control."
         ),
         conclusion=(
-            f"{label.capitalize()}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
+            f"{capital(label)}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
             "within one chart; where intervals overlap, the study cannot tell them apart."
         ),
         headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
