@@ -11,7 +11,7 @@ from typing import Any
 from attacks.reporting.charts import legend, svg, values_of
 from attacks.reporting.pictures import data_address
 from attacks.reporting.section import Chart, Picture, Section, Table
-from attacks.reporting.wording import listed
+from attacks.reporting.wording import capital, listed
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 
@@ -66,7 +66,7 @@ def page_text(sections: Sequence[Section], *, title: str | None = None) -> str:
 def usual_title(sections: Sequence[Section]) -> str:
     """Heading of a page whose user gave none."""
     if len(sections) == 1:
-        return f"{sections[0].title} ({sections[0].kind})"
+        return capital(sections[0].kind)
     if len(sections) <= MOST_NAMED:
         return listed(names(sections))
     return f"{len(sections)} results"
@@ -128,7 +128,4 @@ def _picture(picture: Picture) -> dict[str, Any]:
 
 
 def _chart(chart: Chart, name: str) -> dict[str, Any]:
-    from markupsafe import Markup
-
-    drawn = Markup(svg(chart, name))  # matplotlib has escaped the texts
-    return {"of": chart, "svg": drawn, "legend": list(legend(chart)), "table": values_of(chart)}
+    return {"of": chart, "svg": svg(chart, name), "legend": list(legend(chart)), "table": values_of(chart)}

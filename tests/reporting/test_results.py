@@ -160,8 +160,9 @@ def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path],
     (tmp_path / kind.record).write_text("{")
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
         read_section(tmp_path)
+    wrong: tuple[Any, ...] = (None, 3, "text", {"x": []})
     for key in list(whole):
-        for value in (None, 3, "text", {"x": []}):
+        for value in wrong:
             (tmp_path / kind.record).write_text(json.dumps({**whole, key: value}))
             said = complaint(tmp_path)
             assert said is None or ": expected " in said

@@ -50,7 +50,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
         warnings=tuple(
             sentence(text)
             for text in (
-                *doubts_of(rate, control and control.rate, what="views"),
+                *doubts_of(rate, control.rate if control else None, what="views"),
                 *_doubts(summary),
             )
         ),
@@ -87,7 +87,7 @@ def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
         return Figure(label="attacks in this study", words="none that was judged"), None
     return (
         Figure(label="cloaked splat: target class reported inside the trigger", rate=wanted),
-        control and Figure(label="clean splat: target class reported there", rate=control),
+        Figure(label="clean splat: target class reported there", rate=control) if control else None,
     )
 
 
@@ -114,7 +114,7 @@ def _conclusion(summary: Mapping[str, Any], headline: Figure, control: Figure | 
         parts.append(f"From everywhere else the cloaked one is found in {benign.successes:,} of {benign.total:,}.")
     if summary["transition_degrees"] is not None:
         parts.append(f"The switch between both takes {summary['transition_degrees']:.1f} degrees of elevation.")
-    return " ".join([*parts, "It says nothing of other objects, trainers or detectors."])
+    return " ".join([*parts, "This says nothing of other objects, trainers or detectors."])
 
 
 def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:

@@ -108,9 +108,9 @@ def _conclusion(result: Mapping[str, Any], rate: Rate, noise: Rate) -> str:
         else ""
     )
     return (
-        f"The attack {outcome}: in {rate.successes} of {plural(rate.total, 'view')}. In the first view "
-        f"{view['detector']} reported {before} on the object before, and {after} after it.{control} It says nothing of "
-        "other cameras, detectors or renderers."
+        f"The attack {outcome}, {rate.successes} of {plural(rate.total, 'view')}. In the first view "
+        f"{view['detector']} reported {before} on the object before, and {after} after it.{control} This says nothing "
+        "of other cameras, detectors or renderers."
     )
 
 

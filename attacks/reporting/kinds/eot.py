@@ -94,7 +94,7 @@ def _conclusion(result: Mapping[str, Any], rate: Rate, noise: Rate, needed: floa
     control = f" Random noise of the same size: {noise.successes} of {noise.total}." if noise.total else ""
     return (
         f"From cameras that the search has not seen, the attack {outcome}: {rate.successes} of "
-        f"{plural(rate.total, 'view')}, where {percent(needed)} are asked for.{control} It says nothing of detectors "
+        f"{plural(rate.total, 'view')}, where {percent(needed)} are asked for.{control} This says nothing of detectors "
         "that were not attacked."
     )
 

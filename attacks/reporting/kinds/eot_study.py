@@ -50,7 +50,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         conclusion=(
             f"{capital(headline.label)}: {headline.counts}; {control.label}: {control.counts}. "
             f"{sum(one['success'] for one in rows)} of {plural(len(rows), 'attack')} hold in enough views. Views of "
-            "one attack are not independent. It says nothing of detectors that were not attacked."
+            "one attack are not independent. This says nothing of detectors that were not attacked."
         ),
         headline=headline,
         control=control if noise.total else None,

@@ -52,14 +52,14 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         ),
         conclusion=(
             f"{headline.label}: {headline.counts}; {control.label if control else 'no control'}"
-            f"{f': {control.counts}' if control else ''}. It says nothing of other cameras or detectors."
+            f"{f': {control.counts}' if control else ''}. This says nothing of other cameras or detectors."
         ),
         headline=headline,
         control=control,
         figures=(Figure(label=f"{name}: pictures, attacked against clean", words=number(first["psnr"], unit="dB")),),
         warnings=tuple(
             sentence(text)
-            for text in (*found["warnings"], *doubts_of(headline.rate, control and control.rate, what="views"))
+            for text in (*found["warnings"], *doubts_of(headline.rate, control.rate if control else None, what="views"))
         ),
         pictures=shown(pictures),
         charts=_charts(detectors),

@@ -40,8 +40,8 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         ),
         conclusion=(
             f"{rate.successes} of {plural(rate.total, 'attack')} make the detector report the wanted class. Random "
-            f"noise of the same size does so in {noise.successes} of {plural(noise.total, 'draw')}. It says nothing of "
-            "other views, nor of detectors that were not attacked."
+            f"noise of the same size does so in {noise.successes} of {plural(noise.total, 'draw')}. This says nothing "
+            "of other views, nor of detectors that were not attacked."
         ),
         headline=Figure(label="attacks after which the wanted class is reported", rate=rate),
         control=Figure(label="random noise of the same size, draws with the same success", rate=noise)

@@ -41,8 +41,9 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             "saved file and an 8-bit picture, beside random noise of its size."
         ),
         conclusion=(
-            f"{TITLES.get(chosen, chosen)}: {rate.successes} of {plural(rate.total, 'attack')} reach their aim, random "
-            f"noise in {noise.successes} of {plural(noise.total, 'draw')}. It says nothing of other views or detectors."
+            f"{TITLES.get(chosen, chosen)}: {rate.successes} of {plural(rate.total, 'attack')} reach their aim, "
+            f"random noise in {noise.successes} of {plural(noise.total, 'draw')}. This says nothing of other views "
+            "or detectors."
         ),
         headline=Figure(
             label=f"attacks that reach their aim ({TITLES.get(chosen, chosen)})", rate=rate, note="all radii and seeds"

@@ -98,7 +98,7 @@ def _section(
         conclusion=(
             f"A detector that was not attacked reports the wanted class in {rate.successes} of {rate.total:,} {what}; "
             f"one that was attacked in {_words(_pooled(white, 'targeted'))}. Random noise of the attacks' sizes does "
-            f"so in {_words(noise)}. It says nothing of other detectors, objects or budgets."
+            f"so in {_words(noise)}. This says nothing of other detectors, objects or budgets."
         ),
         headline=Figure(label=f"detectors that were not attacked: {what} with the wanted class", rate=rate),
         control=Figure(label="random noise of the same sizes, the same detectors", rate=noise) if noise.total else None,
