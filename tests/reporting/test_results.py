@@ -276,6 +276,7 @@ def test_transfer_counts_detectors_that_were_not_attacked(folders: dict[str, Pat
     section = read_section(folders["dagger-transfer --eot-study"])
     assert section.headline.rate == Rate(successes=8, total=40)
     assert "STUDY" in section.repeating
+    assert not any("hides the object" in text for text in section.warnings)
     assert any(
         "fake_blind finds the clean object in 0 of" in text
         for text in read_section(folders["dagger-transfer"]).warnings

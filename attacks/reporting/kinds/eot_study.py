@@ -49,8 +49,8 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         ),
         conclusion=(
             f"{capital(headline.label)}: {headline.counts}; {control.label}: {control.counts}. "
-            f"{sum(one['success'] for one in rows)} of {plural(len(rows), 'attack')} hold in enough views. Views of "
-            "one attack are not independent. This says nothing of detectors that were not attacked."
+            f"{'' if what == 'attacks' else _held(rows)}Views of one attack are not independent. "
+            "This says nothing of detectors that were not attacked."
         ),
         headline=headline,
         control=control if noise.total else None,
@@ -88,6 +88,10 @@ def _rate(rows: Sequence[Row]) -> Rate:
 
 def _noise(rows: Sequence[Row]) -> Rate:
     return Rate(successes=sum(one["noise_successes"] for one in rows), total=sum(one["noise_views"] for one in rows))
+
+
+def _held(rows: Sequence[Row]) -> str:
+    return f"{sum(one['success'] for one in rows)} of {plural(len(rows), 'attack')} hold in enough views. "
 
 
 def _called(one: Row) -> str:

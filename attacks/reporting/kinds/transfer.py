@@ -61,7 +61,7 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
         kind=HELD_OUT_KIND,
         picture="held_out.png",
         what="views",
-        done="Splats that were attacked from all cameras of a region were looked at from views that nobody searched.",
+        done="Splats that were attacked from all cameras of a region were judged from views that no search has seen.",
         configuration=shared(jobs),
         versions=(),
         command=(
@@ -135,7 +135,14 @@ def _words(rate: Rate) -> str:
 
 
 def _unseen(cells: Sequence[Cell], what: str) -> Iterator[str]:
-    """Judges that do not see the clean object, so that nothing can be said of them."""
+    """Judges that do not see the clean object, and figures that noise reaches, so that they say nothing."""
+    black = [cell for cell in cells if not cell["white_box"]]
+    gone, noise = _pooled(black, "untargeted"), _pooled(black, "noise_untargeted")
+    if gone.successes and noise.total and noise.fraction >= gone.fraction:
+        yield (
+            f"To detectors that were not attacked, random noise hides the object as often ({_words(noise)}) as the "
+            f"attacks do ({_words(gone)})"
+        )
     for cell in cells:
         total = known(cell["targeted"]).total
         if cell["runs"] and total < 0.5 * cell["runs"]:
