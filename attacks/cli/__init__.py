@@ -119,6 +119,13 @@ COMMANDS = {
     "view": Command(
         "attacks.cli", "ViewOptions", "view", "look at a splat or a result in the browser, clean beside attacked"
     ),
+    "report": Command(
+        "attacks.cli",
+        "ReportOptions",
+        "report",
+        "one page of results: figures with intervals and controls, warnings, how to repeat them",
+        options_module="report_options",
+    ),
     "detectors": Command(
         "attacks.cli",
         "DetectorsOptions",

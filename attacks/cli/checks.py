@@ -256,6 +256,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
 EXTRAS = {
     "figures": "matplotlib",
     "meshes": "trimesh",
+    "report": "jinja2",
     "transformers": "transformers",
     "video": "imageio_ffmpeg",
     "view": "viser",

@@ -59,6 +59,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",
         "cloak-experiment detection-curve scenes/cloak_demo.toml --results out/cloak --every 1 --out out/curve",
     ),
+    "report": (
+        "report out/dagger --out dagger.html",
+        "report out/cloak out/dagger-eot --out page.html",
+    ),
     "detectors": (
         "detectors",
         "detectors --json",
@@ -81,7 +85,7 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "train": ("capture", "render", "info"),
     "render": ("info", "train"),
     "select": ("info", "render", "dagger"),
-    "view": ("render", "detect", "dagger"),
+    "view": ("render", "report", "dagger"),
     "convert": ("info", "render"),
     "info": ("render", "select", "convert"),
     "example-scenes": ("render", "dagger"),
@@ -96,6 +100,7 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "dagger-eot-study": ("dagger-eot", "dagger-study"),
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
+    "report": ("view", "evaluate", "dagger", "cloak"),
     "detectors": ("dagger", "doctor"),
     "train-detector": ("evaluate-detector", "plot-detector-training"),
     "evaluate-detector": ("compare-detectors", "train-detector"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.documents import read_json
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
@@ -53,21 +53,6 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
         return exhibit_of_study(path, read_json(path / SUMMARY))
     expected = f"{RESULT} (mi-splat dagger) or {SUMMARY} (mi-splat cloak) in it"
     raise InvalidValueError(message(str(path), expected, "neither", "pass a finished result, or a .ply or .xml file"))
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file.
-
-    Raises:
-        InvalidValueError: It holds none.
-    """
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidValueError(message(str(path), "a JSON object", str(error), "make the result again")) from error
-    if not isinstance(found, dict):
-        raise InvalidValueError(message(str(path), "a JSON object", type(found).__name__, "make the result again"))
-    return found
 
 
 def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:

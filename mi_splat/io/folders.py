@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mi_splat.errors import message
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary, sweep_temporary, temporary_name
 from mi_splat.io.errors import SplatFileError, from_os_error
 
@@ -31,6 +31,30 @@ def check_writable(out: str | os.PathLike[str]) -> None:
         do = "pass a folder that you may write"
         raise SplatFileError(message(str(out), "a folder that can be written", f"read-only {around}", do))
     sweep_temporary(out)
+
+
+def check_new_file(path: Path, endings: Sequence[str], *, force: bool = False) -> None:
+    """Raise, before any work is done, unless a file can be written at `path`.
+
+    Args:
+        path: The file; its folder has to be there.
+        endings: That its name may have.
+        force: Whether a file that is there may be replaced.
+
+    Raises:
+        InvalidValueError: The name has another ending, the file is there, or its folder is not.
+        SplatFileError: The folder cannot be written.
+    """
+    if path.suffix.lower() not in endings:
+        expected, got = f"a name that ends in {' or '.join(endings)}", path.suffix or "no ending"
+        raise InvalidValueError(message(str(path), expected, got, "change the ending"))
+    if path.exists() and not (force and path.is_file()):
+        do = "choose another name" if path.is_dir() else "choose another name, or replace it with force"
+        error = InvalidValueError(message(str(path), "a free name", "something that is there", do))
+        raise error if path.is_dir() else error.hinted("--force")
+    if not path.absolute().parent.is_dir():
+        raise InvalidValueError(message(str(path), "a folder to write into", "none", "make the folder first"))
+    check_writable(path.parent)
 
 
 def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str] | None) -> None:

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_text
-from mi_splat.io.folders import check_writable
+from mi_splat.io.folders import check_new_file
 from mi_splat.io.images import to_bytes
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
@@ -46,16 +46,7 @@ def check_export(path: Path, views: tuple[int, int], *, force: bool) -> None:
     if not (min(views) >= 1 and views[0] * views[1] <= MOST_PICTURES):
         expected = f"azimuths x elevations of 1 to {MOST_PICTURES} in all"
         raise InvalidValueError(message("views", expected, views, "for instance 24 4"))
-    if path.suffix.lower() not in (".html", ".htm"):
-        got = path.suffix or "no ending"
-        raise InvalidValueError(message(str(path), "a name that ends in .html or .htm", got, "change the ending"))
-    if path.exists() and not (force and path.is_file()):
-        do = "choose another name" if path.is_dir() else "choose another name, or replace it with force"
-        error = InvalidValueError(message(str(path), "a free name", "something that is there", do))
-        raise error if path.is_dir() else error.hinted("--force")
-    if not path.absolute().parent.is_dir():
-        raise InvalidValueError(message(str(path), "a folder to write into", "none", "make the folder first"))
-    check_writable(path.parent)
+    check_new_file(path, (".html", ".htm"), force=force)
 
 
 def export_orbits(start: Orbit, views: tuple[int, int]) -> list[list[Orbit]]:

@@ -25,6 +25,7 @@ from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.run import run_study
 from attacks.detectors.base import Candidates, Detections
+from attacks.reporting.results import read_section
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
 
@@ -129,6 +130,12 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     assert found["gaussians"] == {"clean": [1200], "cloaked": [1200]}
     with Image.open(finished / "contact.png") as sheet:
         assert sheet.width > sheet.height
+
+
+def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
+    section, found = read_section(finished), summary(finished)
+    assert section.headline.counts == "{successes} of {total}".format(**found["trigger_miss_rate"])
+    assert section.pictures[0].path.name == "contact.png"
 
 
 def test_the_hidden_appearance_has_less_red(finished: Path) -> None:

@@ -30,6 +30,7 @@ FAST = {
         "evaluate",
         "info",
         "render",
+        "report",
         "select",
         "train",
     ),

@@ -1,0 +1,29 @@
+"""The options of the command that writes a page of results; light, so that --help is fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions:
+    """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
+
+    Takes folders that mi-splat dagger, dagger-eot, dagger-study, dagger-eot-study, dagger-pairs, dagger-transfer,
+    dagger-sanity, evaluate and cloak have written. The page is one file without a script, and asks nothing of any
+    network.
+    """
+
+    results: Positional[tuple[Path, ...]] = ()
+    """Folders of results; at least one. Those of one kind are compared."""
+    out: Path = Path("out/report.html")
+    """The page; its folder has to be there."""
+    title: str | None = None
+    """Heading of the page; None is made of the results."""
+    force: bool = False
+    """Replace the page if it is there."""
+    json: bool = False
+    """Print what is on the page as one JSON document on stdout."""

@@ -1,0 +1,78 @@
+"""Command lines that repeat a result, written from the settings that its JSON has."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+PROGRAM = "mi-splat"
+
+
+def command(name: str, *words: object) -> str:
+    """A line for a shell."""
+    return shlex.join([PROGRAM, name, *map(str, words)])
+
+
+def flags(values: Mapping[str, Any], defaults: object, *, skip: Sequence[str] = ()) -> list[str]:
+    """The flags that change the defaults of a configuration into these values.
+
+    Args:
+        values: As a JSON has them; keys that are no settings are left out.
+        defaults: A dataclass with its defaults.
+        skip: Settings that are said in another way.
+    """
+    words: list[str] = []
+    for field in dataclasses.fields(defaults):  # type: ignore[arg-type]
+        usual = json.loads(json.dumps(getattr(defaults, field.name)))
+        if field.name in skip or field.name not in values or values[field.name] == usual:
+            continue
+        words += flag(field.name, values[field.name])
+    return words
+
+
+def flag(name: str, value: Any) -> list[str]:
+    """One flag with its value, as the command line reads it; a switch has none."""
+    words = name.replace("_", "-")
+    if isinstance(value, bool):
+        return [f"--{words}" if value else f"--no-{words}"]
+    several = value if isinstance(value, (list, tuple)) else [value]
+    return [f"--{words}", *map(word, several)] if several else []
+
+
+def word(value: Any) -> str:
+    """A value as the command line reads it."""
+    if value is None:
+        return "none"
+    if isinstance(value, float):
+        return str(int(value)) if value.is_integer() else repr(value)
+    return str(value)
+
+
+def chosen(result: Mapping[str, Any], folder: Path) -> list[str]:
+    """The flags that choose the attacked object again: its name, or the mask that lies beside the result."""
+    selection = result.get("selection")
+    if isinstance(selection, Mapping) and set(selection) == {"object"}:
+        return ["--object", str(selection["object"])]
+    return ["--mask", str(folder / "mask.npy")] if (folder / "mask.npy").is_file() else []
+
+
+def aim(result: Mapping[str, Any], confidences: Mapping[str, float]) -> list[str]:
+    """The flags that say again what the attacker wants.
+
+    Args:
+        result: Of an attack.
+        confidences: Of each aim, what counts as success if nothing is said.
+    """
+    name, wanted = str(result["objective"]), result["config"].get("objective", {})
+    words = ["--target", str(result["target"])] if name == "relabel" else ["--objective", name]
+    confidence = wanted.get("confidence", confidences.get(name))
+    return words if confidence == confidences.get(name) else [*words, "--confidence", word(confidence)]
+
+
+def again(folder: Path) -> list[str]:
+    """Where a repeated result goes: beside the one that is there."""
+    return ["--out", f"{folder}-again"]
