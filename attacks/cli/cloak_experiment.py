@@ -18,13 +18,15 @@ from attacks.cloak.experiments.view_reports import finished_splats, watch
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import need_matplotlib
 from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.setup import near_of, target_of
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.documents import read_json
+from mi_splat.io.folders import check_new_file, check_new_folder, new_folder
 from mi_splat.rendering import Renderer, RenderSettings
 
 
@@ -60,7 +62,7 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
 def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, Any]:
     """The limits, and with --out a figure of them, beside the transition of finished results if they are named."""
     if options.out is not None:
-        check_new_file(options.out)
+        check_new_file(options.out, (".png",))
         measured = None if options.results is None else read_json(options.results / SUMMARY).get("transition")
         write_limit_figure(study, measured, options.out)
     return {"one_layer": measure_transition_limit(study), "two_layers": measure_layer_limit(study)}
