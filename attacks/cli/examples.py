@@ -59,6 +59,14 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",
         "cloak-experiment detection-curve scenes/cloak_demo.toml --results out/cloak --every 1 --out out/curve",
     ),
+    "artifact": (
+        "artifact out/cloak --out out/artifact",
+        "artifact out/layers --stages out/stages --splats --out out/layers-artifact",
+    ),
+    "artifact-check": (
+        "artifact-check out/artifact",
+        "artifact-check out/layers-artifact --rescore --every 8",
+    ),
     "detectors": (
         "detectors",
         "detectors --json",
@@ -96,6 +104,8 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "dagger-eot-study": ("dagger-eot", "dagger-study"),
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
+    "artifact": ("artifact-check", "cloak", "dagger-eot"),
+    "artifact-check": ("artifact", "evaluate"),
     "detectors": ("dagger", "doctor"),
     "train-detector": ("evaluate-detector", "plot-detector-training"),
     "evaluate-detector": ("compare-detectors", "train-detector"),

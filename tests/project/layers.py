@@ -58,6 +58,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "study of CLOAK": ("attacks.cloak.study",),
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),
+    "artifacts": ("attacks.artifacts",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }
 
