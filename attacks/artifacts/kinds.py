@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from attacks.artifacts import cloak
+from attacks.artifacts import cloak, dagger, dagger_eot
 from attacks.artifacts.contents import read_object
 from attacks.artifacts.packed import Kind
 from attacks.cloak.study.report import SUMMARY
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import RECORD as RESULT
 
-KINDS: dict[str, Kind] = {"cloak": cloak.KIND}
+KINDS: dict[str, Kind] = {
+    "cloak": cloak.KIND,
+    "dagger-eot": dagger_eot.KIND,
+    "dagger": dagger.KIND,
+}
 """By the command that makes the result."""
 
 
