@@ -51,7 +51,9 @@ def check_artifact(folder: Path) -> Checked:
     kind = known_kind(found.contents.kind, folder)
     files = check_files(found)
     tables = {
-        name: read_table(found.table_file(name), columns) for name, columns in kind.columns(found.contents).items()
+        name: read_table(found.table_file(name), columns)
+        for name, columns in kind.columns(found.contents).items()
+        if name not in kind.further or found.has_table(name)
     }
     contents = replace(found.contents, tables=tables)
     derived = kind.derive(contents)
@@ -60,7 +62,7 @@ def check_artifact(folder: Path) -> Checked:
         contents=contents,
         derived=derived,
         files=tuple(files),
-        figures=tuple(compared(contents.figures, tuple(flat(derived)))),
+        figures=(*compared(contents.figures, tuple(flat(derived))), *kind.agree(contents)),
     )
 
 

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.artifacts.cloak_rows import HeldOutCamera, columns, held_out, observed_of, tables_of
+from attacks.artifacts.cloak_rows import DETECTIONS, HeldOutCamera, columns, held_out, observed_of, tables_of
 from attacks.artifacts.contents import SPLATS, Contents, read_object
+from attacks.artifacts.looking import agreement, look_again
 from attacks.artifacts.packed import Kind, Packed
 from attacks.artifacts.rows import Column
 from attacks.artifacts.study_results import configuration_of, observed_splats, stage_splat, stated, study_of
@@ -115,4 +116,12 @@ def _cameras(study: StudyConfig, cameras: Sequence[HeldOutCamera]) -> dict[str, 
     }
 
 
-KIND = Kind(pack=pack, derive=derive, columns=tables, page=page)
+KIND = Kind(
+    pack=pack,
+    derive=derive,
+    columns=tables,
+    page=page,
+    look=look_again,
+    agree=agreement,
+    further=(DETECTIONS,),
+)

@@ -6,17 +6,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from attacks.artifacts.detection_rows import DETECTION, OBJECT
 from attacks.artifacts.rows import Cell, Column, Row, Table
 from attacks.artifacts.study_results import trained_splat
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
+from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat, classes_of
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 
-ROWS, FIDELITY, TRANSITION = "rows", "fidelity", "transition"
-_CORNERS = ("x0", "y0", "x1", "y1")
+ROWS, FIDELITY, TRANSITION, DETECTIONS = "rows", "fidelity", "transition", "detections"
+"""Tables; the last is there where somebody looked at the splats again."""
 _DEPTH, _SCORE = "depth: ", "score: "
 
 _SPLAT = (
@@ -40,14 +41,8 @@ class HeldOutCamera:
     box: tuple[float, ...] | None
 
 
-def classes_of(study: StudyConfig) -> list[str]:
-    """The object's own class and those that attacks want, each once."""
-    wanted = [attack.target_class for attack in study.attack if attack.target_class]
-    return list(dict.fromkeys([study.scene.class_name, *wanted]))
-
-
 def columns(study: StudyConfig) -> dict[str, tuple[Column, ...]]:
-    """The columns of the three tables of a study."""
+    """The columns of the tables of a study."""
     view = (
         *_SPLAT,
         Column(name="detector", kind="text", meaning="name of the detector"),
@@ -63,7 +58,7 @@ def columns(study: StudyConfig) -> dict[str, tuple[Column, ...]]:
                 meaning=f"{name} of the object's box; empty where it does not show",
                 optional=True,
             )
-            for name in _CORNERS
+            for name in OBJECT
         ),
         *(
             Column(
@@ -101,7 +96,13 @@ def columns(study: StudyConfig) -> dict[str, tuple[Column, ...]]:
         Column(name="surroundings_psnr", kind="number", unit="dB", meaning="beside the object, against the true scene"),
         Column(name="appearance_psnr", kind="number", unit="dB", meaning="on the object, against what is wanted there"),
     )
-    return {ROWS: view, FIDELITY: fidelity, TRANSITION: transition}
+    detections = (
+        *_SPLAT,
+        Column(name="detector", kind="text", meaning="name of the detector"),
+        Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
+        *DETECTION,
+    )
+    return {ROWS: view, FIDELITY: fidelity, TRANSITION: transition, DETECTIONS: detections}
 
 
 def tables_of(
@@ -120,7 +121,8 @@ def tables_of(
         rows[ROWS] += [{**whose, **_row(one, cameras[one.view])} for one in item.observations]
         rows[FIDELITY] += [{**whose, **_values(one, Fidelity)} for one in item.fidelities]
         rows[TRANSITION] += [{**whose, **_values(one, Blend)} for one in item.blends]
-    return {name: Table(columns=known, rows=tuple(rows[name])) for name, known in columns(study).items()}
+    known = columns(study)
+    return {name: Table(columns=known[name], rows=tuple(found)) for name, found in rows.items()}
 
 
 def observed_of(
@@ -131,7 +133,7 @@ def observed_of(
     Args:
         study: The study.
         splats: As its summary lists them.
-        tables: The three tables.
+        tables: The tables.
 
     Raises:
         InvalidValueError: A row belongs to no splat of the study or is there twice, or one is missing.
@@ -141,8 +143,9 @@ def observed_of(
     if set(listed) != wanted or len(listed) != len(splats):
         got = ", ".join(f"{which} {seed}" for which, seed in listed)
         raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
-    parts = {name: {key: list(_of(table, *key)) for key in listed} for name, table in tables.items()}
-    for name, table in tables.items():
+    needed = {name: tables[name] for name in (ROWS, FIDELITY, TRANSITION)}
+    parts = {name: {key: list(_of(table, *key)) for key in listed} for name, table in needed.items()}
+    for name, table in needed.items():
         if sum(map(len, parts[name].values())) != len(table.rows):
             raise _wrong(f"table {name}", "rows of the study's splats", "others")
     found = []
@@ -172,11 +175,11 @@ def _check_complete(study: StudyConfig, observed: Sequence[ObservedSplat]) -> No
 
 
 def _row(one: Observation, place: HeldOutCamera) -> dict[str, Cell]:
-    box: Sequence[float | None] = place.box or (None,) * len(_CORNERS)
+    box: Sequence[float | None] = place.box or (None,) * len(OBJECT)
     return {
         **{name: getattr(one, name) for name in ("detector", "view", "azimuth", "elevation")},
         "distance": place.distance,
-        **dict(zip(_CORNERS, box, strict=True)),
+        **dict(zip(OBJECT, box, strict=True)),
         **{f"{_DEPTH}{name}": depth for name, depth in one.depths.items()},
         **{f"{_SCORE}{label}": score for label, score in one.scores.items()},
         "any_overlap": one.any_overlap,

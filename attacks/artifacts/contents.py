@@ -104,6 +104,10 @@ class FoundArtifact:
     contents: Contents
     files: Mapping[str, tuple[str, int]]
 
+    def has_table(self, name: str) -> bool:
+        """Whether the artifact lists a table."""
+        return bool({f"{name}.csv", f"{name}.csv.gz"} & set(self.files))
+
     def table_file(self, name: str) -> Path:
         """The file of a table.
 

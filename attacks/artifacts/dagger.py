@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from attacks.artifacts.contents import Contents, read_object
-from attacks.artifacts.dagger_results import CORNERS, broken, contents_of, objective_of, splat_of
-from attacks.artifacts.detection_rows import DETECTION, detection_cells, detections_of, object_box
+from attacks.artifacts.dagger_results import broken, contents_of, objective_of, splat_of
+from attacks.artifacts.detection_rows import DETECTION, OBJECT, detection_cells, detections_of, object_box
 from attacks.artifacts.packed import Kind, Packed
 from attacks.artifacts.rows import Column, Row, Table
 from attacks.dagger.problem import joint_verdict, reached_by
@@ -32,7 +32,7 @@ _COLUMNS = (
     Column(name="detector", kind="text", meaning="name of the detector"),
     Column(name="scene", kind="text", meaning="clean or attacked"),
     Column(name="original", kind="text", meaning="what the detector calls the clean object", optional=True),
-    *(Column(name=name, kind="number", unit="pixels", meaning=f"{name} of the object's box") for name in CORNERS),
+    *(Column(name=name, kind="number", unit="pixels", meaning=f"{name} of the object's box") for name in OBJECT),
     *DETECTION,
 )
 
@@ -144,7 +144,7 @@ def _views(contents: Contents) -> Iterator[_View]:
 def _rows(view: Mapping[str, Any], number: int) -> Iterator[Row]:
     """A row for each detection of one view, clean and attacked; one with an empty detection where there is none."""
     place = {"view": number, "detector": view["detector"], "original": view["original"]}
-    corners = dict(zip(CORNERS, view["box"], strict=True))
+    corners = dict(zip(OBJECT, view["box"], strict=True))
     for scene in (CLEAN, ATTACKED):
         for found in view[scene] or [None]:
             yield {**place, "scene": scene, **corners, **detection_cells(found, view["box"])}

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from attacks.artifacts.contents import Contents, read_object
-from attacks.artifacts.dagger_results import CORNERS, broken, contents_of, objective_of, splat_of
+from attacks.artifacts.dagger_results import broken, contents_of, objective_of, splat_of
+from attacks.artifacts.detection_rows import OBJECT
 from attacks.artifacts.packed import Kind, Packed
 from attacks.artifacts.rows import Cell, Column, Row, Table
 from attacks.dagger.eot.judging import joint_rate
@@ -92,7 +93,7 @@ def _columns(draws: int) -> tuple[Column, ...]:
         Column(name="azimuth", kind="number", unit="degrees", meaning="of the camera, from +x towards +y"),
         Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
         *(Column(name=name, kind="number", unit="world units", meaning="of the camera") for name in "xyz"),
-        *(Column(name=name, kind="number", unit="pixels", meaning="of the object's box") for name in CORNERS),
+        *(Column(name=name, kind="number", unit="pixels", meaning="of the object's box") for name in OBJECT),
         Column(name="success", kind="truth", meaning="whether the aim is reached in the attacked picture"),
         Column(name="unambiguous", kind="truth", meaning="whether so, and no other class has more confidence there"),
         confidence("score", "how near the aim is, attacked, in [0, 1]"),
@@ -110,7 +111,7 @@ def _row(view: Mapping[str, Any], original: str | None) -> Row:
     row: dict[str, Cell] = {name: view[name] for name in (*same, *confidences)}
     row |= {"original": original}
     row |= dict(zip("xyz", view["position"], strict=True))
-    row |= dict(zip(CORNERS, view["box"], strict=True))
+    row |= dict(zip(OBJECT, view["box"], strict=True))
     return row | {f"{_NOISE}{draw}": score for draw, score in enumerate(view["noise_scores"])}
 
 

@@ -12,7 +12,6 @@ from attacks.artifacts.rows import Table
 from attacks.objectives import Hide, Objective, Relabel, Untargeted
 from mi_splat.errors import InvalidValueError, message
 
-CORNERS = ("x0", "y0", "x1", "y1")
 _AIMS: dict[str, type[Any]] = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 _ABSOLUTE = re.compile(r"/|~|[A-Za-z]:[\\/]|\\\\")
 

@@ -139,10 +139,11 @@ def compared(expected: Sequence[Figure], derived: Sequence[Figure]) -> list[Line
 
 def _agree(expected: Figure, got: Value) -> bool:
     here = expected.value
-    numbers = all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in (here, got))
-    if numbers:
-        return abs(here - got) <= expected.tolerance  # type: ignore[operator]
-    return type(here) is type(got) and here == got
+    if isinstance(here, bool) or isinstance(got, bool):
+        return here is got
+    if isinstance(here, (int, float)) and isinstance(got, (int, float)):
+        return abs(here - got) <= expected.tolerance
+    return here == got
 
 
 def in_words(value: Value) -> str:

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from attacks.artifacts.contents import Contents
+from attacks.artifacts.figures import Line
 from attacks.artifacts.rows import Column, Table
+from attacks.detectors.base import Detector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +40,12 @@ Columns = Callable[[Contents], Mapping[str, Sequence[Column]]]
 """What the tables of a kind have, which may depend on the configuration."""
 Page = Callable[[Mapping[str, Any], Contents], str]
 """From derived figures to the Markdown that a study writes of them."""
+OnView = Callable[[int, int], None]
+"""Told how many pictures were looked at, and of how many."""
+Look = Callable[[Packed, Sequence[Detector], OnView], Mapping[str, Table]]
+"""Lets detectors look at the splats of a result again: further tables, with every detection."""
+Agree = Callable[[Contents], Sequence[Line]]
+"""Whether these further tables and the others say the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,12 +57,18 @@ class Kind:
         derive: Makes its figures of its rows.
         columns: The tables that it has.
         page: Makes the tables of the documentation; None where there are none.
+        look: Makes further tables; None where there are none.
+        agree: Compares them with the others.
+        further: Their names.
     """
 
     pack: Pack
     derive: Derive
     columns: Columns
     page: Page | None = None
+    look: Look | None = None
+    agree: Agree = lambda contents: ()
+    further: tuple[str, ...] = ()
 
 
 def rows_of(tables: Mapping[str, Table]) -> int:

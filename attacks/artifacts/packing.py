@@ -10,8 +10,9 @@ from pathlib import Path
 from attacks.artifacts.contents import CAMERAS, RECORD, SPLATS, Contents, checked_page, record_of
 from attacks.artifacts.figures import compared, flat
 from attacks.artifacts.kinds import KINDS, kind_of
-from attacks.artifacts.packed import Packed
+from attacks.artifacts.packed import OnView, Packed
 from attacks.artifacts.rows import read_table, write_table
+from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import new_folder
@@ -25,6 +26,8 @@ def pack_artifact(
     pages: Sequence[str] = (),
     splats: bool = False,
     force: bool = False,
+    detectors: Sequence[Detector] = (),
+    on_view: OnView = lambda done, total: None,
 ) -> Contents:
     """Pack a finished result into a new folder, which appears whole or not at all.
 
@@ -37,6 +40,9 @@ def pack_artifact(
         pages: Pages of the documentation that show its figures, relative to the checkout.
         splats: Whether to pack the splats, too.
         force: Whether an older artifact at `out` may be replaced.
+        detectors: Those of a study, to look at its splats again and keep every detection; none keeps what the study
+            has kept, which is the highest scores on the object.
+        on_view: Told how many pictures they have looked at.
 
     Returns:
         What the artifact holds.
@@ -48,12 +54,18 @@ def pack_artifact(
     kind = KINDS[kind_of(result)]
     packed = kind.pack(result, stages)
     contents = replace(packed.contents, pages=tuple(checked_page(page, "page") for page in pages))
+    if detectors:
+        if kind.look is None:
+            do = "leave --detections out"
+            raise InvalidValueError(message(str(result), "a study of CLOAK, for detections", contents.kind, do))
+        contents = replace(contents, tables={**contents.tables, **kind.look(packed, detectors, on_view)})
     with new_folder(out, force=force, record=RECORD) as folder:
         written = {name: write_table(table, folder, name) for name, table in contents.tables.items()}
         columns = kind.columns(contents)
         tables = {name: read_table(path, columns[name]) for name, path in written.items()}
         expected = tuple(flat(packed.figures))
-        lines = compared(expected, tuple(flat(kind.derive(replace(contents, tables=tables)))))
+        reread = replace(contents, tables=tables)
+        lines = [*compared(expected, tuple(flat(kind.derive(reread)))), *kind.agree(reread)]
         off = next((line for line in lines if not line.passed), None)
         if off is not None:
             got, do = f"{off.name}: {off.words}", "make the result again: it is not of these observations"

@@ -14,7 +14,6 @@ from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import TrainedSplat
 from attacks.cloak.study.report import SUMMARY
-from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import from_table
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
@@ -129,7 +128,13 @@ def trained_splat(entry: Mapping[str, Any]) -> TrainedSplat:
         raise InvalidValueError(message("splats", "splats of a study", repr(error), "make it again")) from error
 
 
-def snapshot_of(study: StudyConfig) -> dict[str, Any]:
-    """The study as JSON gives it back."""
-    found: dict[str, Any] = json.loads(json.dumps(snapshot(study)))
-    return found
+def detectors_of(folder: Path) -> tuple[str, ...]:
+    """Names of the detectors of a finished study.
+
+    Raises:
+        InvalidValueError: The folder holds none.
+    """
+    found = read_object(folder / SUMMARY).get("detectors")
+    if not isinstance(found, dict):
+        raise InvalidValueError(message(str(folder / SUMMARY), "a summary of a study", "none", "pass another folder"))
+    return tuple(map(str, found))

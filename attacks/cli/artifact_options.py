@@ -13,7 +13,8 @@ class ArtifactOptions:
     """Pack a finished result into a folder that others can check: raw rows, cameras, configuration, expected figures.
 
     Takes the folder that `mi-splat cloak`, `dagger-eot` or `dagger` has written. Writes artifact.json, the tables of
-    raw rows, and what the result has of cameras.json, study.toml and splats/ into --out. Nothing is rendered.
+    raw rows, and what the result has of cameras.json, study.toml and splats/ into --out. Nothing is rendered, unless
+    --detections asks for it.
     """
 
     result: Positional[Path]
@@ -26,6 +27,10 @@ class ArtifactOptions:
     """Pages of the documentation that show the result's figures, relative to the checkout."""
     splats: bool = False
     """Pack the splats, too, so that others can score them again."""
+    detections: bool = False
+    """Let the study's detectors look at its splats again, and keep every detection as a row (cloak)."""
+    weights: tuple[Path, ...] = ()
+    """Files with the detectors' weights, in the study's order; none takes the shipped or published ones."""
     force: bool = False
     """Replace an older artifact in --out."""
     json: bool = False
