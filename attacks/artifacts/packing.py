@@ -51,9 +51,10 @@ def pack_artifact(
         InvalidValueError: There is no finished result, or its rows do not give its figures.
         SplatFileError: `out` is in use or cannot be written.
     """
+    named = tuple(checked_page(page, "page") for page in pages)
     kind = KINDS[kind_of(result)]
     packed = kind.pack(result, stages)
-    contents = replace(packed.contents, pages=tuple(checked_page(page, "page") for page in pages))
+    contents = replace(packed.contents, pages=named)
     if detectors:
         if kind.look is None:
             do = "leave --detections out"
