@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from attacks.artifacts.checking import check_artifact
 from attacks.artifacts.cloak_rows import held_out, observed_of, tables_of
@@ -19,6 +20,7 @@ from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
+from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.artifacts.conftest import PAGE, STUDY
 from tests.cloak.test_study import Redness
@@ -52,7 +54,11 @@ def test_it_holds_what_others_need(result: Path, packed: Path) -> None:
     rates = [one for one in record["figures"] if isinstance(one["value"], dict)]
     assert all(one["tolerance"] == 0 for one in rates)
     assert len(rates) > 40
-    assert len(json.loads((packed / "cameras.json").read_text())["cameras"]) == len(held_out(STUDY))
+    cameras = recorded_cameras(packed / "cameras.json")  # as --cameras of other commands reads it
+    assert cameras is not None
+    for camera, place in zip(cameras.values(), held_out(STUDY), strict=True):
+        assert torch.equal(camera.to_world, place.camera.to_world)
+        assert camera.focal == place.camera.focal
 
 
 def test_nothing_in_it_names_a_folder_of_this_machine(result: Path, packed: Path) -> None:
