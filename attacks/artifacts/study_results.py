@@ -34,7 +34,7 @@ def study_of(configuration: Mapping[str, Any], where: str) -> StudyConfig:
     """
     values = stated(configuration)
     scene = values.get("scene")
-    if isinstance(scene, dict) and scene.get("object") not in ASSETS:
+    if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}
     return from_table(StudyConfig, values, where)
 

@@ -11,7 +11,8 @@ from attacks.artifacts.study_results import detectors_of
 from attacks.cli.artifact_options import ArtifactOptions
 from attacks.cli.loading import load_detectors
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.cli.ranges import UsageError
+from mi_splat.errors import message
 from mi_splat.io.folders import check_new_folder
 
 
@@ -19,7 +20,7 @@ def run(options: ArtifactOptions) -> int:
     """Pack the result, and say what the artifact holds."""
     check_new_folder(options.out, force=options.force, record=RECORD)
     if options.weights and not options.detections:
-        raise InvalidValueError(message("--weights", "--detections beside it", "none", "add --detections"))
+        raise UsageError(message("--weights", "--detections beside it", "none", "add --detections"))
     with progress("packing", total=None) as advance:
         detectors = []
         if options.detections:

@@ -12,24 +12,26 @@ from attacks.artifacts.rescoring import rescore
 from attacks.cli.artifact_options import ArtifactCheckOptions
 from attacks.cli.loading import load_detectors
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.cli.ranges import UsageError
+from mi_splat.errors import MiSplatError, message
 
 
 def run(options: ArtifactCheckOptions) -> int:
     """Check each artifact; 1 if a line is red."""
     if not options.folders:
-        raise InvalidValueError(message("folders", "folders of artifacts", "none", "name one"))
+        raise UsageError(message("folders", "folders of artifacts", "none", "name one"))
     given = [
         flag
         for flag, is_given in (
             ("--splats", options.splats is not None),
             ("--detectors", bool(options.detectors)),
             ("--weights", bool(options.weights)),
+            ("--every", options.every != 1),
         )
         if is_given
     ]
     if given and not options.rescore:
-        raise InvalidValueError(message(given[0], "--rescore beside it", "none", "add --rescore"))
+        raise UsageError(message(given[0], "--rescore beside it", "none", "add --rescore"))
     found: dict[str, list[Line]] = {}
     for folder in options.folders:
         found[str(folder)] = _lines(folder, options)

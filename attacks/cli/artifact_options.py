@@ -45,8 +45,8 @@ class ArtifactCheckOptions:
     With --rescore the splats are rendered and detectors look at them again.
     """
 
-    folders: Positional[tuple[Path, ...]]
-    """Folders of artifacts."""
+    folders: Positional[tuple[Path, ...]] = ()
+    """Folders of artifacts; at least one."""
     pages: Path | None = None
     """Checkout whose pages have to show these figures; None looks at none."""
     rescore: bool = False

@@ -173,6 +173,39 @@ def test_no_record_ends_in_anything_but_an_error_in_words(value: object, packed:
 
 
 @pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("scene", "object"), ["car"]),
+        (("scene",), 3),
+        (("attack",), []),
+        (("evaluation", "confidence"), "high"),
+        (("evaluation", "detectors"), ["another"]),
+        (("seeds",), [0, 1]),
+        (("name",), None),
+    ],
+    ids=str,
+)
+def test_an_edited_configuration_is_seen(place: tuple[str, ...], value: object, artifact: Path) -> None:
+    def change(record: dict[str, Any]) -> None:
+        table = record["configuration"]
+        for key in place[:-1]:
+            table = table[key]
+        table[place[-1]] = value
+
+    edit_record(artifact, change)
+    with pytest.raises(InvalidValueError, match=r"expected .* got .*;"):
+        check_artifact(artifact)
+
+
+def test_a_mesh_file_has_no_part_in_a_rate(artifact: Path) -> None:
+    def change(record: dict[str, Any]) -> None:
+        record["configuration"]["scene"].update(object="truck.glb", label="car", front="+x")
+
+    edit_record(artifact, change)
+    assert red(check_artifact(artifact)) == []
+
+
+@pytest.mark.parametrize(
     "entry", [{}, {"name": "a", "value": 1, "tolerance": 0.5}, {"name": "a", "value": [1], "tolerance": 0}, 7]
 )
 def test_figures_that_are_none_are_refused(entry: object, artifact: Path) -> None:
@@ -243,6 +276,8 @@ def test_the_command_packs(result: Path, tmp_path: Path, capsys: pytest.CaptureF
     [
         (["artifact", "{result}", "--weights", "a.pt"], "--weights: expected --detections beside it"),
         (["artifact-check", "{packed}", "--splats", "."], "--splats: expected --rescore beside it"),
+        (["artifact-check"], "expected folders of artifacts, got none"),
+        (["artifact-check", "{packed}", "--every", "2"], "--every: expected --rescore beside it"),
         (["artifact-check", "{packed}", "--detectors", "a"], "--detectors: expected --rescore beside it"),
     ],
 )
@@ -251,5 +286,5 @@ def test_flags_that_would_mean_nothing_are_refused(
 ) -> None:
     given = [word.format(result=result, packed=packed) for word in words]
     out = ["--out", str(tmp_path / "out")] if words[0] == "artifact" else []
-    assert cli.main([*given, *out]) == 1
+    assert cli.main([*given, *out]) == 2
     assert said in capsys.readouterr().err

@@ -19,7 +19,7 @@ COLUMNS = (
     Column(name="size", kind="number", meaning="a size", unit="m", optional=True),
     Column(name="holds", kind="truth", meaning="whether"),
 )
-ROW = {"word": "a, b", "count": 3, "size": 0.1, "holds": True}
+ROW: dict[str, rows.Cell] = {"word": "a, b", "count": 3, "size": 0.1, "holds": True}
 HEAD = "word,count,size,holds\n"
 
 ROWS = st.lists(
