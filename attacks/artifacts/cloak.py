@@ -19,6 +19,7 @@ from attacks.cloak.study.markdown import markdown
 from attacks.cloak.study.rates import figures
 from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.study_file import from_table
+from mi_splat.assets.mesh import Asset
 from mi_splat.cli.camera_records import describe
 from mi_splat.errors import InvalidValueError, message
 
@@ -40,7 +41,8 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     summary, stages = read_object(folder / SUMMARY), folder / "stages" if stages is None else stages
     try:
         study = from_table(StudyConfig, stated(summary["study"]), str(folder / SUMMARY))
-        observed, cameras = observed_splats(summary, stages), held_out(study)
+        observed, target = observed_splats(summary, stages), setup.target_of(study.scene)
+        cameras = held_out(study, target)
         configuration = configuration_of(summary["study"])
         contents = Contents(
             kind="cloak",
@@ -63,7 +65,7 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     return Packed(
         contents=contents,
         figures=stated_figures,
-        cameras=_cameras(study, cameras),
+        cameras=_cameras(study, cameras, target),
         texts={STUDY: study_toml(configuration)},
         splats=splats,
     )
@@ -102,13 +104,13 @@ def _splat(entry: Mapping[str, Any], folder: Path, stages: Path, study: StudyCon
     return stage_splat(entry["content"], stages)
 
 
-def _cameras(study: StudyConfig, cameras: Sequence[HeldOutCamera]) -> dict[str, Any]:
+def _cameras(study: StudyConfig, cameras: Sequence[HeldOutCamera], target: Asset) -> dict[str, Any]:
     """cameras.json: all that a picture of a splat needs, and where the object is in it."""
     return {
         "units": "world units; pixels; poses are camera to world, x right, y down, z forward; colours are sRGB",
         "centre": list(setup.centre_of(study)),
         "background": list(study.scene.background),
-        "near": setup.near_of(study, setup.target_of(study.scene)),
+        "near": setup.near_of(study, target),
         "cameras": [
             {**describe(str(view), place.camera), "box": None if place.box is None else list(place.box)}
             for view, place in enumerate(cameras)

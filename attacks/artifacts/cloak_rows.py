@@ -13,6 +13,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat, classes_of
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
+from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 
@@ -208,9 +209,9 @@ def _own(row: Row) -> dict[str, Any]:
     return {name: value for name, value in row.items() if name not in ("splat", "seed")}
 
 
-def held_out(study: StudyConfig) -> list[HeldOutCamera]:
-    """The cameras of a study, and where its object is in their pictures; needs the object's mesh."""
-    target, centre = setup.target_of(study.scene), setup.centre_of(study)
+def held_out(study: StudyConfig, target: Asset) -> list[HeldOutCamera]:
+    """The cameras of a study, and where its object is in their pictures."""
+    centre = setup.centre_of(study)
     found = []
     for camera in setup.held_out_cameras(study, target):
         box = setup.box_of(target, camera)

@@ -17,6 +17,7 @@ from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.study_results import observed_splats
 from attacks.artifacts.study_toml import study_toml
 from attacks.cloak.layered.config import LayersConfig
+from attacks.cloak.study import setup
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
@@ -35,7 +36,7 @@ def test_observations_go_through_the_rows_unchanged(result: Path, packed: Path) 
     before = observed_splats(summary(result), result / "stages")
     read = check_artifact(packed).contents
     assert observed_of(STUDY, read.splats, read.tables) == before
-    again = tables_of(STUDY, before, held_out(STUDY))
+    again = tables_of(STUDY, before, held_out(STUDY, setup.target_of(STUDY.scene)))
     assert all(read.tables[name] == table for name, table in again.items())
 
 
@@ -56,7 +57,7 @@ def test_it_holds_what_others_need(result: Path, packed: Path) -> None:
     assert len(rates) > 40
     cameras = recorded_cameras(packed / "cameras.json")  # as --cameras of other commands reads it
     assert cameras is not None
-    for camera, place in zip(cameras.values(), held_out(STUDY), strict=True):
+    for camera, place in zip(cameras.values(), held_out(STUDY, setup.target_of(STUDY.scene)), strict=True):
         assert torch.equal(camera.to_world, place.camera.to_world)
         assert (camera.fx, camera.fy) == (place.camera.fx, place.camera.fy)
 
