@@ -116,6 +116,20 @@ COMMANDS = {
     "cloak-experiment": Command(
         "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
     ),
+    "artifact": Command(
+        "attacks.cli",
+        "ArtifactOptions",
+        "artifact",
+        "pack a finished result with its raw rows, so that others can check its figures",
+        options_module="artifact_options",
+    ),
+    "artifact-check": Command(
+        "attacks.cli",
+        "ArtifactCheckOptions",
+        "artifact_check",
+        "derive every figure of artifacts again from their rows, or score their splats again",
+        options_module="artifact_options",
+    ),
     "view": Command(
         "attacks.cli", "ViewOptions", "view", "look at a splat or a result in the browser, clean beside attacked"
     ),

@@ -62,6 +62,13 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "report": (
         "report out/dagger --out dagger.html",
         "report out/cloak out/dagger-eot --out page.html",
+    "artifact": (
+        "artifact out/cloak --out out/artifact",
+        "artifact out/layers --stages out/stages --splats --out out/layers-artifact",
+    ),
+    "artifact-check": (
+        "artifact-check out/artifact",
+        "artifact-check out/layers-artifact --rescore --every 8",
     ),
     "detectors": (
         "detectors",
@@ -101,6 +108,8 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
     "report": ("view", "evaluate", "dagger", "cloak"),
+    "artifact": ("artifact-check", "cloak", "dagger-eot"),
+    "artifact-check": ("artifact", "evaluate"),
     "detectors": ("dagger", "doctor"),
     "train-detector": ("evaluate-detector", "plot-detector-training"),
     "evaluate-detector": ("compare-detectors", "train-detector"),

@@ -105,6 +105,12 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "DaggerEotStudyOptions.scenes": ("FOLDER",),
     "DaggerEotStudyOptions.groups": ("TABLE",),
     "pairs": ("NUMBER",),
+    "ArtifactOptions.result": ("RESULT",),
+    "ArtifactOptions.page": ("PAGE",),
+    "folders": ("FOLDER",),
+    "ArtifactCheckOptions.pages": ("FOLDER",),
+    "ArtifactCheckOptions.splats": ("FOLDER",),
+    "rate_tolerance": ("FRACTION",),
     "host": ("HOST",),
     "port": ("PORT",),
     # training of detectors

@@ -43,6 +43,7 @@ ALL_RANGES: dict[str, Range] = {
     "gradient_power": FRACTION,
     "radii": above(0, "units of the splat file"),
     "every": at_least(1, "cameras"),
+    "rate_tolerance": FRACTION,
     "port": Range(0, 65535, do="0 takes a free one"),
     # detectors
     "validate_every": at_least(1, "epochs or steps"),

@@ -48,7 +48,7 @@ def recorded_cameras(path: Path) -> dict[str, Camera] | None:
         return None
     try:
         return {
-            str(entry.get("name", entry.get("img_name", number))): _camera(entry)
+            str(entry.get("name", entry.get("img_name", number))): camera_of(entry)
             for number, entry in enumerate(entries)
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -70,7 +70,12 @@ def _entries(document: Any) -> list[Any]:
     return found if isinstance(found, list) else []
 
 
-def _camera(entry: dict[str, Any]) -> Camera:
+def camera_of(entry: dict[str, Any]) -> Camera:
+    """A camera as `describe`, or the trainer of 3DGS, writes it.
+
+    Raises:
+        KeyError, TypeError, ValueError: It lacks something, or something is no number.
+    """
     if "rotation" in entry:  # of the trainer of 3DGS
         pose = torch.eye(4, dtype=torch.float64)
         pose[:3, :3] = torch.tensor(entry["rotation"], dtype=torch.float64)

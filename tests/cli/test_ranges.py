@@ -32,6 +32,8 @@ NEEDED = {
     "cloak": ["study.toml"],
     "view": ["a.ply"],
     "cloak-experiment": ["surroundings", "study.toml"],
+    "artifact": ["out/study"],
+    "artifact-check": ["out/artifact"],
 }
 """What a command cannot do without."""
 

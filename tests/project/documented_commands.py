@@ -21,6 +21,8 @@ Change = Callable[[list[str]], "list[str] | None"]
 
 FAST = {
     *(
+        "artifact",
+        "artifact-check",
         "capture",
         "convert",
         "dagger",

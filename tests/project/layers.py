@@ -59,6 +59,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),
     "reports": ("attacks.reporting",),
+    "artifacts": ("attacks.artifacts",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import re
 import shlex
@@ -66,6 +67,14 @@ def mesh(path: Path) -> None:
     trimesh.creation.box((400.0, 180.0, 150.0)).export(path)
 
 
+def shipped_artifact(path: Path) -> None:
+    """An artifact of the documentation, and the pages that it names."""
+    shutil.copytree(ROOT / path, path)
+    for page in json.loads((path / "artifact.json").read_text())["pages"]:
+        Path(page).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(ROOT / page, page)
+
+
 PICTURES = "mi-splat capture stop_sign --cameras hemisphere:4 --test 2 --format both --out {path}"
 DAGGER = "mi-splat dagger scenes/car_street.xml --object car --out {path}"
 
@@ -83,6 +92,7 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/elephant/attacked.ply": "mi-splat dagger scenes/car_street.xml --object car --out out/elephant",
     "out/attacked.spz": "mi-splat convert scenes/car_street_car.ply out/attacked.spz",
     "out/person": DAGGER,
+    "docs/artifacts/cloak_car_layers": shipped_artifact,
 }
 """What pages take as given: a command that makes it, or a function."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -218,19 +218,37 @@ def _blend(
 
 def _observation(study: StudyConfig, seen: ViewDetections) -> Observation:
     """What a detector's report of one picture says of the object."""
-    centre, own = setup.centre_of(study), study.scene.class_name
+    centre = setup.centre_of(study)
     direction = seen.direction(centre)
-    classes = [own, *(attack.target_class for attack in study.attack if attack.target_class)]
     return Observation(
         detector=seen.detector,
         view=seen.view,
         azimuth=direction.azimuth,
         elevation=direction.elevation,
         depths={attack.name: attack.cone.angle_to_edge(seen.camera, centre=centre) for attack in study.attack},
-        scores={label: seen.confidence(label) for label in classes},
-        any_overlap=seen.confidence(own, iou=0.1),
-        any_class=seen.confidence(),
+        **scored(study, seen.confidence),
     )
+
+
+def scored(study: StudyConfig, confidence: Callable[..., float]) -> dict[str, Any]:
+    """The part of an `Observation` that detections decide.
+
+    Args:
+        study: The study.
+        confidence: As `attacks.evaluation.views.ViewDetections.confidence`.
+    """
+    own = study.scene.class_name
+    return {
+        "scores": {label: confidence(label) for label in classes_of(study)},
+        "any_overlap": confidence(own, iou=0.1),
+        "any_class": confidence(),
+    }
+
+
+def classes_of(study: StudyConfig) -> list[str]:
+    """The object's own class and those that attacks want, each once."""
+    wanted = [attack.target_class for attack in study.attack if attack.target_class]
+    return list(dict.fromkeys([study.scene.class_name, *wanted]))
 
 
 def _references(pipeline: StudyPipeline) -> _References:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -85,12 +85,24 @@ class Judgement:
         return self._rate(lambda one: (dataclasses.replace(one.verdict, success=one.verdict.unambiguous),), detector)
 
     def _rate(self, verdicts: Callable[[JudgedView], Sequence[Verdict]], detector: str | None) -> Rate:
-        rows: dict[int, list[Sequence[Verdict]]] = {}
-        for one in self.views:
-            if detector in (None, one.detector):
-                rows.setdefault(one.view.index, []).append(verdicts(one))
-        outcomes = [all(v.success for v in draw) for row in rows.values() for draw in zip(*row, strict=True)]
-        return Rate(successes=sum(outcomes), total=len(outcomes))
+        return joint_rate(
+            (one.view.index, [verdict.success for verdict in verdicts(one)])
+            for one in self.views
+            if detector in (None, one.detector)
+        )
+
+
+def joint_rate(outcomes: Iterable[tuple[int, Sequence[bool]]]) -> Rate:
+    """Views in which every detector is deceived.
+
+    Args:
+        outcomes: Number of the view, and whether one detector is deceived in it: once, or once for each draw of noise.
+    """
+    rows: dict[int, list[Sequence[bool]]] = {}
+    for index, draws in outcomes:
+        rows.setdefault(index, []).append(draws)
+    found = [all(draw) for row in rows.values() for draw in zip(*row, strict=True)]
+    return Rate(successes=sum(found), total=len(found))
 
 
 def judge(

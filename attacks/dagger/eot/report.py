@@ -19,7 +19,8 @@ from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder
 
 CONTACT = "held_out.png"
-_AZIMUTHS, _ELEVATIONS = 8, 4
+AZIMUTHS, ELEVATIONS = 8, 4
+"""Parts of the angles that success is told by."""
 
 
 def write_eot_report(result: EotResult, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
@@ -77,8 +78,8 @@ def eot_summary(result: EotResult) -> dict[str, Any]:
         "changed_gaussians": result.changed_gaussians,
         "object_gaussians": result.object_gaussians,
         "redraws": result.redraws,
-        "by_azimuth": by_angle(result, lambda one: one.view.direction.azimuth, (0.0, 360.0), _AZIMUTHS),
-        "by_elevation": by_angle(result, lambda one: one.view.direction.elevation, region.elevations, _ELEVATIONS),
+        "by_azimuth": by_angle(result, lambda one: one.view.direction.azimuth, (0.0, 360.0), AZIMUTHS),
+        "by_elevation": by_angle(result, lambda one: one.view.direction.elevation, region.elevations, ELEVATIONS),
         "warnings": list(result.warnings),
         "views": [_view(result, one) for one in judgement.views],
         "trace": [_line(dataclasses.asdict(line)) for line in result.trace],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,14 +101,25 @@ def by_angle(
         interval: Degrees.
         parts: Number of parts.
     """
+    return binned([(angle(one), one.verdict.success) for one in result.judgement.views], interval, parts)
+
+
+def binned(outcomes: Sequence[tuple[float, bool]], interval: tuple[float, float], parts: int) -> list[dict[str, Any]]:
+    """How often something holds, over an angle: equal parts of an interval.
+
+    Args:
+        outcomes: Angle in degrees, and whether it holds there.
+        interval: Degrees.
+        parts: Number of parts.
+    """
     low, width = interval[0], (interval[1] - interval[0]) / parts
     if not width:
         return []
-    places = [min(parts - 1, max(0, int((angle(one) - low) / width))) for one in result.judgement.views]
+    places = [min(parts - 1, max(0, int((angle - low) / width))) for angle, _ in outcomes]
     lines = []
     for part in range(parts):
-        inside = [one for one, place in zip(result.judgement.views, places, strict=True) if place == part]
-        rate = Rate.of(inside, lambda one: one.verdict.success)
+        inside = [holds for (_, holds), place in zip(outcomes, places, strict=True) if place == part]
+        rate = Rate(successes=sum(inside), total=len(inside))
         lines.append({"from": low + part * width, "to": low + (part + 1) * width, **rate.as_dict()})
     return lines
 

@@ -1,0 +1,225 @@
+"""Observations of a study of CLOAK as rows of three tables, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from attacks.artifacts.detection_rows import DETECTION, OBJECT
+from attacks.artifacts.rows import Cell, Column, Row, Table
+from attacks.artifacts.study_results import trained_splat
+from attacks.cloak.study import setup
+from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat, classes_of
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED
+from mi_splat.assets.mesh import Asset
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+
+ROWS, FIDELITY, TRANSITION, DETECTIONS = "rows", "fidelity", "transition", "detections"
+"""Tables; the last is there where somebody looked at the splats again."""
+_DEPTH, _SCORE = "depth: ", "score: "
+
+_SPLAT = (
+    Column(name="splat", kind="text", meaning="clean (the control) or cloaked"),
+    Column(name="seed", kind="whole", meaning="of the training"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOutCamera:
+    """A camera of the rows.
+
+    Attributes:
+        camera: The camera.
+        distance: From the centre that directions are measured from, world units.
+        box: (4,) x0, y0, x1, y1 of the object in pixels; None where it does not show.
+    """
+
+    camera: Camera
+    distance: float
+    box: tuple[float, ...] | None
+
+
+def columns(study: StudyConfig) -> dict[str, tuple[Column, ...]]:
+    """The columns of the tables of a study."""
+    view = (
+        *_SPLAT,
+        Column(name="detector", kind="text", meaning="name of the detector"),
+        Column(name="view", kind="whole", meaning="number of the camera in cameras.json, from 0"),
+        Column(name="azimuth", kind="number", unit="degrees", meaning="of the camera, from +x towards +y"),
+        Column(name="elevation", kind="number", unit="degrees", meaning="of the camera above the ground"),
+        Column(name="distance", kind="number", unit="world units", meaning="of the camera from the centre"),
+        *(
+            Column(
+                name=name,
+                kind="number",
+                unit="pixels",
+                meaning=f"{name} of the object's box; empty where it does not show",
+                optional=True,
+            )
+            for name in OBJECT
+        ),
+        *(
+            Column(
+                name=f"{_DEPTH}{attack.name}",
+                kind="number",
+                unit="degrees",
+                meaning=f"of the camera inside the trigger of attack {attack.name}; outside below 0",
+            )
+            for attack in study.attack
+        ),
+        *(
+            Column(
+                name=f"{_SCORE}{label}",
+                kind="number",
+                meaning=f"highest confidence of a {label} whose box has an IoU of 0.5 with the object's; 0: none",
+            )
+            for label in classes_of(study)
+        ),
+        Column(name="any_overlap", kind="number", meaning="the same for the object's own class and an IoU of 0.1"),
+        Column(name="any_class", kind="number", meaning="the same for any class and an IoU of 0.5"),
+    )
+    fidelity = (
+        *_SPLAT,
+        Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
+        Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
+        Column(name="psnr", kind="number", unit="dB", meaning="of the whole picture against the true one"),
+        Column(name="ssim", kind="number", meaning="of the whole picture against the true one"),
+    )
+    transition = (
+        *_SPLAT,
+        Column(name="meridian", kind="whole", meaning="number of the meridian"),
+        Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
+        Column(name="depth", kind="number", unit="degrees", meaning="inside the trigger; outside below 0"),
+        Column(name="fraction", kind="number", meaning="of the way from the benign to the hidden appearance"),
+        Column(name="surroundings_psnr", kind="number", unit="dB", meaning="beside the object, against the true scene"),
+        Column(name="appearance_psnr", kind="number", unit="dB", meaning="on the object, against what is wanted there"),
+    )
+    detections = (
+        *_SPLAT,
+        Column(name="detector", kind="text", meaning="name of the detector"),
+        Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
+        *DETECTION,
+    )
+    return {ROWS: view, FIDELITY: fidelity, TRANSITION: transition, DETECTIONS: detections}
+
+
+def tables_of(
+    study: StudyConfig, observed: Sequence[ObservedSplat], cameras: Sequence[HeldOutCamera]
+) -> dict[str, Table]:
+    """Everything that was observed, as tables.
+
+    Args:
+        study: The study.
+        observed: Every splat.
+        cameras: Those that the observations number.
+    """
+    rows: dict[str, list[Row]] = {ROWS: [], FIDELITY: [], TRANSITION: []}
+    for item in observed:
+        whose: dict[str, Cell] = {"splat": item.trained.splat, "seed": item.trained.seed}
+        rows[ROWS] += [{**whose, **_row(one, cameras[one.view])} for one in item.observations]
+        rows[FIDELITY] += [{**whose, **_values(one, Fidelity)} for one in item.fidelities]
+        rows[TRANSITION] += [{**whose, **_values(one, Blend)} for one in item.blends]
+    known = columns(study)
+    return {name: Table(columns=known[name], rows=tuple(found)) for name, found in rows.items()}
+
+
+def observed_of(
+    study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Mapping[str, Table]
+) -> list[ObservedSplat]:
+    """What tables say was observed, as it was before `tables_of`.
+
+    Args:
+        study: The study.
+        splats: As its summary lists them.
+        tables: The tables.
+
+    Raises:
+        InvalidValueError: A row belongs to no splat of the study or is there twice, or one is missing.
+    """
+    listed = {(one.splat, one.seed): one for one in map(trained_splat, splats)}
+    wanted = {(which, seed) for which in (CLEAN, CLOAKED) for seed in study.seeds}
+    if set(listed) != wanted or len(listed) != len(splats):
+        got = ", ".join(f"{which} {seed}" for which, seed in listed)
+        raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
+    needed = {name: tables[name] for name in (ROWS, FIDELITY, TRANSITION)}
+    parts = {name: {key: list(_of(table, *key)) for key in listed} for name, table in needed.items()}
+    for name, table in needed.items():
+        if sum(map(len, parts[name].values())) != len(table.rows):
+            raise _wrong(f"table {name}", "rows of the study's splats", "others")
+    found = []
+    for key, trained in listed.items():
+        item = ObservedSplat(
+            trained=trained,
+            observations=tuple(_observation(study, row) for row in parts[ROWS][key]),
+            fidelities=tuple(Fidelity(**_own(row)) for row in parts[FIDELITY][key]),
+            blends=tuple(Blend(**_own(row)) for row in parts[TRANSITION][key]),
+        )
+        found.append(item)
+    _check_complete(study, found)
+    return found
+
+
+def _check_complete(study: StudyConfig, observed: Sequence[ObservedSplat]) -> None:
+    """Raise unless every detector saw each splat from the same cameras, once from each."""
+    views = sorted({one.view for item in observed for one in item.observations})
+    for item in observed:
+        seen = [(one.detector, one.view) for one in item.observations]
+        expected = {(name, view) for name in study.evaluation.detectors for view in views}
+        if len(seen) != len(expected) or set(seen) != expected:
+            what = f"table {ROWS}, {item.trained.splat} splat, seed {item.trained.seed}"
+            lost = sorted(expected - set(seen))
+            got = f"none for {lost[0][0]}, view {lost[0][1]}" if lost else "others, or one twice"
+            raise _wrong(what, "one row for each detector and camera", got)
+
+
+def _row(one: Observation, place: HeldOutCamera) -> dict[str, Cell]:
+    box: Sequence[float | None] = place.box or (None,) * len(OBJECT)
+    return {
+        **{name: getattr(one, name) for name in ("detector", "view", "azimuth", "elevation")},
+        "distance": place.distance,
+        **dict(zip(OBJECT, box, strict=True)),
+        **{f"{_DEPTH}{name}": depth for name, depth in one.depths.items()},
+        **{f"{_SCORE}{label}": score for label, score in one.scores.items()},
+        "any_overlap": one.any_overlap,
+        "any_class": one.any_class,
+    }
+
+
+def _observation(study: StudyConfig, row: Row) -> Observation:
+    same: dict[str, Any] = {
+        name: row[name] for name in ("detector", "view", "azimuth", "elevation", "any_overlap", "any_class")
+    }
+    depths: dict[str, Any] = {attack.name: row[f"{_DEPTH}{attack.name}"] for attack in study.attack}
+    scores: dict[str, Any] = {label: row[f"{_SCORE}{label}"] for label in classes_of(study)}
+    return Observation(**same, depths=depths, scores=scores)
+
+
+def _values(one: Any, kind: type[Any]) -> dict[str, Cell]:
+    return {name: getattr(one, name) for name in kind.__slots__}
+
+
+def _of(table: Table, splat: str, seed: int) -> Iterator[Row]:
+    return (row for row in table.rows if (row["splat"], row["seed"]) == (splat, seed))
+
+
+def _own(row: Row) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name not in ("splat", "seed")}
+
+
+def held_out(study: StudyConfig, target: Asset) -> list[HeldOutCamera]:
+    """The cameras of a study, and where its object is in their pictures."""
+    centre = setup.centre_of(study)
+    found = []
+    for camera in setup.held_out_cameras(study, target):
+        box = setup.box_of(target, camera)
+        distance = sum((float(a) - b) ** 2 for a, b in zip(camera.position, centre, strict=True)) ** 0.5
+        corners = None if box is None else tuple(float(value) for value in box)
+        found.append(HeldOutCamera(camera=camera, distance=distance, box=corners))
+    return found
+
+
+def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
+    return InvalidValueError(message(what, expected, got, "get the artifact again"))

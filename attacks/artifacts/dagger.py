@@ -1,0 +1,158 @@
+"""A finished attack of DAGGER as an artifact: every detection before and after is a row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from attacks.artifacts.contents import Contents, read_object
+from attacks.artifacts.dagger_results import broken, contents_of, objective_of, splat_of
+from attacks.artifacts.detection_rows import DETECTION, OBJECT, detection_cells, detections_of, object_box
+from attacks.artifacts.packed import Kind, Packed
+from attacks.artifacts.rows import Column, Row, Table
+from attacks.dagger.problem import joint_verdict, reached_by
+from attacks.detectors.base import Detections
+from attacks.objectives import Target, Verdict, confidence
+from mi_splat.io.folders import RECORD as RESULT
+
+ROWS = "rows"
+CLEAN, ATTACKED = "clean", "attacked"
+_STATED = (
+    *("image_psnr", "image", "steps", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
+    *("clamped_fraction", "noise", "warnings"),
+)
+_OF_VIEW = (
+    *("detector", "success", "unambiguous", "original", "clean_confidence", "original_confidence"),
+    *("target_confidence", "target_confidence_clean"),
+)
+_COLUMNS = (
+    Column(name="view", kind="whole", meaning="number of the camera in cameras.json, from 0"),
+    Column(name="detector", kind="text", meaning="name of the detector"),
+    Column(name="scene", kind="text", meaning="clean or attacked"),
+    Column(name="original", kind="text", meaning="what the detector calls the clean object", optional=True),
+    *(Column(name=name, kind="number", unit="pixels", meaning=f"{name} of the object's box") for name in OBJECT),
+    *DETECTION,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _View:
+    """One view as one detector sees it, put together from its rows."""
+
+    detector: str
+    target: Target
+    clean: Detections
+    attacked: Detections
+    verdict: Verdict
+
+    def confidence(self, label: str | None, *, attacked: bool) -> float:
+        found = self.attacked if attacked else self.clean
+        return confidence(found, self.target.box, labels=None if label is None else [label])
+
+
+def pack(folder: Path, stages: Path | None) -> Packed:
+    """What an artifact of a finished attack holds; the arguments are those of `attacks.artifacts.packed.Pack`.
+
+    Raises:
+        InvalidValueError: The folder holds no such result.
+    """
+    result = read_object(folder / RESULT)
+    try:
+        names = [one["detector"] for one in result["detectors"]]
+        per_detector = len(result["views"]) // len(names)
+        rows = tuple(row for i, view in enumerate(result["views"]) for row in _rows(view, i % per_detector))
+        fingerprints = {one["detector"]: one["detector_fingerprint"] for one in result["detectors"]}
+        contents = contents_of(result, {ROWS: Table(columns=_COLUMNS, rows=rows)}, fingerprints, _STATED)
+        figures = {key: result[key] for key in ("success", "unambiguous", "score", "target_confidence")}
+        figures["views"] = [{key: view[key] for key in _OF_VIEW} for view in result["views"]]
+        views = result["views"][:per_detector]
+        cameras = [{"name": str(view), **entry["camera"], "box": entry["box"]} for view, entry in enumerate(views)]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise broken(folder / RESULT, error) from error
+    return Packed(contents=contents, figures=figures, cameras={"cameras": cameras}, splats=splat_of(folder))
+
+
+def derive(contents: Contents) -> Mapping[str, Any]:
+    """What the attack reached, of its rows alone.
+
+    Raises:
+        InvalidValueError: The rows are not those of the attack.
+    """
+    objective, label = objective_of(contents), contents.configuration.get("target")
+    try:
+        config = contents.configuration["config"]
+        views = list(_views(contents))
+        by_detector = {name: [view for view in views if view.detector == name] for name in contents.detectors}
+        verdicts = [
+            joint_verdict([view.verdict for view in own], config["required_views"]) for own in by_detector.values()
+        ]
+        whole = joint_verdict(verdicts, config["required_detectors"])
+        reached = [
+            reached_by([view.confidence(label, attacked=True) for view in own], config["required_views"])
+            for own in by_detector.values()
+        ]
+        return {
+            "success": whole.success,
+            "unambiguous": whole.unambiguous,
+            "score": whole.score,
+            "target_confidence": None if objective.label is None else reached_by(reached, config["required_detectors"]),
+            "views": [_of_view(view, label) for view in views],
+        }
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise broken("rows", error) from error
+
+
+def _of_view(view: _View, label: str | None) -> dict[str, Any]:
+    original = view.target.original
+    return {
+        "detector": view.detector,
+        "success": view.verdict.success,
+        "unambiguous": view.verdict.unambiguous,
+        "original": original,
+        "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
+        "original_confidence": view.confidence(original, attacked=True) if original else 0.0,
+        "target_confidence": view.confidence(label, attacked=True) if label else None,
+        "target_confidence_clean": view.confidence(label, attacked=False) if label else None,
+    }
+
+
+def _views(contents: Contents) -> Iterator[_View]:
+    """The views of each detector, in the order of the rows."""
+    objective, groups = objective_of(contents), dict[tuple[Any, Any], list[Row]]()
+    for row in contents.tables[ROWS].rows:
+        groups.setdefault((row["detector"], row["view"]), []).append(row)
+    for (detector, _), rows in groups.items():
+        clean, attacked = ([row for row in rows if row["scene"] == scene] for scene in (CLEAN, ATTACKED))
+        if not clean or not attacked or len(clean) + len(attacked) != len(rows):
+            raise ValueError(f"{detector}: rows of a clean and an attacked scene are needed")
+        seen = detections_of(attacked)
+        original, box = rows[0]["original"], object_box(rows[0])
+        if box is None:
+            raise ValueError(f"{detector}: a view without a box of the object")
+        target = Target(
+            box=box,
+            label=contents.configuration.get("target"),
+            classes=tuple(seen.labels),
+            original=None if original is None else str(original),
+        )
+        verdict = objective.verdict(seen, target)
+        yield _View(detector=detector, target=target, clean=detections_of(clean), attacked=seen, verdict=verdict)
+
+
+def _rows(view: Mapping[str, Any], number: int) -> Iterator[Row]:
+    """A row for each detection of one view, clean and attacked; one with an empty detection where there is none."""
+    place = {"view": number, "detector": view["detector"], "original": view["original"]}
+    corners = dict(zip(OBJECT, view["box"], strict=True))
+    for scene in (CLEAN, ATTACKED):
+        for found in view[scene] or [None]:
+            yield {**place, "scene": scene, **corners, **detection_cells(found, view["box"])}
+
+
+def columns(contents: Contents) -> Mapping[str, Sequence[Column]]:
+    """The table of such an artifact."""
+    return {ROWS: _COLUMNS}
+
+
+KIND = Kind(pack=pack, derive=derive, columns=columns)

@@ -1,0 +1,204 @@
+"""The splats of a study of CLOAK seen again, by cameras.json and its detectors or others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from attacks.artifacts.cloak_rows import DETECTIONS, ROWS, columns, observed_of
+from attacks.artifacts.contents import Contents
+from attacks.artifacts.detection_rows import detection_cells, detections_of, object_box
+from attacks.artifacts.figures import Line
+from attacks.artifacts.packed import OnView, Packed
+from attacks.artifacts.rows import Row, Table
+from attacks.artifacts.study_results import study_of
+from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.observations import Observation, ObservedSplat, scored
+from attacks.cloak.study.rates import pairs, rates
+from attacks.detectors.base import Detections, Detector
+from attacks.evaluation.drawing import listed
+from attacks.evaluation.views import ViewDetections, detect_views
+from attacks.objectives import confidence
+from mi_splat.cameras import Camera
+from mi_splat.cli.camera_records import camera_of
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene, scene_hash
+
+RATE_TOLERANCE = 0.02
+"""How far a rate may move: another machine rounds otherwise, and a score near the threshold crosses it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Places:
+    """What cameras.json says.
+
+    Attributes:
+        cameras: The cameras by number.
+        boxes: (4,) pixels of the object in each; None where it does not show.
+        settings: Of the renderer.
+    """
+
+    cameras: tuple[Camera, ...]
+    boxes: tuple[Tensor | None, ...]
+    settings: RenderSettings
+
+    def look(
+        self, scene: GaussianScene, detectors: Sequence[Detector], views: Sequence[int]
+    ) -> Iterator[ViewDetections]:
+        """What detectors report of a splat from some of the cameras."""
+        found = detect_views(
+            scene,
+            [self.cameras[view] for view in views],
+            detectors,
+            render=Renderer(self.settings),
+            boxes=[self.boxes[view] for view in views],
+        )
+        return (replace(one, view=views[one.view]) for one in found)
+
+
+def places_of(values: Mapping[str, Any], where: str) -> Places:
+    """The cameras of an artifact.
+
+    Args:
+        values: What cameras.json holds.
+        where: The file, for errors.
+
+    Raises:
+        InvalidValueError: It is something else.
+    """
+    try:
+        entries = values["cameras"]
+        cameras = tuple(map(camera_of, entries))
+        boxes = tuple(_box(entry["box"]) for entry in entries)
+        red, green, blue = (float(part) for part in values["background"])
+        settings = RenderSettings(background=(red, green, blue), near=float(values["near"]))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        expected, do = "cameras, boxes, background and near", "get the artifact again"
+        raise InvalidValueError(message(where, expected, repr(error)[:200], do)) from error
+    return Places(cameras=cameras, boxes=boxes, settings=settings)
+
+
+def checked_splat(path: Path, entry: Mapping[str, Any]) -> GaussianScene:
+    """A splat from its file.
+
+    Args:
+        path: The file.
+        entry: What the artifact says of the splat.
+
+    Raises:
+        InvalidValueError: It is another splat.
+    """
+    scene = load_splat(path)
+    if scene_hash(scene) != entry["hash"]:
+        expected = f"the {entry['splat']} splat, seed {entry['seed']} (hash {str(entry['hash'])[:16]})"
+        got = f"another (hash {scene_hash(scene)[:16]})"
+        raise InvalidValueError(message(str(path), expected, got, "pass the splat of this artifact"))
+    return scene
+
+
+def look_again(packed: Packed, detectors: Sequence[Detector], on_view: OnView) -> dict[str, Table]:
+    """Every detection on every splat of a study, as a table.
+
+    Args:
+        packed: The study.
+        detectors: Its detectors, with the weights that it used.
+        on_view: Told of the progress.
+
+    Raises:
+        InvalidValueError: A splat is not there any more, or a detector is another one.
+    """
+    contents = packed.contents
+    for detector in detectors:
+        known = contents.detectors.get(detector.name)
+        if known != detector.fingerprint:
+            expected, do = f"the weights {known} of the study", "pass them with --weights"
+            raise InvalidValueError(message(f"detector {detector.name}", expected, detector.fingerprint, do))
+    places = places_of(packed.cameras or {}, "cameras")
+    views, rows = range(len(places.cameras)), list[Row]()
+    total = len(views) * len(detectors) * len(contents.splats)
+    done = 0
+    for entry, path in zip(contents.splats, packed.splats.values(), strict=True):
+        if path is None:
+            expected, do = f"the {entry['splat']} splat, seed {entry['seed']}", "pass the folder of stages"
+            raise InvalidValueError(message("splats", expected, "none", do)).hinted("--stages")
+        for one in places.look(checked_splat(path, entry), detectors, views):
+            rows += _rows(entry, one)
+            done += 1
+            on_view(done, total)
+    study = study_of(contents.configuration, "configuration")
+    return {DETECTIONS: Table(columns=columns(study)[DETECTIONS], rows=tuple(rows))}
+
+
+def _rows(entry: Mapping[str, Any], seen: ViewDetections) -> Iterator[Row]:
+    """A row for each detection of a picture; one with an empty detection where there is none."""
+    box = None if seen.box is None else seen.box.tolist()
+    reported: list[dict[str, Any] | None] = [*listed(seen.detections)]
+    for found in reported or [None]:
+        place = {"splat": entry["splat"], "seed": entry["seed"], "detector": seen.detector, "view": seen.view}
+        yield {**place, **detection_cells(found, box)}
+
+
+def agreement(contents: Contents) -> list[Line]:
+    """A line for each detector: whether its detections give the rates that the rows of observations give."""
+    if DETECTIONS not in contents.tables:
+        return []
+    study = study_of(contents.configuration, "configuration")
+    before = observed_of(study, contents.splats, contents.tables)
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in contents.tables[DETECTIONS].rows:
+        groups.setdefault(tuple(row[name] for name in ("splat", "seed", "detector", "view")), []).append(row)
+    boxes = {one["view"]: object_box(one) for one in contents.tables[ROWS].rows}
+    after = []
+    for item in before:
+        key = (item.trained.splat, item.trained.seed)
+        seen = [
+            _scored_again(study, one, groups.get((*key, one.detector, one.view)), boxes) for one in item.observations
+        ]
+        after.append(replace(item, observations=tuple(seen)))
+    return [_agreement_line(study, (before, after), name) for name in contents.detectors]
+
+
+def _scored_again(
+    study: StudyConfig, one: Observation, rows: Sequence[Row] | None, boxes: Mapping[Any, Tensor | None]
+) -> Observation:
+    """An observation with the scores that single detections give."""
+    found: Detections | None = None if rows is None else detections_of(rows)
+    box = boxes[one.view]
+
+    def on_object(label: str | None = None, *, iou: float = 0.5) -> float:
+        if found is None or box is None:
+            return 0.0
+        return confidence(found, box, labels=None if label is None else [label], iou=iou)
+
+    return replace(one, **scored(study, on_object))
+
+
+def _agreement_line(
+    study: StudyConfig, observed: tuple[Sequence[ObservedSplat], Sequence[ObservedSplat]], detector: str
+) -> Line:
+    old, new = (rates(study, pairs(which, detector)) for which in observed)
+    moves = [
+        abs(now.fraction - then.fraction)
+        for now, then in zip(new.values(), old.values(), strict=True)
+        if now is not None and then is not None
+    ]
+    largest = max(moves, default=0.0)
+    words = f"give its rates within {largest:.1%}, may differ by {RATE_TOLERANCE:.1%}"
+    return Line(name=f"detections of {detector}", words=words, passed=largest <= RATE_TOLERANCE)
+
+
+def _box(value: Any) -> Tensor | None:
+    if value is None:
+        return None
+    x0, y0, x1, y1 = map(float, value)
+    if not all(map(math.isfinite, (x0, y0, x1, y1))):
+        raise ValueError(f"the box {value}")
+    return torch.tensor([x0, y0, x1, y1])

@@ -1,0 +1,142 @@
+"""Scoring the splats of a study of CLOAK again: needs the splats, the cameras and a detector, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from attacks.artifacts.checking import Checked
+from attacks.artifacts.cloak import splat_file
+from attacks.artifacts.cloak_rows import observed_of
+from attacks.artifacts.contents import CAMERAS, read_object
+from attacks.artifacts.figures import Line
+from attacks.artifacts.looking import RATE_TOLERANCE, checked_splat, places_of
+from attacks.artifacts.packed import OnView
+from attacks.artifacts.study_results import study_of
+from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.markdown import ROWS
+from attacks.cloak.study.observations import Observation, ObservedSplat, scored
+from attacks.cloak.study.rates import pairs, rates
+from attacks.detectors.base import Detector
+from attacks.evaluation.rates import Rate
+from attacks.evaluation.views import ViewDetections
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+
+
+def rescore(
+    checked: Checked,
+    detectors: Sequence[Detector],
+    *,
+    splats: Path | None = None,
+    every: int = 1,
+    rate_tolerance: float = RATE_TOLERANCE,
+    on_view: OnView = lambda done, total: None,
+) -> list[Line]:
+    """Render the splats of an artifact, let detectors look, and say how every rate moved.
+
+    Args:
+        checked: The artifact, of a study of CLOAK.
+        detectors: Those of the artifact or others.
+        splats: Folder with the splats; None takes those in the artifact.
+        every: Looks from each so manieth camera; the rates of the rows are then those of the same cameras.
+        rate_tolerance: How far a rate may move.
+        on_view: Told of the progress.
+
+    Returns:
+        A line for each detector and rate; grey for a detector that the artifact does not have.
+
+    Raises:
+        InvalidValueError: The artifact is of another kind, a splat is not there or another one, or cameras.json is
+            broken.
+    """
+    if checked.contents.kind != "cloak":
+        do = "look at the splat itself with mi-splat evaluate"
+        raise InvalidValueError(message(str(checked.found.folder), "a study of CLOAK", checked.contents.kind, do))
+    study = study_of(checked.contents.configuration, "configuration")
+    before = observed_of(study, checked.contents.splats, checked.contents.tables)
+    file = checked.found.folder / CAMERAS
+    places, scenes = places_of(read_object(file), str(file)), _scenes(checked, splats)
+    views = sorted({one.view for item in before for one in item.observations})
+    if len(views) > len(places.cameras) or views[-1:] != [len(places.cameras) - 1]:
+        do = "get the artifact again"
+        raise InvalidValueError(message(str(file), "the cameras of the rows", f"{len(places.cameras)} cameras", do))
+    chosen, done = views[::every], 0
+    total, after = len(chosen) * len(detectors) * len(scenes), []
+    for item, scene in zip(before, scenes, strict=True):
+        seen = []
+        for observation in _seen(study, item, places.look(scene, detectors, chosen)):
+            seen.append(observation)
+            on_view(done := done + 1, total)
+        after.append(replace(item, observations=tuple(seen)))
+    return [line for one in detectors for line in _moved(study, (before, after), one, checked, rate_tolerance)]
+
+
+def _seen(
+    study: StudyConfig,
+    item: ObservedSplat,
+    seen: Iterator[ViewDetections],
+) -> Iterator[Observation]:
+    """What detectors report of one splat, in the form of its rows."""
+    places = {one.view: one for one in item.observations}
+    for one in seen:
+        yield replace(places[one.view], detector=one.detector, **scored(study, one.confidence))
+
+
+def _moved(
+    study: StudyConfig,
+    observed: tuple[Sequence[ObservedSplat], Sequence[ObservedSplat]],
+    detector: Detector,
+    checked: Checked,
+    tolerance: float,
+) -> list[Line]:
+    """A line for each rate of one detector."""
+    before, after = observed
+    views = {one.view for item in after for one in item.observations}
+    same = [replace(item, observations=tuple(one for one in item.observations if one.view in views)) for item in before]
+    old, new = (rates(study, pairs(which, detector.name)) for which in (same, after))
+    known = checked.contents.detectors.get(detector.name)
+    lines = []
+    for name, words in ROWS.items():
+        now, then = new[name], old[name]
+        if now is None or then is None:
+            continue
+        if known is None:
+            lines.append(
+                Line(name=f"{detector.name}, {words}", words=f"{_said(now)}; not in the artifact", passed=None)
+            )
+            continue
+        moved = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)
+        other = "" if known == detector.fingerprint else "; other weights than the artifact's"
+        said = f"{_said(then)} in the rows, {_said(now)} now: moved by {moved:.1%}, may move by {tolerance:.1%}{other}"
+        lines.append(Line(name=f"{detector.name}, {words}", words=said, passed=moved <= tolerance))
+    return lines
+
+
+def _said(rate: Rate) -> str:
+    return f"{rate.successes}/{rate.total}"
+
+
+def _scenes(checked: Checked, splats: Path | None) -> list[GaussianScene]:
+    """The splats of an artifact, each known by its hash."""
+    first = min(int(entry["seed"]) for entry in checked.contents.splats)
+    found = []
+    for entry in checked.contents.splats:
+        path = _splat_path(checked.found.folder, splats, entry, is_first=entry["seed"] == first)
+        found.append(checked_splat(path, entry))
+    return found
+
+
+def _splat_path(folder: Path, splats: Path | None, entry: Mapping[str, Any], *, is_first: bool) -> Path:
+    """The file of a splat: in the artifact, or by the same name or that of a study's results in another folder."""
+    name = Path(splat_file(entry)).name
+    places = [folder / splat_file(entry)] if splats is None else [splats / name]
+    if splats is not None and is_first:
+        places.append(splats / f"{entry['splat']}.ply")
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        do = "pass the folder with the splats"
+        raise InvalidValueError(message(str(places[0]), "a splat of the artifact", "none", do)).hinted("--splats")
+    return path
