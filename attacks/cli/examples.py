@@ -62,6 +62,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "report": (
         "report out/dagger --out dagger.html",
         "report out/cloak out/dagger-eot --out page.html",
+    ),
     "artifact": (
         "artifact out/cloak --out out/artifact",
         "artifact out/layers --stages out/stages --splats --out out/layers-artifact",
