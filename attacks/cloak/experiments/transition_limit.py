@@ -40,7 +40,7 @@ def measure_transition_limit(study: StudyConfig) -> list[dict[str, Any]]:
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for emphasised in (False, True):
         for degree in range(1, 4):
             curve, gain = one_layer_curve(study, degree, emphasised=emphasised)
@@ -55,7 +55,7 @@ def measure_layer_limit(study: StudyConfig) -> list[dict[str, Any]]:
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for degree in range(1, 4):
         for lowest in LOWEST:
             curve, largest = two_layer_curve(study, LayerConfig(degree=degree, lowest=lowest))
