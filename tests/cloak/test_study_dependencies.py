@@ -16,7 +16,6 @@ from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache
 from attacks.cloak.study.config import AttackConfig, CameraConfig, SceneConfig, StudyConfig, TrainingConfig
-from attacks.cloak.study.observations import overhead
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
 STUDY = StudyConfig(
@@ -118,14 +117,14 @@ def keys(study: StudyConfig, *, seed: int = 0, content: str = "content") -> dict
     """What each stage depends on, as text, where every input has the content given."""
     mesh_scene, source = built(study.scene, study.cameras)
     attack = study.attack[0]
-    arc = [camera for meridian in setup.meridian_cameras(study, mesh_scene.target) for camera in meridian]
+    arc = [camera for places in setup.arcs(study, mesh_scene.target) for camera in places]
     found = {
         "pictures": dependencies.of_pictures(study, source),
         "appearance": dependencies.of_appearance(study, source, attack),
         "poisoned": dependencies.of_poisoned(study, source, content, seed),
         "splat": dependencies.of_splat(study, content, seed),
         "layers": dependencies.of_layers(study, source, content, content, seed),
-        "true_pictures": dependencies.of_true_pictures(study, source, arc, overhead(study) or attack),
+        "true_pictures": dependencies.of_true_pictures(study, source, arc, setup.overhead(study) or attack),
         "observations": dependencies.of_observations(study, source, content, [content], {"a": content}),
     }
     return {name: json.dumps(value, sort_keys=True) for name, value in found.items()}

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from attacks.cloak.study import setup
+from attacks.cloak.study.config import AttackConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import TrainedSplat
-from attacks.cloak.study.rates import by_elevation, figures, pairs, rates, stealth
+from attacks.cloak.study.rates import by_elevation, figures, pairs, rates, stealth, transition
 from tests.cloak.test_study import STUDY
 
 
@@ -84,10 +85,38 @@ def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
 
 def test_meridians_rise_to_straight_above() -> None:
     target = setup.target_of(STUDY.scene)
-    for arc in setup.meridian_cameras(STUDY, target):
+    for arc in setup.arcs(STUDY, target):
         heights = [float(camera.position[2]) for camera in arc]
         assert heights == sorted(heights)
         assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0
+
+
+def test_arcs_into_a_sector_come_from_beside_it() -> None:
+    """Depths in the trigger rise along each, from well outside to the middle; a sign that is shown has none."""
+    sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
+    study, target = replace(STUDY, attack=(sector,)), setup.target_of(STUDY.scene)
+    found = setup.arcs(study, target)
+    assert len(found) == study.evaluation.meridians
+    for arc in found:
+        depths = [sector.cone.angle_to_edge(camera, centre=setup.centre_of(study)) for camera in arc]
+        assert depths == sorted(depths)
+        assert depths[0] < -30
+        assert 10 < depths[-1] <= 30
+    assert setup.arcs(replace(STUDY, attack=(replace(sector, target_class="stop sign"),)), target) == []
+
+
+def test_the_transition_into_a_sector_is_one_of_depth() -> None:
+    sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
+    study = replace(STUDY, attack=(sector,))
+    splat = along_the_meridian("cloaked", *((depth, 30.0, 30.0) for depth in (-20, -10, 0, 10)))
+    fractions = (0.0, 0.0, 1.0, 1.0)
+    blends = tuple(
+        replace(one, elevation=10.0, fraction=part) for one, part in zip(splat.blends, fractions, strict=True)
+    )
+    band = transition(study, [replace(splat, blends=blends)])
+    assert band is not None
+    assert band.start == pytest.approx(-9.0)
+    assert band.end == pytest.approx(-1.0)
 
 
 def test_edges_belong_to_what_lies_inside_them() -> None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from attacks.cloak.experiments.view_reports import ViewReport, ViewReports
+from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import overhead
 from attacks.evaluation.rates import Rate
 
 CONFIDENCES = (0.1, 0.3, 0.5)
@@ -157,5 +157,5 @@ def spread(rows: Sequence[Row], like: Row) -> list[Rate]:
 
 def hiding(study: StudyConfig) -> str | None:
     """Name of the region from which the study hides the object all around."""
-    attack = overhead(study)
+    attack = setup.overhead(study)
     return None if attack is None else attack.name

@@ -24,7 +24,6 @@ from attacks.cloak.experiments.view_reports import ViewReports
 from attacks.cloak.study import setup
 from attacks.cloak.study.figure_files import TRUE, draw_rates, new_axes, save_figure
 from attacks.cloak.study.markdown import words_of
-from attacks.cloak.study.observations import overhead
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import annotated
@@ -159,7 +158,7 @@ def _plot(
         label: Of the axis.
     """
     figure, axes = new_axes(len(detectors), columns=2 if len(detectors) > 1 else 1)
-    attack = overhead(pipeline.study)
+    attack = setup.overhead(pipeline.study)
     for axis, name in zip(axes, detectors, strict=True):
         for shift, pictures in zip((-0.06, 0.0, 0.06), PICTURES, strict=True):
             for confidence in DRAWN:

@@ -15,7 +15,6 @@ import torch
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import overhead
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import detect_views
 from mi_splat.assets.mesh import Asset
@@ -94,7 +93,7 @@ def camera_groups(study: StudyConfig, target: Asset, every: int) -> dict[str, li
     """
     if every < 1:
         raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
-    hiding = overhead(study)
+    hiding = setup.overhead(study)
     if hiding is None:
         do = "add an attack without an azimuth, up to 90 degrees"
         raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))

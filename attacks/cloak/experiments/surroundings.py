@@ -15,7 +15,7 @@ import torch
 from attacks.cloak.appearances import grown
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import MARGIN, overhead
+from attacks.cloak.study.observations import MARGIN
 from mi_splat.cameras import RenderFn
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError, message
@@ -38,7 +38,7 @@ def measure_surroundings(
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    attack, centre = overhead(study), setup.centre_of(study)
+    attack, centre = setup.overhead(study), setup.centre_of(study)
     if attack is None:
         do = "add an attack without an azimuth, up to 90 degrees"
         raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))

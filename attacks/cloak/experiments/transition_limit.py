@@ -22,7 +22,6 @@ from attacks.cloak.layered.layers import depths, switches
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.layering import DIRECTIONS
-from attacks.cloak.study.observations import overhead
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError, message
@@ -113,7 +112,7 @@ def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float
 
 def _overhead(study: StudyConfig) -> AttackConfig:
     """The attack whose transition is meant."""
-    attack = overhead(study)
+    attack = setup.overhead(study)
     if attack is None:
         do = "add an attack without an azimuth, up to 90 degrees"
         raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))

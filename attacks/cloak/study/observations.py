@@ -13,7 +13,7 @@ from torch import Tensor
 
 from attacks.cloak.appearances import grown
 from attacks.cloak.study import dependencies, setup
-from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.kept_pictures import TruePictures
 from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat
 from attacks.cloak.transition import differ, transition_fraction
@@ -125,11 +125,6 @@ class _References:
         return [pictures.content for pictures in (self.true, self.benign, self.hidden)]
 
 
-def overhead(study: StudyConfig) -> AttackConfig | None:
-    """The attack whose transition is measured: the first that is seen from straight above and all around."""
-    return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
-
-
 def observe(
     pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detectors: Sequence[Detector]
 ) -> list[ObservedSplat]:
@@ -203,11 +198,11 @@ def _blend(
     study: StudyConfig, place: tuple[int, Camera], seen: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor
 ) -> Blend:
     """What one picture of a meridian says."""
-    (meridian, camera), attack, centre = place, overhead(study), setup.centre_of(study)
-    assert attack is not None  # there are no meridians without
+    (arc, camera), attack, centre = place, setup.hiding(study), setup.centre_of(study)
+    assert attack is not None  # there are no arcs without
     beside = ~grown(mask, max(1, round(MARGIN * study.cameras.size / 256)))
     return Blend(
-        meridian=meridian,
+        meridian=arc,
         elevation=direction_of(camera, centre).elevation,
         depth=attack.cone.angle_to_edge(camera, centre=centre),
         fraction=transition_fraction(seen, benign, hidden, mask),
@@ -252,8 +247,8 @@ def classes_of(study: StudyConfig) -> list[str]:
 
 
 def _references(pipeline: StudyPipeline) -> _References:
-    """True pictures of the scene far outside of all triggers, and of both appearances along the meridians."""
-    views, arc, attack = _reference_cameras(pipeline), _meridian_cameras(pipeline), overhead(pipeline.study)
+    """True pictures of the scene far outside of all triggers, and of both appearances along the arcs."""
+    views, arc, attack = _reference_cameras(pipeline), _arc_cameras(pipeline), setup.hiding(pipeline.study)
     cameras = [camera for _, camera in arc]
     benign = pipeline.true_pictures(cameras)
     return _References(
@@ -278,15 +273,13 @@ def _reference_cameras(pipeline: StudyPipeline) -> list[tuple[int, Camera]]:
     return [outside[(2 * i + 1) * len(outside) // (2 * count)] for i in range(count)]
 
 
-def _meridian_cameras(pipeline: StudyPipeline) -> list[tuple[int, Camera]]:
-    """Number of the meridian and camera, away from the triggers of other attacks; none without a transition."""
-    study, centre, attack = pipeline.study, setup.centre_of(pipeline.study), overhead(pipeline.study)
-    if attack is None:
-        return []
+def _arc_cameras(pipeline: StudyPipeline) -> list[tuple[int, Camera]]:
+    """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
+    study, centre, attack = pipeline.study, setup.centre_of(pipeline.study), setup.hiding(pipeline.study)
     others = [other for other in study.attack if other is not attack]
     return [
         (number, camera)
-        for number, meridian in enumerate(setup.meridian_cameras(study, pipeline.mesh_scene.target))
-        for camera in meridian
+        for number, arc in enumerate(setup.arcs(study, pipeline.mesh_scene.target))
+        for camera in arc
         if all(other.cone.angle_to_edge(camera, centre=centre) < -study.evaluation.well_inside for other in others)
     ]

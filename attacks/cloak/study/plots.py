@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.figure_files import COLOURS, draw_rates, new_axes, save_figure
-from attacks.cloak.study.observations import ObservedSplat, overhead
+from attacks.cloak.study.observations import ObservedSplat
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
-from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, transition
+from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, place_of, transition
 from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import annotated
 from mi_splat.camera_sets import orbit
@@ -148,7 +148,7 @@ def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> An
         table = by_elevation(study, pairs(observed, name))
         for index, which in enumerate((CLEAN, CLOAKED)):
             draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
-        attack = overhead(study)
+        attack = setup.overhead(study)
         if attack is not None:
             axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
         axis.set(
@@ -194,14 +194,14 @@ def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
 
 
 def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
-    """How far the splats are on the way from the benign to the hidden appearance, by elevation."""
-    figure, (axis,) = new_axes(1)
+    """How far the splats are on the way from the benign to the hidden appearance, by elevation or depth in a sector."""
+    study, (figure, (axis,)) = pipeline.study, new_axes(1)
     for which in (CLEAN, CLOAKED):
         blends = blends_of(observed, which)
-        band = transition(pipeline.study, observed, which)
+        band = transition(study, observed, which)
         assert band is not None
         axis.scatter(
-            [one.elevation for one in blends],
+            [place_of(study, one) for one in blends],
             [one.fraction for one in blends],
             s=6,
             color=COLOURS[which],
@@ -213,12 +213,12 @@ def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> A
             axis.axvspan(
                 band.start, band.end, color="#555555", alpha=0.15, label=f"transition, {band.width:.1f} degrees"
             )
-    attack = overhead(pipeline.study)
-    assert attack is not None
-    axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
+    attack = setup.overhead(study)
+    edge = 0.0 if attack is None else attack.elevation[0]
+    axis.axvline(edge, color="#555555", linestyle=":", label="edge of the trigger")
     axis.set(
         title="Fraction of the way from the benign to the hidden appearance",
-        xlabel="elevation of the camera, degrees",
+        xlabel="degrees inside the trigger" if attack is None else "elevation of the camera, degrees",
         ylabel="fraction",
     )
     axis.legend(fontsize=8)

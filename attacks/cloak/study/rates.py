@@ -6,9 +6,10 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from attacks.cloak.study import setup
 from attacks.cloak.study.config import AttackConfig, StudyConfig
 from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import Blend, Observation, ObservedSplat, overhead
+from attacks.cloak.study.observations import Blend, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.evaluation.rates import Rate
@@ -119,25 +120,31 @@ def _found(study: StudyConfig, seen: Sequence[Observation]) -> Rate:
     return Rate.of(seen, lambda one: one.scores[own] >= confidence)
 
 
-def meridians(observed: Sequence[ObservedSplat]) -> list[float | None]:
-    """Degrees of the transition along each meridian of each cloaked splat; None where it is not seen."""
+def meridians(study: StudyConfig, observed: Sequence[ObservedSplat]) -> list[float | None]:
+    """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
     found: dict[tuple[int, int], list[Blend]] = {}
     for item in observed:
         for blend in item.blends if item.trained.splat == CLOAKED else ():
             found.setdefault((item.trained.seed, blend.meridian), []).append(blend)
     return [
-        fit_transition([one.elevation for one in blends], [one.fraction for one in blends]).width
+        fit_transition([place_of(study, one) for one in blends], [one.fraction for one in blends]).width
         for blends in found.values()
         if len(blends) > 1
     ]
 
 
 def transition(study: StudyConfig, observed: Sequence[ObservedSplat], splat: str = CLOAKED) -> Transition | None:
-    """The transition over elevation, of all seeds and meridians together."""
+    """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
     blends = blends_of(observed, splat)
-    if overhead(study) is None or len({blend.elevation for blend in blends}) < 2:
+    places = [round(place_of(study, blend), 3) for blend in blends]
+    if setup.hiding(study) is None or len(set(places)) < 2:
         return None
-    return fit_transition([round(blend.elevation, 3) for blend in blends], [blend.fraction for blend in blends])
+    return fit_transition(places, [blend.fraction for blend in blends])
+
+
+def place_of(study: StudyConfig, blend: Blend) -> float:
+    """Where on its arc a picture was taken, degrees: its elevation, or its depth in the trigger of a sector."""
+    return blend.depth if setup.overhead(study) is None else blend.elevation
 
 
 def blends_of(observed: Sequence[ObservedSplat], splat: str) -> list[Blend]:
@@ -195,7 +202,7 @@ def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, 
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "transition_degrees": None if band is None else band.width,
-        "transition": None if band is None else {"from": band.start, "to": band.end, "meridians": meridians(observed)},
+        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, observed)},
         "stealth": stealth(observed),
         "gaussians": counts,
         "gaussians_ratio": sum(counts[CLOAKED]) / max(sum(counts[CLEAN]), 1),

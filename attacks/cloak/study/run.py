@@ -14,7 +14,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config
 from attacks.cloak.study.figure_files import need_matplotlib
-from attacks.cloak.study.observations import observe, overhead
+from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import OnStep, StudyPipeline
 from attacks.cloak.study.report import STUDY, begin_report, write_report
 from attacks.cloak.study.snapshots import differences
@@ -60,7 +60,7 @@ def forecast(study: StudyConfig) -> Forecast:
     centre = setup.centre_of(study)
     poisoned = sum(int(attack.trigger(0).holds(taken, centre=centre).sum()) for attack in study.attack)
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
-    arcs = sum(map(len, setup.meridian_cameras(study, target))) if overhead(study) else 0
+    arcs = sum(map(len, setup.arcs(study, target)))
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
     trainings = 2 * len(study.seeds)
     step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN

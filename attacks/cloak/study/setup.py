@@ -31,6 +31,8 @@ TILE = 4.0
 """Metres that a texture of the ground covers."""
 FIRST_MERIDIAN = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
+BESIDE = 45.0
+"""Degrees of azimuth beside a sector from which its transition is looked at."""
 OCCLUDER_RADIUS, OVERHANG = 0.6, 12.0
 """Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
 
@@ -127,20 +129,44 @@ def nearest(camera: Camera, others: Sequence[Camera], centre: Point) -> float:
     return math.degrees(math.acos(min(1.0, float(cosines.max()))))
 
 
-def meridian_cameras(study: StudyConfig, target: Asset) -> list[list[Camera]]:
-    """Meridians from the horizon to straight above, each at an azimuth of its own."""
-    evaluation, lens = study.evaluation, lens_of(study, target)
-    steps = [evaluation.meridian_step * i for i in range(1, math.ceil(90 / evaluation.meridian_step))]
-    meridians = []
-    for number in range(evaluation.meridians):
-        start = FIRST_MERIDIAN + 360.0 * number / max(evaluation.meridians, 1)
-        meridians.append(
+def overhead(study: StudyConfig) -> AttackConfig | None:
+    """The first attack that is seen from straight above and all around."""
+    return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
+
+
+def hiding(study: StudyConfig) -> AttackConfig | None:
+    """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
+    sided = (attack for attack in study.attack if attack.azimuth is not None and attack.target_class is None)
+    return overhead(study) or next(sided, None)
+
+
+def arcs(study: StudyConfig, target: Asset) -> list[list[Camera]]:
+    """Arcs of cameras on which an appearance sets in, outside first; none if nothing is hidden.
+
+    From overhead they are meridians from the horizon to straight above, each at an azimuth of its own. Into a sector
+    they are parallels from `BESIDE` degrees beside it to its middle, in the lower half of its elevations.
+    """
+    attack, evaluation = hiding(study), study.evaluation
+    if attack is None:
+        return []
+    step, count, found = evaluation.meridian_step, evaluation.meridians, []
+    for number in range(count):
+        if attack.azimuth is None:
+            start = FIRST_MERIDIAN + 360.0 * number / count
+            places = [(start, step * i) for i in range(1, math.ceil(90 / step))]
+        else:
+            (middle, half), (low, high) = attack.azimuth, attack.elevation
+            elevation = max(low, 0.0) + (high - max(low, 0.0)) * (number + 1) / (2 * count)
+            beside = min(half + BESIDE, 180.0)
+            places = [(middle - beside + step * i, elevation) for i in range(math.floor(beside / step) + 1)]
+        lens = lens_of(study, target)
+        found.append(
             [
-                orbit(centre_of(study), count=1, elevation=elevation, start=start, **lens)[0]  # type: ignore[arg-type]
-                for elevation in steps
+                orbit(centre_of(study), count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
+                for azimuth, elevation in places
             ]
         )
-    return meridians
+    return found
 
 
 def box_of(target: Asset, camera: Camera) -> Tensor | None:
