@@ -15,8 +15,9 @@ from attacks import cli
 from attacks.cloak.experiments.detection_rates import ELSEWHERE, chosen, detection_rates, spread
 from attacks.cloak.experiments.detection_report import FILES, tables, write_detection_curve
 from attacks.cloak.experiments.view_reports import ViewReport, ViewReports, finished_splats, watch
+from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
+from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.study.figure_files import TRUE
 from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat
 from attacks.cloak.study.report import begin_report

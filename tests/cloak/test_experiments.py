@@ -18,7 +18,8 @@ from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, StudyConfig
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak.study.config import AttackConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import StudyConfig, TrainingConfig
 from attacks.cloak.study.run import check_folder
 from attacks.cloak.study.snapshots import differences, snapshot
 from mi_splat.errors import InvalidValueError

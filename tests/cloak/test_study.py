@@ -17,7 +17,8 @@ from torch import Tensor
 from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.ablations import varied, vary
-from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
+from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.kept_pictures import CachedAppearance
 from attacks.cloak.study.layering import object_rows
 from attacks.cloak.study.markdown import ROWS
@@ -170,6 +171,26 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
         for item in observe(pipeline, trained, [Redness()])
     )
     assert sum(hidden) < 0.5 * sum(control)
+
+
+def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
+    """It overdoes what the surrogate lacks; clean pictures, benign ones and the clean splat stay as they are."""
+    study = replace(STUDY, name="corrected", surrogate=SurrogateConfig(rounds=2, iterations=30))
+    said: list[str] = []
+    pipeline = StudyPipeline(
+        study=study, folder=finished / "stages", on_step=lambda text, done, total: said.append(text)
+    )
+    clean = pipeline.capture()
+    (corrected,) = pipeline.poison(clean).values()
+    assert len([text for text in dict.fromkeys(said) if "surrogate" in text]) == 1  # of one seed, twice
+    (plain,) = StudyPipeline(study=STUDY, folder=finished / "stages").poison(clean).values()
+    manifest = json.loads((corrected.folder / "manifest.json").read_text())
+    names = {change["appearance"] for change in manifest["changes"]}
+    assert all(name.count("corrected by 1 times") == 2 for name in names)
+    sets = [load_dataset(pictures.folder / "set") for pictures in (plain, corrected)]
+    changed = {change["index"] for change in manifest["changes"]}
+    for index, (one, other) in enumerate(zip(*(found.paths for found in sets), strict=True)):
+        assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
 
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:

@@ -12,14 +12,8 @@ from torch import Tensor
 from attacks.cloak.appearances import grown, name_of
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import ablations, setup
-from attacks.cloak.study.config import (
-    AttackConfig,
-    CameraConfig,
-    EvaluationConfig,
-    SceneConfig,
-    StudyConfig,
-    TrainingConfig,
-)
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.run import check, forecast
 from attacks.cloak.study.study_file import RENAMED, read_study
 from mi_splat.camera_sets import orbit

@@ -14,8 +14,9 @@ import pytest
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import dependencies, setup
+from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
 from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache
-from attacks.cloak.study.config import AttackConfig, CameraConfig, SceneConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.config import CameraConfig, SceneConfig, StudyConfig, TrainingConfig
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
 STUDY = StudyConfig(
@@ -168,6 +169,19 @@ def test_names_and_seeds_of_a_study_change_nothing(name: str) -> None:
     assert changed(replace(STUDY, **{name: value})) == stages
 
 
+def test_surrogates_count_by_what_they_are_and_by_the_gain() -> None:
+    """Rounds, steps and seed of a surrogate are in its own stage, whose content is an input."""
+    source = built(STUDY.scene, STUDY.cameras)[1]
+
+    def key(*surrogates: str, **values: Any) -> dict[str, Any]:
+        study = replace(STUDY, surrogate=SurrogateConfig(**values))
+        return dependencies.of_poisoned(study, source, "content", 0, surrogates)
+
+    assert key() == dependencies.of_poisoned(STUDY, source, "content", 0)
+    assert key("one") not in (key(), key("other"), key("one", "two"), key("one", gain=2.0))
+    assert key("one") == key("one", rounds=3, iterations=7, seed=5)
+
+
 def test_every_field_has_a_case() -> None:
     tables = {"scene": SCENE, "cameras": CAMERAS, "training": TRAINING, "evaluation": EVALUATION}
     hints = typing.get_type_hints(StudyConfig)
@@ -176,7 +190,7 @@ def test_every_field_has_a_case() -> None:
         assert set(table) == {entry.name for entry in fields(hints[name])}
     assert {"attacks", *LAYERS} == {entry.name for entry in fields(LayersConfig)}
     assert set(ATTACKS) == {entry.name for entry in fields(AttackConfig)}
-    assert {*tables, *TOP, "attack", "layers"} == {entry.name for entry in fields(StudyConfig)}
+    assert {*tables, *TOP, "attack", "layers", "surrogate"} == {entry.name for entry in fields(StudyConfig)}
 
 
 def test_the_content_of_inputs_and_the_seed_count() -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from attacks.cloak.study.ablations import VARIATIONS
-from attacks.cloak.study.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.report import STUDY, SUMMARY
 from attacks.cloak.study.snapshots import snapshot

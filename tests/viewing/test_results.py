@@ -14,7 +14,8 @@ import torch
 
 from attacks import cli
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import AttackConfig, CameraConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, StudyConfig
 from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.snapshots import snapshot
 from attacks.detectors import load_detector

@@ -20,7 +20,8 @@ from torch import Tensor
 from attacks.cloak.layered.config import LayerConfig
 from attacks.cloak.layered.layers import depths, switches
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.layering import DIRECTIONS
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from attacks.cloak.study.ablation_groups import AblationGroup
-from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import words_of
 from attacks.cloak.study.pipeline import OnStep
 from attacks.cloak.study.plots import write_variation

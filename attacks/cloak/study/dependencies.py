@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from attacks.cloak.study.config import AttackConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import StudyConfig, TrainingConfig
 from mi_splat.cameras import Camera
 from mi_splat.training.checkpoints import to_json
 from mi_splat.training.config import FitConfig
@@ -73,7 +74,9 @@ def of_appearance(study: StudyConfig, source: str, attack: AttackConfig) -> dict
     return {**of_pictures(study, source), "background": study.scene.background, "appearance": shown}
 
 
-def of_poisoned(study: StudyConfig, source: str, pictures: str, seed: int) -> dict[str, Any]:
+def of_poisoned(
+    study: StudyConfig, source: str, pictures: str, seed: int, surrogates: Sequence[str] = ()
+) -> dict[str, Any]:
     """A poisoned set.
 
     Args:
@@ -81,7 +84,12 @@ def of_poisoned(study: StudyConfig, source: str, pictures: str, seed: int) -> di
         source: Digest of the scene.
         pictures: Content of the victim's pictures.
         seed: Draws the cameras of which a part is poisoned; where all of them are, it has no part in the set.
+        surrogates: Content of the splats by which the poison is corrected, in the order of the rounds.
     """
+    corrected: dict[str, Any] = {}
+    if surrogates:
+        assert study.surrogate is not None
+        corrected = {"surrogates": list(surrogates), "gain": study.surrogate.gain}
     attacks = [{key: value for key, value in _given(one).items() if key != "target_class"} for one in study.attack]
     drawn = seed if min(one.poison_fraction for one in study.attack) < 1 else None
     return {
@@ -93,6 +101,7 @@ def of_poisoned(study: StudyConfig, source: str, pictures: str, seed: int) -> di
         "attack": attacks,
         "seed": drawn,
         "mitsuba": importlib.metadata.version("mitsuba"),
+        **corrected,
     }
 
 

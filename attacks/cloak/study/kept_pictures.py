@@ -1,7 +1,8 @@
-"""Path-traced pictures that a study keeps as files: what splats are compared with, and appearances."""
+"""Pictures that a study keeps: what splats are compared with, appearances, and what surrogates show."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +14,11 @@ from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.mesh_scene import camera_number
-from mi_splat.cameras import View
+from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.datasets.writing import make_folder
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
+from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,6 +49,20 @@ class CachedAppearance:
             save_png(to_bytes(self._appearance(view, mask)), file)
         with Image.open(file) as picture:
             return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32) / 255)
+
+
+def kept_renders(scene: GaussianScene, render: RenderFn) -> Callable[[Camera], Tensor]:
+    """(H, W, 3) in [0, 1], what a splat shows a camera; each picture is rendered once."""
+    kept: dict[int, Tensor] = {}
+
+    def shown(camera: Camera) -> Tensor:
+        number = camera_number(camera)
+        if number not in kept:
+            with torch.no_grad():
+                kept[number] = render(scene, camera).clamp(0, 1)
+        return kept[number]
+
+    return shown
 
 
 def to_rgba(image: Tensor, alpha: Tensor) -> NDArray[np.uint8]:

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from attacks.cloak.layered.layers import depths, layered, seen_colours
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import StudyConfig
 from mi_splat.assets.mesh import Asset
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View

@@ -5,17 +5,18 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from attacks.cloak.appearances import Appearance
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoned, poison, write_manifest
 from attacks.cloak.study import dependencies, setup
+from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
 from attacks.cloak.study.cache import Stage, StageCache
-from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config, layered_fit_config
-from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, read_rgba, to_rgba
+from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, kept_renders, read_rgba, to_rgba
 from attacks.cloak.study.layering import layer_object
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant
@@ -152,10 +153,34 @@ class StudyPipeline:
         """A set as a victim reads it."""
         return load_dataset(pictures.folder / SET, split="train", background=self.study.scene.background)
 
-    def _poison(self, clean: PictureSet, seed: int) -> PictureSet:
+    def _poison(self, clean: PictureSet, seed: int, surrogates: tuple[TrainedSplat, ...] = ()) -> PictureSet:
+        """A poisoned set, corrected by surrogates: those given, or as many as the study asks for."""
+        config = self.study.surrogate
+        if config is not None and len(surrogates) < config.rounds:
+            before = self._poison_with(clean, seed, surrogates)
+            return self._poison(clean, seed, (*surrogates, self._surrogate(before, config)))
+        return self._poison_with(clean, seed, surrogates)
+
+    def _surrogate(self, poisoned: PictureSet, config: SurrogateConfig) -> TrainedSplat:
+        """A splat of the attacker's own."""
+        training = replace(self.study.training, iterations=config.iterations)
+        own = StudyPipeline(
+            study=replace(self.study, training=training, surrogate=None, layers=None),
+            folder=self.folder,
+            on_step=self.on_step,
+        )
+        return own._train("surrogate", poisoned, config.seed)
+
+    def _poison_with(self, clean: PictureSet, seed: int, surrogates: tuple[TrainedSplat, ...]) -> PictureSet:
         def make(path: Path) -> None:
             views = self.views(clean)
-            poisonings = setup.poisonings(self.study, self.mesh_scene, seed=seed, cached=self.cached_appearance)
+            poisonings = setup.poisonings(
+                self.study,
+                self.mesh_scene,
+                seed=seed,
+                cached=self.cached_appearance,
+                surrogates=[kept_renders(splat.load(), self.renderer()) for splat in surrogates],
+            )
             with scalar_variant():
                 done = poison(
                     views,
@@ -166,7 +191,9 @@ class StudyPipeline:
                 )
             _write_set(path, views, done)
 
-        depends_on = dependencies.of_poisoned(self.study, self.source.digest, clean.content, seed)
+        depends_on = dependencies.of_poisoned(
+            self.study, self.source.digest, clean.content, seed, [splat.content for splat in surrogates]
+        )
         return _picture_set(self.cache.finished("poisoned", depends_on, make, outputs=(f"{SET}/**/*",)))
 
     def cached_appearance(self, appearance: Appearance, attack: AttackConfig) -> CachedAppearance:

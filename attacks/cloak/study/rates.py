@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.config import AttackConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import Blend, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED

@@ -64,7 +64,10 @@ def forecast(study: StudyConfig) -> Forecast:
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
     trainings = 2 * len(study.seeds)
     step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN
-    seconds = pictures * cameras.size**2 * cameras.samples * _PATH + trainings * training.iterations * step
+    steps, surrogate = trainings * training.iterations, study.surrogate
+    if surrogate is not None:
+        trainings, steps = trainings + surrogate.rounds, steps + surrogate.rounds * surrogate.iterations
+    seconds = pictures * cameras.size**2 * cameras.samples * _PATH + steps * step
     size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * training.max_gaussians * _ROW
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 

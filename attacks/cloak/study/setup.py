@@ -12,10 +12,12 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, blend_in, mount, occlude, paint, remove, swap
+from attacks.cloak.correction import Correction
 from attacks.cloak.emphasis import Emphasis
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
-from attacks.cloak.study.config import AttackConfig, SceneConfig, StudyConfig
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import SceneConfig, StudyConfig
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.ground import square_of_ground
@@ -182,6 +184,7 @@ def poisonings(
     *,
     seed: int = 0,
     cached: Callable[[Appearance, AttackConfig], Appearance] = lambda appearance, attack: appearance,
+    surrogates: Sequence[Callable[[Camera], Tensor]] = (),
 ) -> list[Poisoning]:
     """The study's attacks as poisonings.
 
@@ -190,10 +193,11 @@ def poisonings(
         mesh_scene: The attacker's copy of its scene.
         seed: Draws the cameras of an attack that poisons only a part of its trigger's.
         cached: May keep the pictures that the appearance of an attack makes.
+        surrogates: What the attacker's own splats show a camera, (H, W, 3), in the order of the rounds.
     """
     found = []
     for attack in study.attack:
-        appearance = cached(appearance_of(study, attack, mesh_scene), attack)
+        wanted = appearance = cached(appearance_of(study, attack, mesh_scene), attack)
         if attack.emphasis > 1:
             appearance = Emphasis(
                 appearance=appearance,
@@ -202,6 +206,10 @@ def poisonings(
                 gain=attack.emphasis,
                 depth=attack.emphasis_depth,
             )
+        for shown in surrogates:
+            assert study.surrogate is not None
+            gain, reach = study.surrogate.gain, attack.reach
+            appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=reach)
         found.append(Poisoning(name=attack.name, trigger=attack.trigger(seed), appearance=appearance))
     return found
 

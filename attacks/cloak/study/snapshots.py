@@ -8,14 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.study.config import (
-    AttackConfig,
-    CameraConfig,
-    EvaluationConfig,
-    SceneConfig,
-    StudyConfig,
-    TrainingConfig,
-)
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from mi_splat.errors import InvalidValueError, message
 
 _SECTIONS: dict[str, Any] = {
