@@ -20,8 +20,8 @@ from attacks.cloak.study.rates import figures
 from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.study_file import from_table
 from mi_splat.assets.mesh import Asset
-from mi_splat.cli.camera_records import describe
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import describe
 
 STUDY = "study.toml"
 _OTHER = ("files", "splats", "detectors", "seeds", "study", "versions", "commit", "variant", "seconds")

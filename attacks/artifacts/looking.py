@@ -26,9 +26,9 @@ from attacks.evaluation.drawing import listed
 from attacks.evaluation.views import ViewDetections, detect_views
 from attacks.objectives import confidence
 from mi_splat.cameras import Camera
-from mi_splat.cli.camera_records import camera_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.io.camera_records import camera_of
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 
