@@ -181,15 +181,9 @@ def _detections(
 ) -> dict[tuple[int, str], ViewDetections]:
     """What detectors report on the changed pictures, by the view's number and the detector's name."""
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
+    changed = changing(render, {view.camera: view.change for view in views})
     # One picture at a time: the same bits whatever the number of views.
-    found = detect_views(
-        scene,
-        cameras,
-        detectors,
-        render=changing(render, {view.camera: view.change for view in views}),
-        boxes=boxes,
-        batch=1,
-    )
+    found = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
     return {(views[one.view].index, one.detector): one for one in found}
 
 

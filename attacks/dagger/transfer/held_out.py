@@ -180,13 +180,12 @@ class HeldOutRunner:
         return {name: self._detector(name).fingerprint for name in names}
 
     def _seen(self, scene: GaussianScene, views: Sequence[DrawnView], job: HeldOutJob) -> list[dict[str, float]]:
+        render = self._scenes.of(job.scene, job.object).render
         found = detect_views(
             scene,
             [view.camera for view in views],
             [self._detector(job.detector)],
-            render=changing(
-                self._scenes.of(job.scene, job.object).render, {view.camera: view.change for view in views}
-            ),
+            render=changing(render, {view.camera: view.change for view in views}),
             boxes=[view.box for view in views],
         )
         original = job.object.replace("_", " ")
