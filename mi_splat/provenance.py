@@ -23,7 +23,7 @@ def rendered_with(render: object) -> dict[str, Any]:
     Args:
         render: A renderer, such as `mi_splat.rendering.Renderer`; of a function without settings nothing is known.
     """
-    settings = getattr(render, "settings", None)
+    settings: Any = getattr(render, "settings", None)
     if not (hasattr(settings, "background") and hasattr(settings, "near")):
         return {}
     return {"background": [float(part) for part in settings.background], "near": float(settings.near)}
