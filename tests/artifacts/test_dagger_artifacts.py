@@ -81,7 +81,7 @@ def test_an_attack_is_scored_again(objective: Objective, tmp_path: Path, variant
     assert all("moved by 0.0%" in line.words for line in lines[:2])
     program, *words = shlex.split(contents.command)
     assert program == "mi-splat"
-    given = parse(words[0], COMMANDS[words[0]], words[1:])
+    given: Any = parse(words[0], COMMANDS[words[0]], words[1:])
     assert (given.scene, given.view.cameras) == (Path("toy.xml"), ("cameras.json",))
     assert (given.view.near, given.view.background) == (0.3, (0.1, 0.1, 0.12))
     assert (given.objective, given.selection.mask) == (objective.name, Path("m.npy"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from attacks.reporting.results import read_section
 from tests.reporting.results import write_dagger, write_evaluation
@@ -17,7 +18,7 @@ def without(path: Path, *keys: str) -> None:
 
 
 def test_commands_render_as_the_results_were_rendered(tmp_path: Path) -> None:
-    rendered = {"near": 0.3, "background": [0.0, 0.5, 1.0]}
+    rendered: dict[str, Any] = {"near": 0.3, "background": [0.0, 0.5, 1.0]}
     made = {
         "dagger": write_dagger(tmp_path / "dagger", **rendered),
         "evaluate": write_evaluation(tmp_path / "evaluate", **rendered, original="car"),
