@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -60,7 +61,7 @@ def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
     try:
         first = result["views"][0].get("detector")  # every detector looked from the same cameras
         views = [camera_of(view["camera"]) for view in result["views"] if view.get("detector") == first]
-        expected = str(result["scene_hash"])
+        expected, rendered = str(result["scene_hash"]), _rendered_with(result)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         do = "make the result again with mi-splat dagger"
         raise InvalidValueError(message(str(folder / RESULT), "a result of DAGGER", repr(error), do)) from error
@@ -77,13 +78,21 @@ def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
             splat,
             ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, own=RenderSettings()),
         ),
-        settings=settings,
+        settings=replace(settings, **rendered),
         start=next(iter(cameras.values()), others.start),
         size=(views[0].width, views[0].height),
         cameras={**cameras, **others.cameras},
     )
     cone = Lines(segments=frustums(views, 0.1 * radius), colour="#ffa500")
     return replace(exhibit, lines={f"{kind.capitalize()} cameras": cone})
+
+
+def _rendered_with(result: dict[str, Any]) -> dict[str, Any]:
+    """Near plane and background of a result, for `RenderSettings`; nothing of an older one, which does not say them."""
+    if "near" not in result or "background" not in result:
+        return {}
+    red, green, blue = map(float, result["background"])
+    return {"near": float(result["near"]), "background": (red, green, blue)}
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:

@@ -135,6 +135,7 @@ def test_its_held_out_views_are_shown(folder: Path) -> None:
     found = open_exhibit(folder, clean=folder.parent / "a.ply")
     assert [name for name in found.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
     assert set(found.lines) == {"Held-out cameras"}
+    assert (found.settings.near, found.settings.background) == (0.3, (0.1, 0.1, 0.12))
     assert len(load_splat(folder / "attacked.ply")) == len(found.splat("attacked").scene)
 
 
