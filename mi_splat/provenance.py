@@ -1,4 +1,4 @@
-"""Where a result comes from: package versions, Mitsuba's variant, and the commit when the code runs from a checkout."""
+"""Where a result comes from: versions, Mitsuba's variant, the commit of a checkout, and how pictures were rendered."""
 
 from __future__ import annotations
 
@@ -7,8 +7,26 @@ import platform
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 _PACKAGES = ("mi-splat", "mitsuba", "drjit", "torch", "torchvision", "numpy", "pillow")
+
+
+def origin() -> dict[str, Any]:
+    """What every result says of its origin: `versions`, `variant` and `commit`."""
+    return {"versions": versions(), "variant": variant(), "commit": commit()}
+
+
+def rendered_with(render: object) -> dict[str, Any]:
+    """What pictures depend on besides the splat and the camera, `background` and `near`, as JSON can hold it.
+
+    Args:
+        render: A renderer, such as `mi_splat.rendering.Renderer`; of a function without settings nothing is known.
+    """
+    settings: Any = getattr(render, "settings", None)
+    if not (hasattr(settings, "background") and hasattr(settings, "near")):
+        return {}
+    return {"background": [float(part) for part in settings.background], "near": float(settings.near)}
 
 
 def versions() -> dict[str, str]:

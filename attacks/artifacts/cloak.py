@@ -10,6 +10,7 @@ from attacks.artifacts.cloak_rows import DETECTIONS, HeldOutCamera, columns, hel
 from attacks.artifacts.contents import SPLATS, Contents, read_object
 from attacks.artifacts.looking import agreement, look_again
 from attacks.artifacts.packed import Kind, Packed
+from attacks.artifacts.places import places_record
 from attacks.artifacts.rows import Column
 from attacks.artifacts.study_results import configuration_of, observed_splats, stage_splat, stated, study_of
 from attacks.artifacts.study_toml import study_toml
@@ -20,8 +21,8 @@ from attacks.cloak.study.rates import figures
 from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.study_file import from_table
 from mi_splat.assets.mesh import Asset
-from mi_splat.cli.camera_records import describe
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import describe
 
 STUDY = "study.toml"
 _OTHER = ("files", "splats", "detectors", "seeds", "study", "versions", "commit", "variant", "seconds")
@@ -105,17 +106,17 @@ def _splat(entry: Mapping[str, Any], folder: Path, stages: Path, study: StudyCon
 
 
 def _cameras(study: StudyConfig, cameras: Sequence[HeldOutCamera], target: Asset) -> dict[str, Any]:
-    """cameras.json: all that a picture of a splat needs, and where the object is in it."""
-    return {
-        "units": "world units; pixels; poses are camera to world, x right, y down, z forward; colours are sRGB",
-        "centre": list(setup.centre_of(study)),
-        "background": list(study.scene.background),
-        "near": setup.near_of(study, target),
-        "cameras": [
-            {**describe(str(view), place.camera), "box": None if place.box is None else list(place.box)}
-            for view, place in enumerate(cameras)
-        ],
-    }
+    """cameras.json of a study."""
+    entries = [
+        {**describe(str(view), place.camera), "box": None if place.box is None else list(place.box)}
+        for view, place in enumerate(cameras)
+    ]
+    return places_record(
+        entries,
+        centre=list(setup.centre_of(study)),
+        background=list(study.scene.background),
+        near=setup.near_of(study, target),
+    )
 
 
 KIND = Kind(

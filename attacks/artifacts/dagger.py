@@ -7,21 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from attacks.artifacts.contents import Contents, read_object
-from attacks.artifacts.dagger_results import broken, contents_of, objective_of, splat_of
+from attacks.artifacts.contents import CAMERAS, Contents, read_object
+from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, mask_of, objective_of, splat_of
 from attacks.artifacts.detection_rows import DETECTION, OBJECT, detection_cells, detections_of, object_box
-from attacks.artifacts.packed import Kind, Packed
+from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Column, Row, Table
 from attacks.dagger.problem import joint_verdict, reached_by
 from attacks.detectors.base import Detections
 from attacks.objectives import Target, Verdict, confidence
+from attacks.reporting.repeating import repeat_dagger
 from mi_splat.io.folders import RECORD as RESULT
 
-ROWS = "rows"
+ROWS, NOISE = "rows", "noise"
 CLEAN, ATTACKED = "clean", "attacked"
 _STATED = (
     *("image_psnr", "image", "steps", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
-    *("clamped_fraction", "noise", "warnings"),
+    *("clamped_fraction", "warnings"),
 )
 _OF_VIEW = (
     *("detector", "success", "unambiguous", "original", "clean_confidence", "original_confidence"),
@@ -35,12 +36,20 @@ _COLUMNS = (
     *(Column(name=name, kind="number", unit="pixels", meaning=f"{name} of the object's box") for name in OBJECT),
     *DETECTION,
 )
+_NOISE_COLUMNS = (
+    Column(name="draw", kind="whole", meaning="number of the draw of random noise, from 0"),
+    Column(name="view", kind="whole", meaning="number of the camera in cameras.json, from 0"),
+    Column(name="detector", kind="text", meaning="name of the detector"),
+    Column(name="success", kind="truth", meaning="whether the aim is reached with the noise"),
+    Column(name="score", kind="number", meaning="how near the aim is, in [0, 1]"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _View:
     """One view as one detector sees it, put together from its rows."""
 
+    number: int
     detector: str
     target: Target
     clean: Detections
@@ -62,16 +71,30 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     try:
         names = [one["detector"] for one in result["detectors"]]
         per_detector = len(result["views"]) // len(names)
-        rows = tuple(row for i, view in enumerate(result["views"]) for row in _rows(view, i % per_detector))
+        numbered = [(i % per_detector, view) for i, view in enumerate(result["views"])]
+        tables = {ROWS: Table(columns=_COLUMNS, rows=tuple(row for i, view in numbered for row in _rows(view, i)))}
+        noise = tuple(row for i, view in numbered for row in _noise_rows(view, i))
+        if noise:
+            tables[NOISE] = Table(columns=_NOISE_COLUMNS, rows=noise)
         fingerprints = {one["detector"]: one["detector_fingerprint"] for one in result["detectors"]}
-        contents = contents_of(result, {ROWS: Table(columns=_COLUMNS, rows=rows)}, fingerprints, _STATED)
+        contents = contents_of(
+            result,
+            tables,
+            fingerprints,
+            _STATED if noise else (*_STATED, "noise"),
+            folder=folder,
+            repeat=repeat_dagger,
+            cameras=[CAMERAS],
+        )
         figures = {key: result[key] for key in ("success", "unambiguous", "score", "target_confidence")}
         figures["views"] = [{key: view[key] for key in _OF_VIEW} for view in result["views"]]
-        views = result["views"][:per_detector]
-        cameras = [{"name": str(view), **entry["camera"], "box": entry["box"]} for view, entry in enumerate(views)]
+        if noise:
+            figures["noise"] = result["noise"]
+        cameras = cameras_of(result, dict(numbered[:per_detector]))
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise broken(folder / RESULT, error) from error
-    return Packed(contents=contents, figures=figures, cameras={"cameras": cameras}, splats=splat_of(folder))
+    files = mask_of(result, folder)
+    return Packed(contents=contents, figures=figures, cameras=cameras, files=files, splats=splat_of(folder))
 
 
 def derive(contents: Contents) -> Mapping[str, Any]:
@@ -80,7 +103,7 @@ def derive(contents: Contents) -> Mapping[str, Any]:
     Raises:
         InvalidValueError: The rows are not those of the attack.
     """
-    objective, label = objective_of(contents), contents.configuration.get("target")
+    objective, label = objective_of(contents.configuration), contents.configuration.get("target")
     try:
         config = contents.configuration["config"]
         views = list(_views(contents))
@@ -93,15 +116,36 @@ def derive(contents: Contents) -> Mapping[str, Any]:
             reached_by([view.confidence(label, attacked=True) for view in own], config["required_views"])
             for own in by_detector.values()
         ]
-        return {
+        figures = {
             "success": whole.success,
             "unambiguous": whole.unambiguous,
             "score": whole.score,
             "target_confidence": None if objective.label is None else reached_by(reached, config["required_detectors"]),
             "views": [_of_view(view, label) for view in views],
         }
+        return {**figures, "noise": _noise_of(contents)} if NOISE in contents.tables else figures
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise broken("rows", error) from error
+
+
+def _noise_of(contents: Contents) -> dict[str, Any]:
+    """The control: what each draw of noise reached over all views and detectors."""
+    config, draws = contents.configuration["config"], dict[Any, dict[Any, list[Verdict]]]()
+    for row in contents.tables[NOISE].rows:
+        success, score = bool(row["success"]), float(row["score"] or 0.0)
+        own = draws.setdefault(row["draw"], {}).setdefault(row["detector"], [])
+        own.append(Verdict(success=success, score=score, unambiguous=success))
+    verdicts = [
+        joint_verdict(
+            [joint_verdict(own, config["required_views"]) for own in by_detector.values()], config["required_detectors"]
+        )
+        for _, by_detector in sorted(draws.items())
+    ]
+    return {
+        "scores": [verdict.score for verdict in verdicts],
+        "successes": sum(verdict.success for verdict in verdicts),
+        "draws": len(verdicts),
+    }
 
 
 def _of_view(view: _View, label: str | None) -> dict[str, Any]:
@@ -120,10 +164,10 @@ def _of_view(view: _View, label: str | None) -> dict[str, Any]:
 
 def _views(contents: Contents) -> Iterator[_View]:
     """The views of each detector, in the order of the rows."""
-    objective, groups = objective_of(contents), dict[tuple[Any, Any], list[Row]]()
+    objective, groups = objective_of(contents.configuration), dict[tuple[Any, Any], list[Row]]()
     for row in contents.tables[ROWS].rows:
         groups.setdefault((row["detector"], row["view"]), []).append(row)
-    for (detector, _), rows in groups.items():
+    for (detector, number), rows in groups.items():
         clean, attacked = ([row for row in rows if row["scene"] == scene] for scene in (CLEAN, ATTACKED))
         if not clean or not attacked or len(clean) + len(attacked) != len(rows):
             raise ValueError(f"{detector}: rows of a clean and an attacked scene are needed")
@@ -138,7 +182,9 @@ def _views(contents: Contents) -> Iterator[_View]:
             original=None if original is None else str(original),
         )
         verdict = objective.verdict(seen, target)
-        yield _View(detector=detector, target=target, clean=detections_of(clean), attacked=seen, verdict=verdict)
+        yield _View(
+            number=number, detector=detector, target=target, clean=detections_of(clean), attacked=seen, verdict=verdict
+        )
 
 
 def _rows(view: Mapping[str, Any], number: int) -> Iterator[Row]:
@@ -150,9 +196,30 @@ def _rows(view: Mapping[str, Any], number: int) -> Iterator[Row]:
             yield {**place, "scene": scene, **corners, **detection_cells(found, view["box"])}
 
 
+def _noise_rows(view: Mapping[str, Any], number: int) -> Iterator[Row]:
+    """A row for each draw of noise in one view; none of an older result, which does not hold them."""
+    held = zip(view.get("noise_successes", ()), view.get("noise_scores", ()), strict=True)
+    for draw, (success, score) in enumerate(held):
+        yield {"draw": draw, "view": number, "detector": view["detector"], "success": success, "score": score}
+
+
+def outcomes(contents: Contents) -> list[Outcome]:
+    """What the rows say of the attacked splat."""
+    return [
+        Outcome(
+            view=view.number,
+            detector=view.detector,
+            original=view.target.original,
+            success=view.verdict.success,
+            unambiguous=view.verdict.unambiguous,
+        )
+        for view in _views(contents)
+    ]
+
+
 def columns(contents: Contents) -> Mapping[str, Sequence[Column]]:
-    """The table of such an artifact."""
-    return {ROWS: _COLUMNS}
+    """The tables of such an artifact."""
+    return {ROWS: _COLUMNS, NOISE: _NOISE_COLUMNS}
 
 
-KIND = Kind(pack=pack, derive=derive, columns=columns)
+KIND = Kind(pack=pack, derive=derive, columns=columns, further=(NOISE,), outcomes=outcomes)

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from attacks.artifacts.contents import Contents, read_object
-from attacks.artifacts.dagger_results import broken, contents_of, objective_of, splat_of
+from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, mask_of, objective_of, splat_of
 from attacks.artifacts.detection_rows import OBJECT
-from attacks.artifacts.packed import Kind, Packed
+from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Cell, Column, Row, Table
 from attacks.dagger.eot.judging import joint_rate
 from attacks.dagger.eot.report import AZIMUTHS, ELEVATIONS
 from attacks.dagger.eot.result import binned
 from attacks.evaluation.rates import Rate
 from attacks.objectives import Relabel
+from attacks.reporting.repeating import repeat_views
 from mi_splat.io.folders import RECORD as RESULT
 
 ROWS = "rows"
-_NOISE = "noise_score_"
+_NOISE_SCORE, _NOISE_SUCCESS = "noise_score_", "noise_success_"
+REFERENCE = "reference.json"
+"""File in an artifact with the reference camera, as --cameras takes it."""
 _STATED = (
     *("image_psnr", "psnr_definition", "image", "noise_psnr", "steps", "used", "used_in_file"),
     *("changed_gaussians", "object_gaussians", "redraws", "warnings"),
@@ -37,14 +41,32 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     result = read_object(folder / RESULT)
     try:
         draws = int(result["config"]["noise_draws"])
-        rows = tuple(_row(view, result["rates"][view["detector"]]["original"]) for view in result["views"])
+        reached = _reached(objective_of(result))
+        rows = tuple(_row(view, result["rates"][view["detector"]]["original"], reached) for view in result["views"])
         table = Table(columns=_columns(draws), rows=rows)
-        contents = contents_of(result, {ROWS: table}, result["detectors"], _STATED)
+        reference = result.get("reference")
+        contents = contents_of(
+            result,
+            {ROWS: table},
+            result["detectors"],
+            _STATED,
+            folder=folder,
+            repeat=repeat_views,
+            cameras=(result.get("cameras") or []) if reference is None else [REFERENCE],
+        )
+        cameras = cameras_of(result, {int(view["index"]): view for view in result["views"]})
         keys = ("success", "rate", "rates", "clean_rate", "noise_rate", "unambiguous_rate")
         figures = {key: result[key] for key in (*keys, "by_azimuth", "by_elevation")}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise broken(folder / RESULT, error) from error
-    return Packed(contents=contents, figures=figures, splats=splat_of(folder))
+    return Packed(
+        contents=contents,
+        figures=figures,
+        cameras=cameras,
+        texts={} if reference is None else {REFERENCE: json.dumps({"cameras": [reference]}, indent=0) + "\n"},
+        files=mask_of(result, folder),
+        splats=splat_of(folder),
+    )
 
 
 def derive(contents: Contents) -> Mapping[str, Any]:
@@ -54,16 +76,15 @@ def derive(contents: Contents) -> Mapping[str, Any]:
         InvalidValueError: The rows are not those of the attack.
     """
     rows, config = contents.tables[ROWS].rows, contents.configuration["config"]
-    reached = _reached(contents)
     try:
         rate = _joint(rows, lambda row: [bool(row["success"])])
-        clean = _joint(rows, lambda row: [reached(row["clean_score"])])
-        noise = _joint(rows, lambda row: [reached(score) for score in _noise(row)])
+        clean = _joint(rows, lambda row: [bool(row["clean_success"])])
+        noise = _joint(rows, _noise)
         interval = tuple(map(float, config["judged"]["cameras"]["elevations"]))
         return {
             "success": rate.fraction >= config["required_views"] - 1e-9,
             "rate": rate.as_dict(),
-            "rates": {name: _of_detector(rows, name, reached) for name in contents.detectors},
+            "rates": {name: _of_detector(rows, name) for name in contents.detectors},
             "clean_rate": clean.as_dict(),
             "noise_rate": noise.as_dict(),
             "unambiguous_rate": _joint(rows, lambda row: [bool(row["unambiguous"])]).as_dict(),
@@ -96,39 +117,47 @@ def _columns(draws: int) -> tuple[Column, ...]:
         *(Column(name=name, kind="number", unit="pixels", meaning="of the object's box") for name in OBJECT),
         Column(name="success", kind="truth", meaning="whether the aim is reached in the attacked picture"),
         Column(name="unambiguous", kind="truth", meaning="whether so, and no other class has more confidence there"),
+        Column(name="clean_success", kind="truth", meaning="whether it is reached without any attack"),
         confidence("score", "how near the aim is, attacked, in [0, 1]"),
         confidence("clean_score", "how near the aim is without any attack"),
         confidence("target_confidence", "in the target on the attacked object", optional=True),
         confidence("clean_confidence", "in the original class on the clean object"),
         confidence("original_confidence", "in the original class on the attacked object"),
-        *(confidence(f"{_NOISE}{draw}", "how near the aim is with random noise") for draw in range(draws)),
+        *(confidence(f"{_NOISE_SCORE}{draw}", "how near the aim is with random noise") for draw in range(draws)),
+        *(
+            Column(name=f"{_NOISE_SUCCESS}{draw}", kind="truth", meaning="whether it is reached with random noise")
+            for draw in range(draws)
+        ),
     )
 
 
-def _row(view: Mapping[str, Any], original: str | None) -> Row:
+def _row(view: Mapping[str, Any], original: str | None, reached: Callable[[float], bool]) -> Row:
+    """The row of a view; what an older result does not say of its controls follows from their scores."""
+    noise = view["noise_scores"]
+    held = view.get("noise_successes", [reached(score) for score in noise])
     same = ("index", "detector", "azimuth", "elevation", "success", "unambiguous", "score", "clean_score")
     confidences = ("target_confidence", "clean_confidence", "original_confidence")
     row: dict[str, Cell] = {name: view[name] for name in (*same, *confidences)}
-    row |= {"original": original}
+    row |= {"original": original, "clean_success": view.get("clean_success", reached(view["clean_score"]))}
     row |= dict(zip("xyz", view["position"], strict=True))
     row |= dict(zip(OBJECT, view["box"], strict=True))
-    return row | {f"{_NOISE}{draw}": score for draw, score in enumerate(view["noise_scores"])}
+    row |= {f"{_NOISE_SCORE}{draw}": score for draw, score in enumerate(noise)}
+    return row | {f"{_NOISE_SUCCESS}{draw}": success for draw, success in enumerate(held)}
 
 
-def _noise(row: Row) -> list[Cell]:
-    return [value for name, value in row.items() if name.startswith(_NOISE)]
+def _noise(row: Row) -> list[bool]:
+    return [bool(value) for name, value in row.items() if name.startswith(_NOISE_SUCCESS)]
 
 
-def _reached(contents: Contents) -> Callable[[Cell], bool]:
+def _reached(objective: Any) -> Callable[[float], bool]:
     """Whether a score reaches the aim."""
-    objective: Any = objective_of(contents)
     if isinstance(objective, Relabel):
-        return lambda score: _number(score) >= objective.confidence
-    return lambda score: 1.0 - _number(score) < objective.confidence
+        return lambda score: score >= objective.confidence
+    return lambda score: 1.0 - score < objective.confidence
 
 
 def _number(value: Cell) -> float:
-    return float(value) if isinstance(value, float) else 0.0
+    return float(value) if isinstance(value, (int, float)) else 0.0
 
 
 def _joint(rows: Sequence[Row], holds: Callable[[Row], Sequence[bool]]) -> Rate:
@@ -136,7 +165,7 @@ def _joint(rows: Sequence[Row], holds: Callable[[Row], Sequence[bool]]) -> Rate:
     return joint_rate((int(row["index"]), holds(row)) for row in rows)  # type: ignore[arg-type]
 
 
-def _of_detector(rows: Sequence[Row], name: str, reached: Callable[[Cell], bool]) -> dict[str, Any]:
+def _of_detector(rows: Sequence[Row], name: str) -> dict[str, Any]:
     """What one detector reports."""
     own = [row for row in rows if row["detector"] == name]
     original = next(iter(own))["original"] if own else None
@@ -147,8 +176,8 @@ def _of_detector(rows: Sequence[Row], name: str, reached: Callable[[Cell], bool]
     return {
         "original": original,
         "success": _joint(own, lambda row: [bool(row["success"])]).as_dict(),
-        "noise": _joint(own, lambda row: [reached(score) for score in _noise(row)]).as_dict(),
-        "clean": _joint(own, lambda row: [reached(row["clean_score"])]).as_dict(),
+        "noise": _joint(own, _noise).as_dict(),
+        "clean": _joint(own, lambda row: [bool(row["clean_success"])]).as_dict(),
         "found_clean": found("clean_confidence"),
         "found_attacked": found("original_confidence"),
     }
@@ -158,4 +187,18 @@ def _binned(rows: Sequence[Row], name: str, interval: tuple[float, float], parts
     return binned([(_number(row[name]), bool(row["success"])) for row in rows], interval, parts)
 
 
-KIND = Kind(pack=pack, derive=derive, columns=columns)
+def outcomes(contents: Contents) -> list[Outcome]:
+    """What the rows say of the attacked splat."""
+    return [
+        Outcome(
+            view=int(_number(row["index"])),
+            detector=str(row["detector"]),
+            original=None if row["original"] is None else str(row["original"]),
+            success=bool(row["success"]),
+            unambiguous=bool(row["unambiguous"]),
+        )
+        for row in contents.tables[ROWS].rows
+    ]
+
+
+KIND = Kind(pack=pack, derive=derive, columns=columns, outcomes=outcomes)

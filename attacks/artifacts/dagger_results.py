@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from attacks.artifacts.contents import SPLATS, Contents
+from attacks.artifacts.places import places_record
 from attacks.artifacts.rows import Table
 from attacks.objectives import Hide, Objective, Relabel, Untargeted
+from attacks.reporting.repeating import MASK, mask_beside
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.scene import scene_hash
 
+ATTACKED = "attacked.ply"
+_RENDERED = ("background", "near")
 _AIMS: dict[str, type[Any]] = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 _ABSOLUTE = re.compile(r"/|~|[A-Za-z]:[\\/]|\\\\")
 
@@ -28,7 +34,14 @@ def portable(value: Any) -> Any:
 
 
 def contents_of(
-    result: Mapping[str, Any], tables: Mapping[str, Table], detectors: Mapping[str, str], stated: Sequence[str]
+    result: Mapping[str, Any],
+    tables: Mapping[str, Table],
+    detectors: Mapping[str, str],
+    stated: Sequence[str],
+    *,
+    folder: Path,
+    repeat: Callable[..., str | None],
+    cameras: Sequence[object],
 ) -> Contents:
     """The contents of an artifact of one attack.
 
@@ -37,30 +50,38 @@ def contents_of(
         tables: Its rows.
         detectors: Fingerprint of the weights of each.
         stated: Keys of the figures that do not follow from the rows.
+        folder: Of the result.
+        repeat: Makes the command that repeats it, as in `attacks.reporting.repeating`.
+        cameras: What --cameras of that command shall name, in the artifact's folder.
     """
     origin = {key: result.get(key) for key in ("objective", "target", "scene", "scene_hash", "selection", "cameras")}
+    origin |= {key: result[key] for key in ("reference", *_RENDERED) if key in result}
+    name = f"{result['objective']}_{result['target'] or 'nothing'}".replace(" ", "_")
+    out, mask = ["--out", f"out/{name}"], Path(MASK) if MASK in mask_of(result, folder) else None
+    command = repeat(portable(result), cameras=cameras, mask=mask, out=out)
     return Contents(
         kind=str(result["attack"]),
-        name=f"{result['objective']}_{result['target'] or 'nothing'}".replace(" ", "_"),
-        command=f"mi-splat {result['attack']}, with the settings in configuration",
+        name=name,
+        command=command or f"mi-splat {result['attack']}, with the settings in configuration",
         configuration=portable({**origin, "config": result["config"]}),
         seeds=(int(result["seed"]),),
         versions=result["versions"],
         commit=result["commit"],
         variant=result["variant"],
         detectors=detectors,
+        splats=_splats(folder, int(result["seed"])),
         stated={key: result.get(key) for key in stated},
         tables=tables,
     )
 
 
-def objective_of(contents: Contents) -> Objective:
-    """The aim of an attack.
+def objective_of(values: Mapping[str, Any]) -> Objective:
+    """The aim of an attack, by its result.json or by the configuration in its artifact.
 
     Raises:
         InvalidValueError: It is none of this version's.
     """
-    name, settings = contents.configuration.get("objective"), contents.configuration["config"]["objective"]
+    name, settings = values.get("objective"), values["config"]["objective"]
     try:
         aim: Objective = _AIMS[str(name)](**settings)
     except (KeyError, TypeError) as error:
@@ -69,9 +90,41 @@ def objective_of(contents: Contents) -> Objective:
     return aim
 
 
+def cameras_of(result: Mapping[str, Any], views: Mapping[int, Mapping[str, Any]]) -> dict[str, Any] | None:
+    """cameras.json of an attack; None of a result that does not hold its cameras.
+
+    Args:
+        result: Its result.json.
+        views: Entries of its `views` by the number of the camera.
+    """
+    if not all("camera" in view for view in views.values()):
+        return None
+    entries = [
+        {"name": str(number), **view["camera"], **{key: view[key] for key in ("box", "change") if key in view}}
+        for number, view in sorted(views.items())
+    ]
+    return places_record(entries, **{key: result[key] for key in _RENDERED if key in result})
+
+
+def mask_of(result: Mapping[str, Any], folder: Path) -> dict[str, Path]:
+    """The object's mask by its name in an artifact; nothing where the object has a name in its scene."""
+    selection, mask = result.get("selection"), mask_beside(folder)
+    by_name = isinstance(selection, Mapping) and set(selection) == {"object"}
+    return {} if by_name or mask is None else {MASK: mask}
+
+
+def _splats(folder: Path, seed: int) -> tuple[dict[str, Any], ...]:
+    """What is known of the attacked splat, if it is still there."""
+    path = folder / ATTACKED
+    if not path.is_file():
+        return ()
+    scene = load_splat(path)
+    return ({"splat": "attacked", "seed": seed, "gaussians": len(scene), "hash": scene_hash(scene)},)
+
+
 def splat_of(folder: Path) -> dict[str, Path | None]:
     """The attacked splat by its name in an artifact."""
-    return {f"{SPLATS}/attacked.ply": folder / "attacked.ply"}
+    return {f"{SPLATS}/{ATTACKED}": folder / ATTACKED}
 
 
 def broken(what: object, error: Exception) -> InvalidValueError:

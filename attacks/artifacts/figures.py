@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError, message
 
 Value = int | float | bool | str | tuple[int, int] | None
@@ -153,3 +154,25 @@ def in_words(value: Value) -> str:
     if value is None or isinstance(value, bool):
         return {None: "none", True: "yes", False: "no"}[value]
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def moved(name: str, then: Rate | None, now: Rate, *, tolerance: float, other_weights: bool = False) -> Line:
+    """How a rate has moved since the artifact was made.
+
+    Args:
+        name: Of the rate.
+        then: In the rows; None if they do not have it, so that the line is grey.
+        now: Today.
+        tolerance: How far it may move.
+        other_weights: Whether the detector has other weights than the artifact's.
+    """
+    if then is None:
+        return Line(name=name, words=f"{_said(now)}; not in the artifact", passed=None)
+    by = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)
+    other = "; other weights than the artifact's" if other_weights else ""
+    words = f"{_said(then)} in the rows, {_said(now)} now: moved by {by:.1%}, may move by {tolerance:.1%}{other}"
+    return Line(name=name, words=words, passed=by <= tolerance)
+
+
+def _said(rate: Rate) -> str:
+    return f"{rate.successes}/{rate.total}"

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from attacks.artifacts.cloak_rows import DETECTIONS, ROWS, columns, observed_of
@@ -16,6 +13,7 @@ from attacks.artifacts.contents import Contents
 from attacks.artifacts.detection_rows import detection_cells, detections_of, object_box
 from attacks.artifacts.figures import Line
 from attacks.artifacts.packed import OnView, Packed
+from attacks.artifacts.places import checked_splat, places_of
 from attacks.artifacts.rows import Row, Table
 from attacks.artifacts.study_results import study_of
 from attacks.cloak.study.config import StudyConfig
@@ -23,85 +21,12 @@ from attacks.cloak.study.observations import Observation, ObservedSplat, scored
 from attacks.cloak.study.rates import pairs, rates
 from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.drawing import listed
-from attacks.evaluation.views import ViewDetections, detect_views
+from attacks.evaluation.views import ViewDetections
 from attacks.objectives import confidence
-from mi_splat.cameras import Camera
-from mi_splat.cli.camera_records import camera_of
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene, scene_hash
 
 RATE_TOLERANCE = 0.02
 """How far a rate may move: another machine rounds otherwise, and a score near the threshold crosses it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
-    """What cameras.json says.
-
-    Attributes:
-        cameras: The cameras by number.
-        boxes: (4,) pixels of the object in each; None where it does not show.
-        settings: Of the renderer.
-    """
-
-    cameras: tuple[Camera, ...]
-    boxes: tuple[Tensor | None, ...]
-    settings: RenderSettings
-
-    def look(
-        self, scene: GaussianScene, detectors: Sequence[Detector], views: Sequence[int]
-    ) -> Iterator[ViewDetections]:
-        """What detectors report of a splat from some of the cameras."""
-        found = detect_views(
-            scene,
-            [self.cameras[view] for view in views],
-            detectors,
-            render=Renderer(self.settings),
-            boxes=[self.boxes[view] for view in views],
-        )
-        return (replace(one, view=views[one.view]) for one in found)
-
-
-def places_of(values: Mapping[str, Any], where: str) -> Places:
-    """The cameras of an artifact.
-
-    Args:
-        values: What cameras.json holds.
-        where: The file, for errors.
-
-    Raises:
-        InvalidValueError: It is something else.
-    """
-    try:
-        entries = values["cameras"]
-        cameras = tuple(map(camera_of, entries))
-        boxes = tuple(_box(entry["box"]) for entry in entries)
-        red, green, blue = (float(part) for part in values["background"])
-        settings = RenderSettings(background=(red, green, blue), near=float(values["near"]))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        expected, do = "cameras, boxes, background and near", "get the artifact again"
-        raise InvalidValueError(message(where, expected, repr(error)[:200], do)) from error
-    return Places(cameras=cameras, boxes=boxes, settings=settings)
-
-
-def checked_splat(path: Path, entry: Mapping[str, Any]) -> GaussianScene:
-    """A splat from its file.
-
-    Args:
-        path: The file.
-        entry: What the artifact says of the splat.
-
-    Raises:
-        InvalidValueError: It is another splat.
-    """
-    scene = load_splat(path)
-    if scene_hash(scene) != entry["hash"]:
-        expected = f"the {entry['splat']} splat, seed {entry['seed']} (hash {str(entry['hash'])[:16]})"
-        got = f"another (hash {scene_hash(scene)[:16]})"
-        raise InvalidValueError(message(str(path), expected, got, "pass the splat of this artifact"))
-    return scene
 
 
 def look_again(packed: Packed, detectors: Sequence[Detector], on_view: OnView) -> dict[str, Table]:
@@ -193,12 +118,3 @@ def _agreement_line(
     largest = max(moves, default=0.0)
     words = f"give its rates within {largest:.1%}, may differ by {RATE_TOLERANCE:.1%}"
     return Line(name=f"detections of {detector}", words=words, passed=largest <= RATE_TOLERANCE)
-
-
-def _box(value: Any) -> Tensor | None:
-    if value is None:
-        return None
-    x0, y0, x1, y1 = map(float, value)
-    if not all(map(math.isfinite, (x0, y0, x1, y1))):
-        raise ValueError(f"the box {value}")
-    return torch.tensor([x0, y0, x1, y1])

@@ -22,6 +22,7 @@ class Packed:
         figures: What the result states, and the rows have to give again.
         cameras: cameras.json; None where the result does not hold its cameras.
         texts: Further files by name.
+        files: Further files that are copied, by the name that they have in the artifact.
         splats: Files of splats by the name that they have in the artifact; None for one that is not there any more.
     """
 
@@ -29,7 +30,27 @@ class Packed:
     figures: Mapping[str, Any]
     cameras: Mapping[str, Any] | None = None
     texts: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, Path] = field(default_factory=dict)
     splats: Mapping[str, Path | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What one detector made of the attacked splat in one view, by the rows of an attack.
+
+    Attributes:
+        view: Number of the camera in cameras.json.
+        detector: Its name.
+        original: What it calls the clean object; None if nothing.
+        success: Whether the aim was reached.
+        unambiguous: Whether so, and nothing spoke against it.
+    """
+
+    view: int
+    detector: str
+    original: str | None
+    success: bool
+    unambiguous: bool
 
 
 Pack = Callable[[Path, Path | None], Packed]
@@ -46,6 +67,8 @@ Look = Callable[[Packed, Sequence[Detector], OnView], Mapping[str, Table]]
 """Lets detectors look at the splats of a result again: further tables, with every detection."""
 Agree = Callable[[Contents], Sequence[Line]]
 """Whether these further tables and the others say the same."""
+Outcomes = Callable[[Contents], Sequence[Outcome]]
+"""What the rows of an attack say of the attacked splat, view by view."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +82,8 @@ class Kind:
         page: Makes the tables of the documentation; None where there are none.
         look: Makes further tables; None where there are none.
         agree: Compares them with the others.
-        further: Their names.
+        further: Names of tables that an artifact may lack.
+        outcomes: What scoring an attack again compares with; None for a study.
     """
 
     pack: Pack
@@ -69,6 +93,7 @@ class Kind:
     look: Look | None = None
     agree: Agree = lambda contents: ()
     further: tuple[str, ...] = ()
+    outcomes: Outcomes | None = None
 
 
 def rows_of(tables: Mapping[str, Table]) -> int:

@@ -76,6 +76,8 @@ def pack_artifact(
             save_json(packed.cameras, folder / CAMERAS, indent=0)
         for name, text in packed.texts.items():
             save_text(text, folder / name)
+        for name, source in packed.files.items():
+            shutil.copyfile(source, folder / name)
         if splats:
             _copy_splats(packed, folder)
         save_json(record_of(contents, folder), folder / RECORD)

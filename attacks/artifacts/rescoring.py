@@ -1,4 +1,4 @@
-"""Scoring the splats of a study of CLOAK again: needs the splats, the cameras and a detector, and nothing else."""
+"""Scoring the splats of an artifact again: needs the splats, the cameras and a detector, and nothing else."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from attacks.artifacts.checking import Checked
 from attacks.artifacts.cloak import splat_file
 from attacks.artifacts.cloak_rows import observed_of
 from attacks.artifacts.contents import CAMERAS, read_object
-from attacks.artifacts.figures import Line
-from attacks.artifacts.looking import RATE_TOLERANCE, checked_splat, places_of
+from attacks.artifacts.figures import Line, moved
+from attacks.artifacts.kinds import known_kind
+from attacks.artifacts.looking import RATE_TOLERANCE
 from attacks.artifacts.packed import OnView
+from attacks.artifacts.places import checked_splat, places_of
+from attacks.artifacts.rescoring_attacks import rescore_attack
 from attacks.artifacts.study_results import study_of
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import Observation, ObservedSplat, scored
 from attacks.cloak.study.rates import pairs, rates
 from attacks.detectors.base import Detector
-from attacks.evaluation.rates import Rate
 from attacks.evaluation.views import ViewDetections
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
@@ -38,7 +40,7 @@ def rescore(
     """Render the splats of an artifact, let detectors look, and say how every rate moved.
 
     Args:
-        checked: The artifact, of a study of CLOAK.
+        checked: The artifact.
         detectors: Those of the artifact or others.
         splats: Folder with the splats; None takes those in the artifact.
         every: Looks from each so manieth camera; the rates of the rows are then those of the same cameras.
@@ -49,12 +51,19 @@ def rescore(
         A line for each detector and rate; grey for a detector that the artifact does not have.
 
     Raises:
-        InvalidValueError: The artifact is of another kind, a splat is not there or another one, or cameras.json is
-            broken.
+        InvalidValueError: A splat is not there or another one, or cameras.json is missing or broken.
     """
-    if checked.contents.kind != "cloak":
-        do = "look at the splat itself with mi-splat evaluate"
-        raise InvalidValueError(message(str(checked.found.folder), "a study of CLOAK", checked.contents.kind, do))
+    outcomes = known_kind(checked.contents.kind, checked.found.folder).outcomes
+    if outcomes is not None:
+        return rescore_attack(
+            checked,
+            outcomes(checked.contents),
+            detectors,
+            splats=splats,
+            every=every,
+            rate_tolerance=rate_tolerance,
+            on_view=on_view,
+        )
     study = study_of(checked.contents.configuration, "configuration")
     before = observed_of(study, checked.contents.splats, checked.contents.tables)
     file = checked.found.folder / CAMERAS
@@ -103,20 +112,16 @@ def _moved(
         now, then = new[name], old[name]
         if now is None or then is None:
             continue
-        if known is None:
-            lines.append(
-                Line(name=f"{detector.name}, {words}", words=f"{_said(now)}; not in the artifact", passed=None)
+        lines.append(
+            moved(
+                f"{detector.name}, {words}",
+                then if known is not None else None,
+                now,
+                tolerance=tolerance,
+                other_weights=known != detector.fingerprint,
             )
-            continue
-        moved = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)
-        other = "" if known == detector.fingerprint else "; other weights than the artifact's"
-        said = f"{_said(then)} in the rows, {_said(now)} now: moved by {moved:.1%}, may move by {tolerance:.1%}{other}"
-        lines.append(Line(name=f"{detector.name}, {words}", words=said, passed=moved <= tolerance))
+        )
     return lines
-
-
-def _said(rate: Rate) -> str:
-    return f"{rate.successes}/{rate.total}"
 
 
 def _scenes(checked: Checked, splats: Path | None) -> list[GaussianScene]:

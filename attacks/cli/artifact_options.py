@@ -50,7 +50,7 @@ class ArtifactCheckOptions:
     pages: Path | None = None
     """Checkout whose pages have to show these figures; None looks at none."""
     rescore: bool = False
-    """Render the splats from cameras.json, let detectors look, and say how the rates moved (cloak)."""
+    """Render the splats from cameras.json, let detectors look, and say how the rates moved."""
     splats: Path | None = None
     """Folder with the splats of --rescore, for instance the result's; None takes those in the artifact."""
     detectors: tuple[str, ...] = ()

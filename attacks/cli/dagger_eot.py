@@ -21,6 +21,7 @@ from attacks.transformations.config import Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import describe
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import open_scene
 
@@ -36,11 +37,12 @@ def run(options: DaggerEotOptions) -> int:
         loaded = open_scene(options.scene)
         selection = chosen_object(loaded, options.selection)
         chosen = choose(loaded, selection, options.view)
+        name, camera = next(iter(chosen.cameras.items()))
         detectors = load_detectors(options.detectors, options.weights)
         views = ViewDistribution(
             loaded.scene,
             chosen.mask,
-            next(iter(chosen.cameras.values())),
+            camera,
             Transformations(cameras=options.region, pictures=options.pictures),
             render=chosen.render,
         )
@@ -50,7 +52,12 @@ def run(options: DaggerEotOptions) -> int:
         result = attack_views(
             views, detectors, objective, config=config, checkpoint=checkpoint, on_step=follow(advance)
         )
-        origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)[:1]}
+        origin = {
+            "scene": str(options.scene),
+            "selection": selection.as_dict(),
+            "cameras": [name],
+            "reference": describe(name, camera),
+        }
         result = dataclasses.replace(result, origin={**result.origin, **origin})
         with new_folder(options.out, force=options.force) as folder:
             written = [*write_eot_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from typing import Any
 
 from attacks.cli.aims import chosen_object
 from attacks.cli.dagger_transfer import loadable
@@ -19,6 +20,7 @@ from attacks.objectives import relabel
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import describe
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.select import require_visible
@@ -38,11 +40,12 @@ def run(options: DaggerSanityOptions) -> int:
         raise InvalidValueError(message("--seeds", "at least one", options.seeds, "3 are the usual ones"))
     findings: list[Finding] = []
     with progress("loading the scene and the detectors", total=ATTACKS * options.seeds) as advance:
-        runs = Runs(_case(options), on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
+        case, conditions = _case(options)
+        runs = Runs(case, on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
         advance("attacking", 0)
         run_checks(runs, checks=CHECKS, on_finding=findings.append)
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
-            write_findings(findings, runs, folder, scene=str(options.scene))
+            write_findings(findings, runs, folder, **conditions)
     red = sum(one.passed is False for one in findings)
     if options.json:
         show_json(json.loads((options.out / RECORD).read_text()))
@@ -55,14 +58,15 @@ def run(options: DaggerSanityOptions) -> int:
     return 1 if red else 0
 
 
-def _case(options: DaggerSanityOptions) -> Case:
-    """What the options ask to check."""
+def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
+    """What the options ask to check, and what the record has to say of it."""
     loaded = open_scene(options.scene)
-    chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
+    selection = chosen_object(loaded, options.selection)
+    chosen = choose(loaded, selection, options.view)
     require_visible(chosen.weights(loaded))
-    camera = next(iter(chosen.cameras.values()))
+    name, camera = next(iter(chosen.cameras.items()))
     centre = loaded.scene.means[chosen.mask].mean(0)
-    return Case(
+    case = Case(
         scene=loaded.scene,
         mask=chosen.mask,
         cameras=tuple(jittered(camera, centre, seed=seed) for seed in range(options.seeds)),
@@ -72,6 +76,11 @@ def _case(options: DaggerSanityOptions) -> Case:
         config=DaggerConfig(eps=(options.eps,), norm=options.norm, steps=options.steps),
         surrogate=_surrogate(options),
     )
+    return case, {
+        "scene": str(options.scene),
+        "selection": selection.as_dict(),
+        "cameras": [describe(name, camera)],
+    }
 
 
 def _surrogate(options: DaggerSanityOptions) -> Detector | None:

@@ -17,6 +17,7 @@ from attacks.dagger.transfer.study import run_transfer
 from attacks.dagger.transfer.tables import write_held_out, write_tables
 from attacks.detectors import load_detector
 from attacks.detectors.registry import DETECTORS
+from mi_splat import provenance
 from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_own_folder
@@ -64,7 +65,13 @@ def _judge(options: DaggerTransferOptions, study: Path, judges: list[str]) -> tu
     with progress("judging", total=len(jobs)) as advance:
         records = run_held_out(jobs, options.out, runner, on_job=advance)
     attacks = len({job.attack for job in jobs})
-    return len(jobs), write_held_out(records, options.out, attacks=attacks, views=options.views)
+    origin = {
+        "study": str(study),
+        "scenes": str(options.scenes),
+        "weights": runner.weights(judges),
+        **provenance.origin(),
+    }
+    return len(jobs), write_held_out(records, options.out, attacks=attacks, views=options.views, origin=origin)
 
 
 def _reader(options: DaggerTransferOptions) -> Callable[[str], AttackScene]:

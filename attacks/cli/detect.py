@@ -17,12 +17,12 @@ from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.drawing import annotated, listed
 from attacks.evaluation.views import detect_views
 from mi_splat.cli.camera_options import CameraOptions
-from mi_splat.cli.camera_records import describe
 from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.ranges import UsageError
 from mi_splat.datasets.pictures import SUFFIXES, read_picture
 from mi_splat.errors import message
+from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import file_name, save_json, save_png
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import open_scene

@@ -11,14 +11,16 @@ from attacks.cli.loading import load_detectors
 from attacks.cli.options import EvaluateOptions
 from attacks.evaluation.comparison import Comparison, changed_mask, compare, side_by_side
 from attacks.evaluation.views import CLEAN, evaluate
+from mi_splat import provenance
 from mi_splat.cameras import Camera
-from mi_splat.cli.camera_records import describe, recorded_cameras
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.selecting import choose, look_at_object
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD as RESULT
 from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.scene import scene_hash
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.select import doubts
 
@@ -69,13 +71,18 @@ def run(options: EvaluateOptions) -> int:
         document = {
             "clean": str(options.clean),
             "attacked": str(options.attacked),
+            "clean_hash": scene_hash(loaded.scene),
+            "attacked_hash": scene_hash(attacked.scene),
             "selection": options.selection.as_dict() or "the Gaussians that differ",
             "object_gaussians": int(chosen.mask.sum()),
+            "original": options.original,
             "min_confidence": options.min_confidence,
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
             "detectors": {comparison.detector: comparison.as_dict() for comparison in found},
             "warnings": reasons,
             "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
+            **provenance.rendered_with(chosen.render),
+            **provenance.origin(),
         }
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
             for detector in detectors if options.pictures else ():
@@ -122,7 +129,8 @@ def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Pa
 
 def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
     """How many cameras the record beside an attacked splat names as attacked; 0 without a record."""
-    poses = [camera.to_world for camera in (recorded_cameras(attacked.parent / RESULT) or {}).values()]
+    found = recorded_cameras(attacked.parent / RESULT, reference=False) or {}
+    poses = [camera.to_world for camera in found.values()]
     return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
 
 

@@ -102,7 +102,7 @@ def attack(
         warnings=(),
         objective=objective,
         config=config,
-        origin=_origin(clean_hash, detectors),
+        origin=_origin(clean_hash, detectors, render),
         seconds=time.perf_counter() - begun,
     )
     return dataclasses.replace(result, warnings=find_warnings(result))
@@ -142,22 +142,24 @@ def _noise_control(
     """Random noise of the same size in the same norm, judged on 8-bit pictures."""
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
     reference = subset.parameters(config.attributes)
-    verdicts = []
+    verdicts, views = [], []
     for _ in range(config.noise_draws):
         noisy = config.budget.noise(parameters, reference, generator)
-        verdicts.append(ensemble.verdict(ensemble.judge(subset.applied(noisy))))
+        judged = ensemble.judge(subset.applied(noisy))
+        verdicts.append(ensemble.verdict(judged))
+        views.append(tuple(view.verdict for one in judged for view in one.views))
     return NoiseControl(
         scores=tuple(verdict.score for verdict in verdicts),
         successes=sum(verdict.success for verdict in verdicts),
+        views=tuple(views),
     )
 
 
-def _origin(clean_hash: str, detectors: Sequence[Detector]) -> dict[str, Any]:
+def _origin(clean_hash: str, detectors: Sequence[Detector], render: RenderFn) -> dict[str, Any]:
     return {
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
         "scene_hash": clean_hash,
-        "versions": provenance.versions(),
-        "variant": provenance.variant(),
-        "commit": provenance.commit(),
+        **provenance.rendered_with(render),
+        **provenance.origin(),
     }

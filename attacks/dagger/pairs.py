@@ -155,9 +155,7 @@ def run_pairs(
         "seeds": list(seeds),
         "search": search,
         "steps_allowed": steps,
-        "versions": provenance.versions(),
-        "variant": provenance.variant(),
-        "commit": provenance.commit(),
+        **provenance.origin(),
     }
 
 

@@ -14,6 +14,7 @@ from attacks.dagger.problem import ViewResult
 from attacks.dagger.result import Result
 from attacks.evaluation.drawing import annotated, difference, listed, stacked
 from mi_splat.io import save_splat
+from mi_splat.io.camera_records import values_of
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.images import to_bytes
@@ -82,10 +83,16 @@ def summary(result: Result) -> dict[str, Any]:
         "image": dataclasses.asdict(image),
         "clamped_fraction": result.clamped_fraction,
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
-        "noise": {**dataclasses.asdict(result.noise), "draws": len(result.noise.scores)},
+        "noise": {
+            "scores": list(result.noise.scores),
+            "successes": result.noise.successes,
+            "draws": len(result.noise.scores),
+        },
         "warnings": list(result.warnings),
         "detectors": [_detector(result, one) for one in result.detectors],
-        "views": [_view(view, result.objective.label) for view in result.views],
+        "views": [
+            {**_view(view, result.objective.label), **_noise(result, place)} for place, view in enumerate(result.views)
+        ],
         "trace": [dataclasses.asdict(line) for line in result.trace],
         "seed": config.seed,
         "config": {
@@ -110,7 +117,7 @@ def _detector(result: Result, one: DetectorResult) -> dict[str, Any]:
 
 
 def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
-    target, camera = view.before.target, view.before.camera
+    target = view.before.target
     original = target.original
     return {
         "detector": view.after.detector,
@@ -124,12 +131,16 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
         "box": [round(float(x), 2) for x in target.box],
         "clean": listed(view.before.detections),
         "attacked": listed(view.after.detections),
-        "camera": {
-            "to_world": camera.to_world.tolist(),
-            "focal": [camera.fx, camera.fy],
-            "principal": [camera.cx, camera.cy],
-            "size": [camera.width, camera.height],
-        },
+        "camera": values_of(view.before.camera),
+    }
+
+
+def _noise(result: Result, place: int) -> dict[str, Any]:
+    """What each draw of noise reached in one of the views."""
+    verdicts = [draw[place] for draw in result.noise.views]
+    return {
+        "noise_scores": [verdict.score for verdict in verdicts],
+        "noise_successes": [verdict.success for verdict in verdicts],
     }
 
 

@@ -27,10 +27,12 @@ class NoiseControl:
     Attributes:
         scores: Score of every draw, as `Verdict.score`.
         successes: Number of draws that reached the attacker's aim.
+        views: Of every draw the verdict of each view, in the order of `Result.views`.
     """
 
     scores: tuple[float, ...]
     successes: int
+    views: tuple[tuple[Verdict, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

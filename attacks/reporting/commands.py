@@ -52,12 +52,30 @@ def word(value: Any) -> str:
     return str(value)
 
 
-def chosen(result: Mapping[str, Any], folder: Path) -> list[str]:
-    """The flags that choose the attacked object again: its name, or the mask that lies beside the result."""
+def chosen(result: Mapping[str, Any], mask: Path | None = None) -> list[str]:
+    """The flags that choose the object again: its name, or its mask, or what it was once chosen by.
+
+    Args:
+        result: With its `selection`.
+        mask: File that says which Gaussians it is, if there is one.
+    """
     selection = result.get("selection")
-    if isinstance(selection, Mapping) and set(selection) == {"object"}:
-        return ["--object", str(selection["object"])]
-    return ["--mask", str(folder / "mask.npy")] if (folder / "mask.npy").is_file() else []
+    by = selection if isinstance(selection, Mapping) else {}
+    if set(by) != {"object"} and mask is not None:
+        return ["--mask", str(mask)]
+    return [word for name, value in by.items() if not isinstance(value, Mapping) for word in flag(name, value)]
+
+
+def rendered(result: Mapping[str, Any]) -> list[str]:
+    """The flags that render as the result was rendered; none of an older result, which does not say it."""
+    return [word for name in ("near", "background") if name in result for word in flag(name, result[name])]
+
+
+def without_settings(result: Mapping[str, Any]) -> str:
+    """What to say of a result of an older version, which does not store how its pictures were rendered."""
+    if "near" in result and "background" in result:
+        return ""
+    return " It does not store --near and --background; add them if you gave them."
 
 
 def aim(result: Mapping[str, Any], confidences: Mapping[str, float]) -> list[str]:

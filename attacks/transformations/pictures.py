@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,9 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.transformations.config import PictureChanges
+from mi_splat.cameras import Camera, RenderFn
 from mi_splat.io.images import to_bytes
+from mi_splat.scene import GaussianScene
 
 _BEST_QUALITY = 95
 _DARK = 1e-4
@@ -94,6 +97,20 @@ def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
         compressed: Tensor = _Jpeg.apply(picture, change.jpeg)
         return compressed
     return picture
+
+
+def changing(render: RenderFn, changes: Mapping[Camera, PictureChange]) -> RenderFn:
+    """A renderer to whose pictures something happens.
+
+    Args:
+        render: Makes the pictures.
+        changes: What happens to the picture from each camera; no other cameras are taken.
+    """
+
+    def changed(scene: GaussianScene, camera: Camera) -> Tensor:
+        return change_picture(render(scene, camera).clamp(0, 1), changes[camera])
+
+    return changed
 
 
 def _to_linear(picture: Tensor) -> Tensor:

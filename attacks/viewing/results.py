@@ -12,9 +12,9 @@ import torch
 from attacks.cloak.study.report import SUMMARY
 from attacks.viewing.studies import exhibit_of_study
 from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.camera_records import camera_of
 from mi_splat.io.documents import read_json
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
@@ -27,7 +27,7 @@ RESULT, ATTACKED = "result.json", "attacked.ply"
 
 
 def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
-    """A splat file, a scene XML, or a folder that `mi-splat dagger` or `mi-splat cloak` has written.
+    """A splat file, a scene XML, or a folder that `mi-splat dagger`, `dagger-eot` or `mi-splat cloak` has written.
 
     Args:
         path: The file or the folder.
@@ -56,17 +56,20 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
 
 
 def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
-    """The clean and the attacked splat of a DAGGER result, from the cameras that were attacked."""
+    """The clean and the attacked splat of a DAGGER result, from the cameras that were attacked or that judged it."""
     result = read_json(folder / RESULT)
     try:
-        views, expected = [_camera(view["camera"]) for view in result["views"]], str(result["scene_hash"])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+        first = result["views"][0].get("detector")  # every detector looked from the same cameras
+        views = [camera_of(view["camera"]) for view in result["views"] if view.get("detector") == first]
+        expected, rendered = str(result["scene_hash"]), _rendered_with(result)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         do = "make the result again with mi-splat dagger"
         raise InvalidValueError(message(str(folder / RESULT), "a result of DAGGER", repr(error), do)) from error
     path, settings, splat = _clean_scene(folder, expected, clean, recorded=result.get("scene"))
     attacked = open_scene(folder / ATTACKED).scene
     radius, middle = bounds(splat.scene)[1], middle_of_change(splat.scene, attacked)
-    found = {f"attacked view {i}": orbit_of(camera, middle) for i, camera in enumerate(views)}
+    kind = "held-out" if "reference" in result else "attacked"
+    found = {f"{kind} view {i}": orbit_of(camera, middle) for i, camera in enumerate(views)}
     cameras = {name: orbit for name, orbit in found.items() if orbit is not None}
     others = exhibit_of_file(path)
     exhibit = Exhibit(
@@ -75,13 +78,21 @@ def _exhibit_of_attack(folder: Path, clean: Path | None) -> Exhibit:
             splat,
             ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, own=RenderSettings()),
         ),
-        settings=settings,
+        settings=replace(settings, **rendered),
         start=next(iter(cameras.values()), others.start),
         size=(views[0].width, views[0].height),
         cameras={**cameras, **others.cameras},
     )
     cone = Lines(segments=frustums(views, 0.1 * radius), colour="#ffa500")
-    return replace(exhibit, lines={"Attacked cameras": cone})
+    return replace(exhibit, lines={f"{kind.capitalize()} cameras": cone})
+
+
+def _rendered_with(result: dict[str, Any]) -> dict[str, Any]:
+    """Near plane and background of a result, for `RenderSettings`; nothing of an older one, which does not say them."""
+    if "near" not in result or "background" not in result:
+        return {}
+    red, green, blue = map(float, result["background"])
+    return {"near": float(result["near"]), "background": (red, green, blue)}
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
@@ -129,12 +140,3 @@ def _scenes_near(folder: Path) -> Iterator[Path]:
     """Scene files that may have been attacked: beside the result, and in the working folder and its `scenes`."""
     for place in (folder, folder.parent, Path(), Path("scenes")):
         yield from sorted(place.glob("*.xml"))
-
-
-def _camera(listed: dict[str, Any]) -> Camera:
-    """A camera as result.json lists it."""
-    fx, fy = map(float, listed["focal"])
-    cx, cy = map(float, listed["principal"])
-    width, height = map(int, listed["size"])
-    pose = torch.tensor(listed["to_world"], dtype=torch.float64)
-    return Camera(to_world=pose, focal=(fx, fy), width=width, height=height, principal=(cx, cy))

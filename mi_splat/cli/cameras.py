@@ -14,12 +14,12 @@ from mi_splat.bounds import bounds, culled_in_view, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
 from mi_splat.cameras import Camera
 from mi_splat.cli.camera_options import CameraOptions
-from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.cli.console import warn
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import is_rotation
 from mi_splat.scene import GaussianScene

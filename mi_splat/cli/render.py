@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from mi_splat.cameras import Camera
-from mi_splat.cli.camera_records import describe
 from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.console import Advance, progress, show, show_json
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import file_name, save_json
 from mi_splat.io.folders import check_new_folder, check_not_input, check_writable, new_folder
 from mi_splat.io.images import to_bytes

@@ -21,8 +21,8 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
-from mi_splat.cli.camera_records import recorded_cameras
 from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.camera_records import recorded_cameras
 from tests.artifacts.conftest import PAGE, STUDY
 from tests.cloak.test_study import Redness
 

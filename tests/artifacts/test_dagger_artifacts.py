@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +15,85 @@ from attacks.artifacts.checking import check_artifact
 from attacks.artifacts.dagger_results import portable
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.rescoring import rescore
+from attacks.cli import COMMANDS
+from attacks.cli.parsing import parse
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.eot.report import eot_summary, write_eot_report
 from attacks.dagger.report import write_report
 from attacks.objectives import Objective, hide, relabel, untargeted
+from mi_splat.cameras import RenderFn
 from mi_splat.errors import InvalidValueError
+from mi_splat.rendering import Renderer, RenderSettings
 from tests.artifacts.test_checking import edit_rows, red
 from tests.dagger.eot.toy import quick
-from tests.fakes import ColourDetector, blobs, camera, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
 ORIGIN = {"scene": "/home/someone/toy.xml", "selection": {"mask": "/home/someone/m.npy"}, "cameras": ["front"]}
 
 
-def dagger(folder: Path, objective: Objective) -> Path:
+def dagger(
+    folder: Path,
+    objective: Objective,
+    render: RenderFn = blobs,
+    detectors: Sequence[ColourDetector] = (ColourDetector(),),
+) -> Path:
     scene, mask = toy_scene()
     cameras = [camera(offset=0.4 * i) for i in range(2)]
     config = DaggerConfig(eps=(12.0,), noise_draws=1, required_views=0.5)
-    found = attack(scene, mask, cameras, ColourDetector(), objective, render=blobs, config=config)
+    found = attack(scene, mask, cameras, detectors, objective, render=render, config=config)
     write_report(dataclasses.replace(found, origin={**found.origin, **ORIGIN}), folder)
     return folder
+
+
+def test_the_control_follows_from_the_rows_of_the_noise(tmp_path: Path) -> None:
+    folder = dagger(tmp_path / "result", relabel("person"))
+    pack_artifact(folder, tmp_path / "artifact")
+    expected = json.loads((folder / "result.json").read_text())["noise"]
+    assert check_artifact(tmp_path / "artifact").derived["noise"] == expected
+    edit_rows(tmp_path / "artifact", lambda rows: rows[0].update(success="true"), "noise")
+    assert red(check_artifact(tmp_path / "artifact")) == ["noise/successes"]  # one of two views is enough here
+
+
+def test_an_older_attack_states_its_control(tmp_path: Path) -> None:
+    folder = dagger(tmp_path / "result", relabel("person"))
+    result = json.loads((folder / "result.json").read_text())
+    for view in result["views"]:
+        del view["noise_scores"], view["noise_successes"]
+    (folder / "result.json").write_text(json.dumps(result))
+    contents = pack_artifact(folder, tmp_path / "artifact", splats=True)
+    checked = check_artifact(tmp_path / "artifact")
+    assert red(checked) == []
+    assert contents.stated["noise"] == result["noise"]
+    assert "noise" not in checked.derived
+    with pytest.raises(InvalidValueError, match="expected cameras, boxes, background and near"):
+        rescore(checked, [ColourDetector()])
+
+
+@pytest.mark.parametrize("objective", [relabel("person"), hide(), untargeted()], ids=lambda one: str(one.name))
+def test_an_attack_is_scored_again(objective: Objective, tmp_path: Path, variant: str) -> None:
+    render = Renderer(RenderSettings(near=0.3, background=(0.1, 0.1, 0.12)))
+    contents = pack_artifact(dagger(tmp_path / "result", objective, render), tmp_path / "artifact", splats=True)
+    checked = check_artifact(tmp_path / "artifact")
+    assert red(checked) == []
+    lines = rescore(checked, [ColourDetector(), CoarseDetector()])
+    assert [line.colour for line in lines] == ["green"] * 2 + ["grey"] * 2
+    assert all("moved by 0.0%" in line.words for line in lines[:2])
+    program, *words = shlex.split(contents.command)
+    assert program == "mi-splat"
+    given: Any = parse(words[0], COMMANDS[words[0]], words[1:])
+    assert (given.scene, given.view.cameras) == (Path("toy.xml"), ("cameras.json",))
+    assert (given.view.near, given.view.background) == (0.3, (0.1, 0.1, 0.12))
+    assert (given.objective, given.selection.mask) == (objective.name, Path("m.npy"))
+    assert given.config == DaggerConfig(eps=(12.0,), noise_draws=1, required_views=0.5)
+
+
+def test_all_detectors_at_once_are_a_line_of_their_own(tmp_path: Path, variant: str) -> None:
+    both = [ColourDetector(), CoarseDetector()]
+    pack_artifact(dagger(tmp_path / "result", hide(), Renderer(), both), tmp_path / "artifact", splats=True)
+    lines = rescore(check_artifact(tmp_path / "artifact"), both)
+    assert [line.colour for line in lines] == ["green"] * 5
+    assert lines[-1].name.startswith("all detectors at once")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +107,8 @@ def test_every_figure_of_an_attack_follows_from_its_detections(objective: Object
     contents = pack_artifact(dagger(tmp_path / "result", objective), tmp_path / "artifact", splats=True)
     checked = check_artifact(tmp_path / "artifact")
     assert red(checked) == []
-    assert len(checked.figures) == 4 + 2 * 8
+    assert len(checked.figures) == 4 + 2 * 8 + 3  # of the noise: its score, its successes, its draws
+    assert "noise" not in contents.stated
     assert contents.kind == "dagger"
     assert "someone" not in (tmp_path / "artifact" / "artifact.json").read_text()
     assert (tmp_path / "artifact" / "splats" / "attacked.ply").is_file()
@@ -67,7 +129,7 @@ def test_every_rate_over_views_follows_from_the_views(objective: Objective, tmp_
     other = {"true": "false", "false": "true"}
     edit_rows(tmp_path / "artifact", lambda rows: rows[0].update(success=other[rows[0]["success"]]))
     assert {"rate", "rates/fake_colour/success"} <= set(red(check_artifact(tmp_path / "artifact")))
-    with pytest.raises(InvalidValueError, match="expected a study of CLOAK, got dagger-eot"):
+    with pytest.raises(InvalidValueError, match="expected the attacked splat, got none"):
         rescore(checked, [ColourDetector()])
 
 

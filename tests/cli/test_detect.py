@@ -14,8 +14,8 @@ from attacks import cli
 from attacks.cli import detect, evaluate
 from attacks.cli.loading import load_detectors
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import save_splat
-from mi_splat.scene import GaussianScene
+from mi_splat.io import load_splat, save_splat
+from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
 from tests.fakes import ColourDetector, toy_scene
 
@@ -84,6 +84,8 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     captured = capsys.readouterr()
     document = json.loads(captured.out)
     assert document["object_gaussians"] == 30
+    assert {"versions", "variant", "commit", "near", "background"} <= set(document)
+    assert document["attacked_hash"] == scene_hash(load_splat(folder / "attacked.ply"))
     figures = document["detectors"]["fake_colour"]
     assert figures["original"] == "car"
     assert figures["views"] == 12
@@ -115,6 +117,9 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     (folder / "result.json").write_text(json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]}))
     assert cli.main([*words, "--pictures", "0", "--out", "second"]) == 0
     assert "1 of 2 cameras are those that were attacked" in capsys.readouterr().err
+    (folder / "result.json").write_text(json.dumps({"views": [], "reference": cameras[0]}))  # drawn about it
+    assert cli.main([*words, "--pictures", "0", "--out", "third"]) == 0
+    assert "those that were attacked" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

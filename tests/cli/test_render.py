@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from attacks import cli
-from mi_splat.cli.camera_records import describe
 from mi_splat.io import save_splat
+from mi_splat.io.camera_records import describe
 from tests.fakes import camera, toy_scene
 
 SMALL = ["--size", "24", "16"]

@@ -25,6 +25,7 @@ from attacks.objectives import relabel
 from mi_splat.cameras import Camera
 from mi_splat.cli import selecting
 from mi_splat.io import save_splat
+from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.scene import GaussianScene
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
@@ -223,6 +224,8 @@ class TestCommand:
         assert "| green | has gradients of the renderer" in text
         values = json.loads(Path("out/sanity.json").read_text())
         assert (values["passed"], values["surrogate"], len(values["checks"])) == (True, "fake_coarse", 12)
+        assert values["selection"] == {"mask": "mask.npy"}
+        assert list(recorded_cameras(Path("out/sanity.json")) or ()) == ["orbit"]
 
     def test_red_lines_are_said_and_end_with_one(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

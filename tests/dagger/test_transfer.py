@@ -262,6 +262,9 @@ def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
     assert cli.main([*words, "--out", str(tmp_path / "judged")]) == 0
     assert "held_out.md" in capsys.readouterr().out
     assert "1 splats" in (tmp_path / "judged" / "held_out.md").read_text()
+    document = json.loads((tmp_path / "judged" / "held_out.json").read_text())
+    assert (document["study"], document["views"], set(document["weights"])) == (str(study), 2, {"fake_coarse"})
+    assert {"versions", "variant", "commit"} <= set(document)
     with pytest.raises(InvalidValueError, match="run mi-splat dagger-eot-study"):
         held_out_jobs(tmp_path, ["fake_colour"], views=2)
 

@@ -133,6 +133,7 @@ def write_evaluation(folder: Path, **values: Any) -> Path:
         "detectors": {"fasterrcnn_small": {**one, **found, **aimed}},
         "warnings": ["1 of 24 cameras are those that were attacked"],
         "cameras": [{"name": f"camera {i}"} for i in range(24)],
+        **provenance.origin(),
     }
     save_json({**document, **values}, folder / "evaluation.json")
     return folder

@@ -29,11 +29,14 @@ from attacks.dagger.transfer.study import run_transfer
 from attacks.rate import Rate
 from attacks.reporting.results import KINDS, read_section
 from attacks.reporting.section import Section
+from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from tests.dagger import test_pairs, test_sanity, test_study, test_transfer
 from tests.dagger.eot import test_study as eot_study
 from tests.dagger.eot.toy import quick
+from tests.fakes import camera
 from tests.reporting.results import STUDIED, change, rate, write_cloak, write_dagger, write_evaluation, write_variations
 
 
@@ -92,7 +95,8 @@ def write_held_out(folder: Path) -> Path:
     four = {name: rate(n, 40) for name, n in (("targeted", 8), ("untargeted", 20), ("noise_targeted", 0))}
     cell = {**four, "noise_untargeted": rate(4, 40), "sources": ["a"], "runs": 40}
     cells = [{**cell, "detector": "a", "white_box": True}, {**cell, "detector": "b", "white_box": False}]
-    save_json({"cells": cells}, folder / "held_out.json")
+    origin = {"study": "out/study", "scenes": "elsewhere", "views": 12, "weights": {"a": "0123"}}
+    save_json({"cells": cells, **origin, **provenance.origin()}, folder / "held_out.json")
     return folder
 
 
@@ -102,7 +106,8 @@ def write_sanity(folder: Path) -> Path:
         Finding(name=name, claim=name, passed=passed, figures="0.5", meaning="it is broken", values={})
         for name, passed in (("clean", True), ("noise", False), ("white_box", None))
     ]
-    write_findings(findings, Runs(test_sanity.case()), folder, scene="toy.xml")
+    found = {"selection": {"object": "thing"}, "cameras": [describe("front", camera())]}
+    write_findings(findings, Runs(test_sanity.case()), folder, scene="toy.xml", near=0.3, background=[0, 0, 1], **found)
     return folder
 
 
@@ -142,8 +147,8 @@ def test_every_kind_is_read_and_its_command_is_understood(name: str, folders: di
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")
         assert "None" not in text
-    assert section.configuration or name == "dagger-transfer --eot-study"
-    assert section.versions or name in ("evaluate", "dagger-transfer --eot-study")
+    assert section.configuration
+    assert section.versions
     for table in section.tables:
         assert table.rows
         assert {len(row) for row in table.rows} == {len(table.head)}
@@ -275,7 +280,9 @@ def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
 def test_transfer_counts_detectors_that_were_not_attacked(folders: dict[str, Path]) -> None:
     section = read_section(folders["dagger-transfer --eot-study"])
     assert section.headline.rate == Rate(successes=8, total=40)
-    assert "STUDY" in section.repeating
+    given = options(section)
+    assert (given.eot_study, given.views, given.scenes) == (Path("out/study"), 12, Path("elsewhere"))
+    assert section.repeating == ""
     assert not any("hides the object" in text for text in section.warnings)
     assert any(
         "fake_blind finds the clean object in 0 of" in text

@@ -101,6 +101,20 @@ def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.
         open_exhibit(result, clean=ROOT / "scenes" / "stop_sign.xml")
 
 
+def test_an_older_result_is_shown_as_its_scene_is(result: Path, tmp_path: Path) -> None:
+    shutil.copytree(result, tmp_path / "older")
+    values = json.loads((result / "result.json").read_text())
+    assert {"near", "background"} <= set(values)
+    views = [
+        {key: one[key] for key in one if key not in ("noise_scores", "noise_successes")} for one in values["views"]
+    ]
+    older = {key: value for key, value in values.items() if key not in ("near", "background")}
+    (tmp_path / "older" / "result.json").write_text(json.dumps({**older, "views": views}))
+    first, second = (open_exhibit(folder, clean=STREET) for folder in (result, tmp_path / "older"))
+    assert first.settings == second.settings
+    assert first.cameras == second.cameras
+
+
 @pytest.mark.parametrize("content", ["{", "[]", "{}", '{"views": [{}], "scene_hash": "x"}', '{"views": 3}'])
 def test_a_broken_result_is_told(content: str, tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text(content)

@@ -66,9 +66,7 @@ def write_report(
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
         "study": snapshot(study),
-        "versions": provenance.versions(),
-        "commit": provenance.commit(),
-        "variant": provenance.variant(),
+        **provenance.origin(),
         "seconds": round(time.monotonic() - pipeline.begun, 1),
     }
     save_text(markdown(summary), folder / TABLE)

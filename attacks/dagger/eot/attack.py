@@ -33,6 +33,7 @@ from attacks.objectives import Objective, check_objective
 from attacks.pgd import Step
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import values_of
 from mi_splat.scene import scene_hash
 
 
@@ -158,9 +159,9 @@ def _origin(views: ViewDistribution, problem: EotProblem) -> dict[str, Any]:
     return {
         "detectors": {detector.name: detector.fingerprint for detector in problem.detectors},
         "scene_hash": scene_hash(views.scene),
-        "versions": provenance.versions(),
-        "variant": provenance.variant(),
-        "commit": provenance.commit(),
+        "reference": values_of(views.reference),
+        **provenance.rendered_with(views.render),
+        **provenance.origin(),
     }
 
 

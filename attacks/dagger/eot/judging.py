@@ -17,8 +17,8 @@ from attacks.evaluation.rates import Rate
 from attacks.evaluation.views import ViewDetections, as_saved, detect_views
 from attacks.evaluation.visibility import ImageChange, image_change
 from attacks.objectives import Verdict, confidence
-from attacks.transformations.pictures import PictureChange
-from mi_splat.cameras import Camera, RenderFn
+from attacks.transformations.pictures import PictureChange, changing
+from mi_splat.cameras import RenderFn
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene
 
@@ -153,16 +153,6 @@ def judge(
     return Judgement(views=tuple(rows), image=changes[0], noise_images=tuple(changes[1:]))
 
 
-def changing(render: RenderFn, views: Sequence[DrawnView]) -> RenderFn:
-    """A renderer whose pictures undergo what happens to those of the views; it takes the views' cameras only."""
-    of_camera = {view.camera: view for view in views}
-
-    def changed(scene: GaussianScene, camera: Camera) -> Tensor:
-        return of_camera[camera].changed(render(scene, camera).clamp(0, 1))
-
-    return changed
-
-
 def clean_detections(
     distribution: ViewDistribution, detectors: Sequence[Detector], *, seed: int, count: int
 ) -> dict[tuple[int, str], ViewDetections]:
@@ -191,8 +181,9 @@ def _detections(
 ) -> dict[tuple[int, str], ViewDetections]:
     """What detectors report on the changed pictures, by the view's number and the detector's name."""
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
+    changed = changing(render, {view.camera: view.change for view in views})
     # One picture at a time: the same bits whatever the number of views.
-    found = detect_views(scene, cameras, detectors, render=changing(render, views), boxes=boxes, batch=1)
+    found = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
     return {(views[one.view].index, one.detector): one for one in found}
 
 

@@ -15,6 +15,7 @@ from attacks.dagger.eot.result import EotResult, by_angle, found_rate
 from attacks.dagger.eot.search import NOT_JUDGED
 from attacks.evaluation.drawing import annotated, stacked
 from mi_splat.io import save_splat
+from mi_splat.io.camera_records import values_of
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder
 
@@ -114,19 +115,22 @@ def _view(result: EotResult, one: JudgedView) -> dict[str, Any]:
     return {
         "index": one.view.index,
         "detector": one.detector,
-        "azimuth": round(direction.azimuth, 2),
-        "elevation": round(direction.elevation, 2),
-        "position": [round(x, 4) for x in one.view.camera.position.tolist()],
+        "azimuth": direction.azimuth,
+        "elevation": direction.elevation,
+        "position": one.view.camera.position.tolist(),
+        "camera": values_of(one.view.camera),
         "change": dataclasses.asdict(one.view.change),
         "success": one.verdict.success,
         "unambiguous": one.verdict.unambiguous,
-        "score": round(one.verdict.score, 4),
-        "clean_score": round(one.clean_verdict.score, 4),
-        "noise_scores": [round(verdict.score, 4) for verdict in one.noise],
-        "target_confidence": round(one.confidence(label, attacked=True), 4) if label else None,
-        "clean_confidence": round(one.confidence(original, attacked=False), 4) if original else 0.0,
-        "original_confidence": round(one.confidence(original, attacked=True), 4) if original else 0.0,
-        "box": [round(float(x), 2) for x in one.view.box],
+        "score": one.verdict.score,
+        "clean_success": one.clean_verdict.success,
+        "clean_score": one.clean_verdict.score,
+        "noise_successes": [verdict.success for verdict in one.noise],
+        "noise_scores": [verdict.score for verdict in one.noise],
+        "target_confidence": one.confidence(label, attacked=True) if label else None,
+        "clean_confidence": one.confidence(original, attacked=False) if original else 0.0,
+        "original_confidence": one.confidence(original, attacked=True) if original else 0.0,
+        "box": one.view.box.tolist(),
     }
 
 

@@ -83,9 +83,8 @@ def write_findings(findings: list[Finding], runs: Runs, folder: Path, **more: An
         "norm": config.norm,
         "attributes": list(config.attributes),
         "scene_hash": scene_hash(case.scene),
-        "versions": provenance.versions(),
-        "variant": provenance.variant(),
-        "commit": provenance.commit(),
+        **provenance.rendered_with(case.render),
+        **provenance.origin(),
         **more,
     }
     save_json(document, paths[1])

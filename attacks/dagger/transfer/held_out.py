@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from typing import Any
 from torch import Generator
 
 from attacks.budgets import Budget
-from attacks.dagger.eot.judging import changing
 from attacks.dagger.eot.views import DrawnView, ViewDistribution
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.study import JOBS, run_jobs
@@ -26,6 +25,7 @@ from attacks.evaluation.views import detect_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
+from attacks.transformations.pictures import changing
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
@@ -175,12 +175,17 @@ class HeldOutRunner:
             for name, mark in names
         ]
 
+    def weights(self, names: Iterable[str]) -> dict[str, str]:
+        """Fingerprint of the weights of each detector that looks."""
+        return {name: self._detector(name).fingerprint for name in names}
+
     def _seen(self, scene: GaussianScene, views: Sequence[DrawnView], job: HeldOutJob) -> list[dict[str, float]]:
+        render = self._scenes.of(job.scene, job.object).render
         found = detect_views(
             scene,
             [view.camera for view in views],
             [self._detector(job.detector)],
-            render=changing(self._scenes.of(job.scene, job.object).render, views),
+            render=changing(render, {view.camera: view.change for view in views}),
             boxes=[view.box for view in views],
         )
         original = job.object.replace("_", " ")

@@ -126,7 +126,9 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
     return paths
 
 
-def write_held_out(records: Sequence[Record], out: Path, *, attacks: int, views: int) -> list[Path]:
+def write_held_out(
+    records: Sequence[Record], out: Path, *, attacks: int, views: int, origin: Mapping[str, Any] | None = None
+) -> list[Path]:
     """Write the matrix over held-out views: held_out.md, held_out.json and held_out.png (with matplotlib).
 
     Args:
@@ -134,6 +136,7 @@ def write_held_out(records: Sequence[Record], out: Path, *, attacks: int, views:
         out: Where to.
         attacks: Number of splats.
         views: Views of each.
+        origin: What else the JSON shall hold, for instance the folder of the study.
 
     Returns:
         The files written.
@@ -145,7 +148,7 @@ def write_held_out(records: Sequence[Record], out: Path, *, attacks: int, views:
         "judging detector finds the clean object; in brackets the 95 % Wilson interval. White box: marked with *."
     )
     save_text("\n".join(["# Transfer over held-out views", "", said, "", *_rates(matrix)]), paths[0])
-    save_json({"cells": [cell.as_dict() for cell in matrix]}, paths[1])
+    save_json({"cells": [cell.as_dict() for cell in matrix], "views": views, **(origin or {})}, paths[1])
     if draw_heat_maps(matrix, out / "held_out.png"):
         paths.append(out / "held_out.png")
     return paths

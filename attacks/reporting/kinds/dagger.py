@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.dagger.config import DaggerConfig
 from attacks.rate import Rate
-from attacks.reporting.commands import again, aim, chosen, command, flags
+from attacks.reporting.commands import again, without_settings
+from attacks.reporting.repeating import mask_beside, repeat_dagger
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.reporting.wording import listed, number, origin, percent, plural, sentence, settings
 
-CONFIDENCES = {"relabel": 0.7, "hide": 0.3, "untargeted": 0.3}
-"""What counts as success if nothing is said (`attacks.objectives`)."""
 KIND = "DAGGER, from chosen cameras"
 
 
@@ -60,8 +58,7 @@ def read(folder: Path, result: Mapping[str, Any]) -> Section:
         versions=origin(result),
         command=_command(folder, result),
         repeating=(
-            "The cameras are those of the result. Settings of --near and --background are not in it; add them if you "
-            "gave them."
+            f"The cameras are those of the result.{without_settings(result)}"
             if "scene" in result
             else "It was made from Python, so no command line repeats it."
         ),
@@ -139,7 +136,8 @@ def _figures(result: Mapping[str, Any]) -> tuple[Figure, ...]:
 
 def _conditions(result: Mapping[str, Any]) -> dict[str, Any]:
     """What else a result depends on."""
-    found = {name: result[name] for name in ("scene", "selection", "cameras", "scene_hash") if name in result}
+    names = ("scene", "selection", "cameras", "background", "near", "scene_hash")
+    found = {name: result[name] for name in names if name in result}
     weights = {one["detector"]: one["detector_fingerprint"] for one in result["detectors"]}
     return {**found, "weights": weights}
 
@@ -218,15 +216,5 @@ def _charts(result: Mapping[str, Any]) -> tuple[Chart, ...]:
 
 
 def _command(folder: Path, result: Mapping[str, Any]) -> tuple[str, ...]:
-    if "scene" not in result:
-        return ()
-    words = [
-        result["scene"],
-        *chosen(result, folder),
-        *("--cameras", folder / "result.json"),
-        *aim(result, CONFIDENCES),
-        *("--detector", *(one["detector"] for one in result["detectors"])),
-        *flags(result["config"], DaggerConfig(), skip=("objective",)),
-        *again(folder),
-    ]
-    return (command("dagger", *words),)
+    line = repeat_dagger(result, cameras=[folder / "result.json"], mask=mask_beside(folder), out=again(folder))
+    return () if line is None else (line,)

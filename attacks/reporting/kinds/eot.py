@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.dagger.eot.config import EotConfig
 from attacks.rate import Rate
-from attacks.reporting.commands import again, aim, chosen, command, flags
-from attacks.reporting.kinds.dagger import CONFIDENCES, ball, verb, wish
+from attacks.reporting.commands import again, without_settings
+from attacks.reporting.kinds.dagger import ball, verb, wish
+from attacks.reporting.repeating import mask_beside, repeat_views
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.reporting.wording import counted, known, listed, number, origin, percent, plural, sentence, settings
-from attacks.transformations.config import CameraRegion, PictureChanges
 
 KIND = "DAGGER, from all cameras of a region"
 _ANGLES = {"by_azimuth": "azimuth", "by_elevation": "elevation"}
@@ -74,7 +73,7 @@ def read(folder: Path, result: Mapping[str, Any]) -> Section:
         versions=origin(result),
         command=_command(folder, result),
         repeating=(
-            "The reference camera is named, not described: if it was one on an orbit, or another size, say so again."
+            _repeating(result)
             if "scene" in result
             else "It was made from Python or by a study, so no command line of its own repeats it."
         ),
@@ -87,6 +86,15 @@ def _thing(result: Mapping[str, Any]) -> str:
     if isinstance(selection, Mapping) and "object" in selection:
         return str(selection["object"])
     return next((str(one["original"]) for one in result["rates"].values() if one["original"]), "the object")
+
+
+def _repeating(result: Mapping[str, Any]) -> str:
+    if "reference" in result:
+        return f"The reference camera is that of the result; views are drawn about it.{without_settings(result)}"
+    return (
+        "The reference camera is named, not described: if it was one on an orbit, or another size, say so again."
+        f"{without_settings(result)}"
+    )
 
 
 def _conclusion(result: Mapping[str, Any], rate: Rate, noise: Rate, needed: float) -> str:
@@ -147,24 +155,15 @@ def _chart(lines: Sequence[Mapping[str, Any]], angle: str, needed: float) -> Cha
 
 
 def _conditions(result: Mapping[str, Any]) -> dict[str, Any]:
-    names = ("scene", "selection", "cameras", "scene_hash", "redraws")
+    names = ("scene", "selection", "cameras", "reference", "background", "near", "scene_hash", "redraws")
     return {**{name: result[name] for name in names if name in result}, "weights": result.get("detectors", {})}
 
 
 def _command(folder: Path, result: Mapping[str, Any]) -> tuple[str, ...]:
-    if "scene" not in result:
-        return ()
-    config = result["config"]
-    made = config["transformations"]
-    words = [
-        result["scene"],
-        *chosen(result, folder),
-        *(["--cameras", *result["cameras"]] if result.get("cameras") else []),
-        *aim(result, CONFIDENCES),
-        *("--detectors", *result["rates"]),
-        *flags(config, EotConfig()),
-        *flags(made["cameras"], CameraRegion()),
-        *flags(made["pictures"], PictureChanges()),
-        *again(folder),
-    ]
-    return (command("dagger-eot", *words),)
+    line = repeat_views(
+        result,
+        cameras=[folder / "result.json"] if "reference" in result else result.get("cameras") or [],
+        mask=mask_beside(folder),
+        out=again(folder),
+    )
+    return () if line is None else (line,)

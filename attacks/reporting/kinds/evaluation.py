@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.reporting.commands import again, command, flag
+from attacks.reporting.commands import again, chosen, command, flag, rendered, without_settings
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.reporting.wording import counted, known, listed, number, origin, plural, rate_of, sentence, settings
 
 KIND = "a clean and an attacked splat, judged"
+_CONDITIONS = (
+    *("clean", "attacked", "clean_hash", "attacked_hash", "selection", "object_gaussians", "original"),
+    *("min_confidence", "background", "near"),
+)
 _RATES = {
     "found_clean": "found, clean",
     "found_attacked": "found, attacked",
@@ -66,14 +70,14 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         tables=(_table(detectors),),
         configuration=settings(
             {
-                **{key: found[key] for key in ("clean", "attacked", "selection", "object_gaussians", "min_confidence")},
+                **{key: found[key] for key in _CONDITIONS if key in found},
                 "cameras": [camera["name"] for camera in found["cameras"]],
                 "weights": found["fingerprints"],
             }
         ),
         versions=origin(found),
         command=(_command(folder, found),),
-        repeating="The cameras are those of the result.",
+        repeating=f"The cameras are those of the result.{without_settings(found)}",
     )
 
 
@@ -138,11 +142,11 @@ def _table(detectors: Mapping[str, Any]) -> Table:
 def _command(folder: Path, found: Mapping[str, Any]) -> str:
     first = next(iter(found["detectors"].values()))
     words = [found["clean"], found["attacked"], "--cameras", folder / "evaluation.json"]
-    selection = found["selection"]
-    for name, value in selection.items() if isinstance(selection, Mapping) else ():
-        words += flag(name, value)
-    if first["original"] and len(found["detectors"]) == 1:
-        words += flag("original", first["original"])
+    words += [*chosen(found), *rendered(found)]
+    # An older result does not say whether its class was given or found; of one detector both are the same.
+    original = found.get("original", first["original"] if len(found["detectors"]) == 1 else None)
+    if original:
+        words += flag("original", original)
     if first["target"]:
         words += flag("target", first["target"])
     words += [*flag("detectors", list(found["detectors"])), *flag("min_confidence", found["min_confidence"])]

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.reporting.commands import again, command, flag
+from attacks.reporting.commands import again, chosen, command, flag, rendered, without_settings
 from attacks.reporting.section import Figure, Section, Table
 from attacks.reporting.wording import listed, origin, plural, sentence, settings
 
 KIND = "sanity of DAGGER"
+_ELSEWHERE = ("checks", "versions", "variant", "commit")
 _WORDS = {True: "holds", False: "does not hold", None: "not checked"}
 
 
@@ -55,15 +56,26 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
                 rows=tuple((one["claim"], _WORDS[one["passed"]], one["figures"], one["meaning"]) for one in checks),
             ),
         ),
-        configuration=settings({key: value for key, value in found.items() if key not in ("checks", "versions")}),
+        configuration=settings({key: value for key, value in found.items() if key not in _ELSEWHERE}),
         versions=origin(found),
         command=(_command(folder, found),) if "scene" in found else (),
-        repeating="The object and the camera are not in the result: add --object and --cameras if you gave them.",
+        repeating=_repeating(found),
+    )
+
+
+def _repeating(found: Mapping[str, Any]) -> str:
+    if "cameras" in found and "selection" in found:
+        return f"The object and the camera are those of the result.{without_settings(found)}"
+    return (
+        "The object and the camera are not in the result: add --object and --cameras if you gave them."
+        f"{without_settings(found)}"
     )
 
 
 def _command(folder: Path, found: Mapping[str, Any]) -> str:
-    words = [found["scene"]]
+    words: list[object] = [found["scene"], *chosen(found), *rendered(found)]
+    if "cameras" in found:
+        words += ["--cameras", folder / "sanity.json"]
     for name in ("target", "confidence", "detector", "surrogate", "seeds", "norm", "steps"):
         words += flag(name, found[name])
     return command("dagger-sanity", *words, *flag("eps", found["eps"][0]), *again(folder))

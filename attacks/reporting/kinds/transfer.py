@@ -10,11 +10,13 @@ from attacks.rate import Rate
 from attacks.reporting.commands import again, command, flag
 from attacks.reporting.kinds.ledger import ledger
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
-from attacks.reporting.wording import counted, known, listed, origin, pooled, sentence, shared
+from attacks.reporting.wording import counted, known, listed, origin, pooled, sentence, settings, shared
 
 KIND = "transfer of DAGGER"
 HELD_OUT_KIND = "transfer of DAGGER over held-out views"
 _PRETTY = {"targeted": "the wanted class is reported", "untargeted": "the object's class is gone"}
+
+_OF_LOOKS = ("study", "scenes", "views", "weights")
 
 Cell = Mapping[str, Any]
 
@@ -53,7 +55,6 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
     jobs = [
         {key: value for key, value in record["job"].items() if key not in ("attack", "splat")} for record in records
     ]
-    words = [("--views", record["job"]["views"]) for record in records[:1]]
     names = list(dict.fromkeys(cell["detector"] for cell in found["cells"]))
     return _section(
         folder,
@@ -62,15 +63,30 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
         picture="held_out.png",
         what="views",
         done="Splats that were attacked from all cameras of a region were judged from views that no search has seen.",
-        configuration=shared(jobs),
-        versions=(),
-        command=(
-            command(
-                "dagger-transfer", "--eot-study", "STUDY", *flag("detectors", names), *sum(words, ()), *again(folder)
-            ),
+        configuration=(*shared(jobs), *settings({key: found[key] for key in _OF_LOOKS if key in found})),
+        versions=origin(found),
+        command=(_look_again(folder, found, names, records),),
+        repeating=(
+            ""
+            if "study" in found
+            else "STUDY stands for the folder of mi-splat dagger-eot-study, which the result does not name."
         ),
-        repeating="STUDY stands for the folder of mi-splat dagger-eot-study, which the result does not name.",
     )
+
+
+def _look_again(
+    folder: Path, found: Mapping[str, Any], names: Sequence[str], records: Sequence[Mapping[str, Any]]
+) -> str:
+    """The command that lets the detectors look again."""
+    views = found.get("views", records[0]["job"]["views"] if records else None)
+    words = [
+        *("--eot-study", found.get("study", "STUDY")),
+        *flag("detectors", names),
+        *([] if views is None else flag("views", views)),
+        *(flag("scenes", found["scenes"]) if found.get("scenes", "scenes") != "scenes" else []),
+        *again(folder),
+    ]
+    return command("dagger-transfer", *words)
 
 
 def _section(

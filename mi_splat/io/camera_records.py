@@ -18,8 +18,12 @@ from mi_splat.errors import InvalidValueError, message
 
 def describe(name: str, camera: Camera) -> dict[str, object]:
     """A camera as JSON can hold it; the pose has x right, y down, z forward."""
+    return {"name": name, **values_of(camera)}
+
+
+def values_of(camera: Camera) -> dict[str, object]:
+    """All of a camera but a name, as JSON can hold it; `camera_of` makes the same camera of it again."""
     return {
-        "name": name,
         "to_world": camera.to_world.tolist(),
         "focal": [camera.fx, camera.fy],
         "principal": [camera.cx, camera.cy],
@@ -27,11 +31,14 @@ def describe(name: str, camera: Camera) -> dict[str, object]:
     }
 
 
-def recorded_cameras(path: Path) -> dict[str, Camera] | None:
-    """The cameras, by name, of a file that `mi-splat render`, `dagger`, `evaluate` or the trainer of 3DGS has written.
+def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera] | None:
+    """The cameras, by name, of a file that one of the commands or the trainer of 3DGS has written.
+
+    Of an attack on a distribution of views it is the reference camera alone, with which the attack can be repeated.
 
     Args:
-        path: cameras.json, result.json or evaluation.json.
+        path: cameras.json, result.json, evaluation.json or sanity.json.
+        reference: Whether such a reference camera counts, from which the object need not have been looked at.
 
     Returns:
         None if it is no such file; it may be one of another program.
@@ -44,7 +51,7 @@ def recorded_cameras(path: Path) -> dict[str, Camera] | None:
     except (OSError, ValueError):
         return None
     entries = _entries(document)
-    if not entries:
+    if not entries or (not reference and "reference" in document):
         return None
     try:
         return {
@@ -62,6 +69,8 @@ def _entries(document: Any) -> list[Any]:
         return document
     if not isinstance(document, dict) or "frames" in document:
         return []
+    if "reference" in document:  # of an attack on a distribution of views, which are drawn about this camera
+        return [document["reference"]]
     if isinstance(document.get("views"), list):  # of an attack, whose cameras are called by names beside the views
         names = document.get("cameras") or range(len(document["views"]))
         pairs = zip(names, document["views"], strict=False)

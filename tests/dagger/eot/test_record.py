@@ -1,0 +1,155 @@
+"""The record of an attack on a distribution of views: the attack is repeated from it, and its splat is scored again."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks import cli
+from attacks.artifacts.checking import check_artifact
+from attacks.artifacts.contents import RECORD as ARTIFACT
+from attacks.artifacts.packing import pack_artifact
+from attacks.artifacts.rescoring import rescore
+from attacks.cli import dagger_eot
+from attacks.evaluation.views import object_boxes
+from attacks.reporting.results import read_section
+from attacks.viewing.results import open_exhibit
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.io.camera_records import camera_of, recorded_cameras
+from mi_splat.rendering import Renderer, RenderSettings
+from tests.artifacts.test_checking import red
+from tests.fakes import CoarseDetector, ColourDetector, toy_scene
+
+WORDS = (
+    "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 32 --fov 45 --near 0.3 "
+    "--background 0.1 0.1 0.12 --azimuths 250 290 --elevations 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 "
+    "--pool 6 --validation 2 --held-out 4 --image-psnr None"
+)
+NEW = ("reference", "background", "near")
+NEW_OF_VIEW = ("camera", "clean_success", "noise_successes")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
+    """What the command leaves behind."""
+    base = tmp_path_factory.mktemp("eot")
+    save_splat(toy_scene()[0], base / "a.ply")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dagger_eot, "load_detectors", lambda names, weights: [ColourDetector()])
+        assert cli.main(["dagger-eot", str(base / "a.ply"), *WORDS.split(), "--out", str(base / "out")]) == 0
+    return base / "out"
+
+
+@pytest.fixture
+def older(folder: Path, tmp_path: Path) -> Path:
+    """The same as an older version has written it."""
+    values = stored(folder)
+    views = [{key: one[key] for key in one if key not in NEW_OF_VIEW} for one in values["views"]]
+    (tmp_path / "older").mkdir()
+    kept = {key: values[key] for key in values if key not in NEW}
+    (tmp_path / "older" / "result.json").write_text(json.dumps({**kept, "views": views}))
+    return tmp_path / "older"
+
+
+def stored(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    return found
+
+
+def test_the_command_of_the_page_repeats_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    section, before = read_section(folder), stored(folder)
+    assert "the result" in section.repeating
+    assert "--near" not in section.repeating
+    program, *words = shlex.split(section.command[0])
+    assert program == "mi-splat"
+    assert "--mask" in words
+    monkeypatch.setattr(dagger_eot, "load_detectors", lambda names, weights: [ColourDetector()])
+    assert cli.main(words) == 0
+    after = stored(Path(f"{folder}-again"))
+    other = ("seconds", "selection", "cameras", "reference")
+    assert {key: after[key] for key in after if key not in other} == {
+        key: before[key] for key in before if key not in other
+    }
+    assert camera_of(after["reference"]).to_world.tolist() == camera_of(before["reference"]).to_world.tolist()
+
+
+def test_it_holds_all_that_its_pictures_depend_on(folder: Path) -> None:
+    values = stored(folder)
+    assert (values["near"], values["background"]) == (0.3, [0.1, 0.1, 0.12])
+    settings = RenderSettings(near=values["near"], background=tuple(values["background"]))
+    cameras = [camera_of(view["camera"]) for view in values["views"]]
+    boxes = object_boxes(toy_scene()[0], toy_scene()[1], cameras, render=Renderer(settings))
+    assert [None if box is None else box.tolist() for box in boxes] == [view["box"] for view in values["views"]]
+    assert len(values["views"][0]["noise_successes"]) == values["config"]["noise_draws"]
+    reference = recorded_cameras(folder / "result.json")
+    assert reference is not None
+    assert list(reference) == ["orbit"]
+    assert recorded_cameras(folder / "result.json", reference=False) is None
+
+
+def test_its_artifact_is_scored_again(folder: Path, tmp_path: Path) -> None:
+    contents = pack_artifact(folder, tmp_path / "artifact", splats=True)
+    checked = check_artifact(tmp_path / "artifact")
+    assert red(checked) == []
+    lines = rescore(checked, [ColourDetector()])
+    assert [line.colour for line in lines] == ["green", "green"]
+    assert all("moved by 0.0%" in line.words for line in lines)
+    assert {line.colour for line in rescore(checked, [CoarseDetector()], every=2)} == {"grey"}
+
+    class Blind(ColourDetector):
+        min_confidence = 2.0
+
+    looked: list[tuple[int, int]] = []
+    lines = rescore(checked, [Blind()], every=2, on_view=lambda done, total: looked.append((done, total)))
+    assert lines[0].colour == "red"
+    assert looked == [(1, 2), (2, 2)]
+    program, *words = shlex.split(contents.command)
+    assert program == "mi-splat"
+    assert words[:2] == ["dagger-eot", "a.ply"]  # its name alone: it lay in a folder of this machine
+    given = dict(pairwise(words))
+    assert (given["--cameras"], given["--mask"], given["--near"]) == ("reference.json", "mask.npy", "0.3")
+    assert {"reference.json", "mask.npy"} <= {path.name for path in (tmp_path / "artifact").iterdir()}
+    assert recorded_cameras(tmp_path / "artifact" / "reference.json") is not None
+    assert str(tmp_path.parent) not in (tmp_path / "artifact" / ARTIFACT).read_text()
+
+
+def test_the_splat_may_lie_elsewhere_and_is_known_by_its_hash(folder: Path, tmp_path: Path) -> None:
+    pack_artifact(folder, tmp_path / "artifact")
+    checked = check_artifact(tmp_path / "artifact")
+    with pytest.raises(InvalidValueError, match="expected the attacked splat, got none") as error:
+        rescore(checked, [ColourDetector()])
+    assert error.value.hint == "--splats"
+    assert all(line.passed for line in rescore(checked, [ColourDetector()], splats=folder))
+    save_splat(toy_scene()[0], tmp_path / "attacked.ply")
+    with pytest.raises(InvalidValueError, match=r"expected the attacked splat, seed 0 .* got another"):
+        rescore(checked, [ColourDetector()], splats=tmp_path)
+
+
+def test_its_held_out_views_are_shown(folder: Path) -> None:
+    found = open_exhibit(folder, clean=folder.parent / "a.ply")
+    assert [name for name in found.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
+    assert set(found.lines) == {"Held-out cameras"}
+    assert (found.settings.near, found.settings.background) == (0.3, (0.1, 0.1, 0.12))
+    assert len(load_splat(folder / "attacked.ply")) == len(found.splat("attacked").scene)
+
+
+def test_an_older_result_is_still_read(folder: Path, older: Path, tmp_path: Path) -> None:
+    section = read_section(older)
+    assert "named, not described" in section.repeating
+    assert "--near and --background" in section.repeating
+    assert "--cameras orbit" in section.command[0]
+    pack_artifact(older, tmp_path / "artifact")
+    checked = check_artifact(tmp_path / "artifact")
+    assert red(checked) == []
+    for key in ("rate", "rates", "noise_rate", "clean_rate"):
+        assert json.loads(json.dumps(checked.derived[key])) == stored(folder)[key]
+    with pytest.raises(InvalidValueError, match="the attacked splat"):
+        rescore(checked, [ColourDetector()])
+    with pytest.raises(InvalidValueError, match=r"result\.json: expected a result of DAGGER"):
+        open_exhibit(older, clean=folder.parent / "a.ply")
