@@ -23,8 +23,8 @@ from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
-from tests.cloak.test_study import STUDY as TINY
-from tests.cloak.test_study import Redness
+from tests.cloak.tiny_study import STUDY as TINY
+from tests.cloak.tiny_study import Redness
 
 STUDY = replace(TINY, evaluation=replace(TINY.evaluation, cameras=40))
 PAGE = "docs/page.md"

@@ -24,7 +24,7 @@ from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.camera_records import recorded_cameras
 from tests.artifacts.conftest import PAGE, STUDY
-from tests.cloak.test_study import Redness
+from tests.cloak.tiny_study import Redness
 
 
 def summary(folder: Path) -> dict[str, Any]:

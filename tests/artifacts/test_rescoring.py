@@ -17,7 +17,7 @@ from attacks.artifacts.rescoring import rescore
 from attacks.cli import artifact_check
 from attacks.detectors.base import Detections
 from mi_splat.errors import InvalidValueError
-from tests.cloak.test_study import Redness
+from tests.cloak.tiny_study import Redness
 
 
 class Blind(Redness):

@@ -24,7 +24,7 @@ from attacks.cloak.study.report import begin_report
 from attacks.detectors.base import Detections
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
-from tests.cloak.test_study import Redness
+from tests.cloak.tiny_study import Redness
 from tests.fakes import toy_scene
 
 STUDY = StudyConfig(

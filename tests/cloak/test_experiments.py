@@ -24,7 +24,7 @@ from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
-from tests.cloak.test_study import Redness
+from tests.cloak.tiny_study import Redness
 
 STUDY = StudyConfig(
     name="small",

@@ -7,102 +7,24 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.ablations import varied, vary
-from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
-from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.kept_pictures import CachedAppearance
-from attacks.cloak.study.layering import object_rows
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.cloak.study.run import run_study
-from attacks.detectors.base import Candidates, Detections
 from attacks.reporting.results import read_section
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
+from tests.cloak.tiny_study import STUDY, Redness, done, summary
 
 pytestmark = pytest.mark.slow
-
-STUDY = StudyConfig(
-    name="tiny",
-    cameras=CameraConfig(train=16, size=40, distance=7.4, samples=2, points=1200),
-    attack=(
-        AttackConfig(name="overhead", elevation=(38.2, 90)),
-        AttackConfig(
-            name="rear",
-            appearance="paint",
-            texture="stop_sign",
-            paint_direction=(180, 15),
-            elevation=(0, 38.1),
-            azimuth=(180, 45),
-            target_class="stop sign",
-        ),
-    ),
-    training=TrainingConfig(iterations=80, strategy="fixed", sh_degree_interval=0),
-    evaluation=EvaluationConfig(detectors=("redness",), cameras=24, reference_views=2, meridians=1, meridian_step=20.0),
-)
-
-
-class Redness:
-    """Reports a car in the middle of the picture, with the more confidence the redder it is there."""
-
-    name: str = "redness"
-    classes: tuple[str, ...] = ("car", "stop sign")
-    fingerprint: str = "0" * 16
-    min_confidence: float = 0.0
-
-    def candidates(self, images: Tensor) -> list[Candidates]:
-        raise AssertionError("a study asks for detections only")
-
-    def detect(self, images: Tensor) -> list[Detections]:
-        found = []
-        for image in images:
-            size = image.shape[0]
-            middle = image[size // 3 : 2 * size // 3, size // 3 : 2 * size // 3]
-            score = (6 * (middle[..., 0] - middle[..., 2]).clamp(0, 1).mean()).clamp(0, 1)
-            box = torch.tensor([[size * 0.25, size * 0.3, size * 0.75, size * 0.7]])
-            found.append(Detections(box, score[None], ("car",)))
-        return found
-
-
-def done(
-    folder: Path,
-    *,
-    study: StudyConfig = STUDY,
-    stages: Path | None = None,
-    stop_at: tuple[str, int] | None = None,
-) -> tuple[dict[str, Any], list[str]]:
-    """The summary of a study and what was going on; interrupted at a step if one is named."""
-    said: list[str] = []
-
-    def step(text: str, count: int, total: int) -> None:
-        said.append(text)
-        if stop_at is not None and text.startswith(stop_at[0]) and count == stop_at[1]:
-            raise KeyboardInterrupt
-
-    torch.set_num_threads(1)
-    return run_study(study, [Redness()], folder, stages=stages, on_step=step), said
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("study") / "out"
-    done(folder)
-    return folder
-
-
-def summary(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return found
 
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
@@ -151,46 +73,6 @@ def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
     assert sum(control) > 2
     assert sum(cloaked) < 0.75 * sum(control)
     assert -1 < summary(finished)["benign_psnr_drop"] < 3
-
-
-def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
-    """The pictures and the clean splat are those of the study without layers: its stages are shared."""
-    study = replace(STUDY, name="layers", layers=LayersConfig(attacks=("overhead",), iterations=40))
-    found, said = done(finished.with_name("layers"), study=study, stages=finished / "stages")
-    assert not any("pictures" in text or text.startswith("training the clean") for text in said)
-    (clean,), (cloaked,) = found["gaussians"]["clean"], found["gaussians"]["cloaked"]
-    assert clean < cloaked <= 2 * clean
-    pipeline = StudyPipeline(study=study, folder=finished / "stages")
-    trained = pipeline.train(pipeline.capture(), pipeline.poison(pipeline.capture()))
-    before, after = (one.load() for one in trained)
-    other = ~object_rows(study, before, pipeline.mesh_scene.target)
-    for name in ("means", "sh"):
-        assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
-    control, hidden = (
-        [one.scores["car"] for one in item.observations if one.elevation >= 50]
-        for item in observe(pipeline, trained, [Redness()])
-    )
-    assert sum(hidden) < 0.5 * sum(control)
-
-
-def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
-    """It overdoes what the surrogate lacks; clean pictures, benign ones and the clean splat stay as they are."""
-    study = replace(STUDY, name="corrected", surrogate=SurrogateConfig(rounds=2, iterations=30))
-    said: list[str] = []
-    pipeline = StudyPipeline(
-        study=study, folder=finished / "stages", on_step=lambda text, done, total: said.append(text)
-    )
-    clean = pipeline.capture()
-    (corrected,) = pipeline.poison(clean).values()
-    assert len([text for text in dict.fromkeys(said) if "surrogate" in text]) == 1  # of one seed, twice
-    (plain,) = StudyPipeline(study=STUDY, folder=finished / "stages").poison(clean).values()
-    manifest = json.loads((corrected.folder / "manifest.json").read_text())
-    names = {change["appearance"] for change in manifest["changes"]}
-    assert all(name.count("corrected by 1 times") == 2 for name in names)
-    sets = [load_dataset(pictures.folder / "set") for pictures in (plain, corrected)]
-    changed = {change["index"] for change in manifest["changes"]}
-    for index, (one, other) in enumerate(zip(*(found.paths for found in sets), strict=True)):
-        assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
 
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:

@@ -13,7 +13,7 @@ from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import TrainedSplat
 from attacks.cloak.study.rates import by_elevation, figures, pairs, rates, stealth, transition
-from tests.cloak.test_study import STUDY
+from tests.cloak.tiny_study import STUDY
 
 
 def seen(

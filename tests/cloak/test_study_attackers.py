@@ -1,0 +1,78 @@
+"""What an attacker of a study may do besides poison: train surrogates of his own, or change the finished file."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from attacks.cloak.appearances import grown
+from attacks.cloak.layered.config import LayersConfig
+from attacks.cloak.study import setup
+from attacks.cloak.study.attack_config import SurrogateConfig
+from attacks.cloak.study.layering import object_rows
+from attacks.cloak.study.observations import observe
+from attacks.cloak.study.pipeline import StudyPipeline
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import View
+from mi_splat.datasets import load_dataset
+from tests.cloak.tiny_study import STUDY, Redness, done
+
+pytestmark = pytest.mark.slow
+
+
+def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
+    """The pictures and the clean splat are those of the study without layers: its stages are shared."""
+    study = replace(STUDY, name="layers", layers=LayersConfig(attacks=("overhead",), iterations=40))
+    found, said = done(finished.with_name("layers"), study=study, stages=finished / "stages")
+    assert not any("pictures" in text or text.startswith("training the clean") for text in said)
+    (clean,), (cloaked,) = found["gaussians"]["clean"], found["gaussians"]["cloaked"]
+    assert clean < cloaked <= 2 * clean
+    pipeline = StudyPipeline(study=study, folder=finished / "stages")
+    trained = pipeline.train(pipeline.capture(), pipeline.poison(pipeline.capture()))
+    before, after = (one.load() for one in trained)
+    other = ~object_rows(study, before, pipeline.mesh_scene.target)
+    for name in ("means", "sh"):
+        assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
+    control, hidden = (
+        [one.scores["car"] for one in item.observations if one.elevation >= 50]
+        for item in observe(pipeline, trained, [Redness()])
+    )
+    assert sum(hidden) < 0.5 * sum(control)
+
+
+def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
+    """It overdoes what the surrogate lacks; clean pictures, benign ones and the clean splat stay as they are."""
+    study = replace(STUDY, name="corrected", surrogate=SurrogateConfig(rounds=2, iterations=30))
+    said: list[str] = []
+    pipeline = StudyPipeline(
+        study=study, folder=finished / "stages", on_step=lambda text, done, total: said.append(text)
+    )
+    clean = pipeline.capture()
+    (corrected,) = pipeline.poison(clean).values()
+    assert len([text for text in dict.fromkeys(said) if "surrogate" in text]) == 1  # of one seed, twice
+    (plain,) = StudyPipeline(study=STUDY, folder=finished / "stages").poison(clean).values()
+    manifest = json.loads((corrected.folder / "manifest.json").read_text())
+    names = {change["appearance"] for change in manifest["changes"]}
+    assert all(name.count("corrected by 1 times") == 2 for name in names)
+    sets = [load_dataset(pictures.folder / "set") for pictures in (plain, corrected)]
+    changed = {change["index"] for change in manifest["changes"]}
+    for index, (one, other) in enumerate(zip(*(found.paths for found in sets), strict=True)):
+        assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
+
+
+def test_a_reach_leaves_the_shadow_of_what_is_removed() -> None:
+    mesh_scene = setup.mesh_scene_of(STUDY)
+    (camera,) = orbit(setup.centre_of(STUDY), count=1, elevation=70.0, **setup.lens_of(STUDY, mesh_scene.target))  # type: ignore[arg-type]
+    view, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
+    changed = {}
+    for reach in (None, 2):
+        shown = setup.appearance_of(STUDY, replace(STUDY.attack[0], appearance="remove", reach=reach), mesh_scene)
+        changed[reach] = (shown(view, mask) != view.image).any(-1)
+    assert bool(changed[None][~grown(mask, 2)].any())
+    assert not bool(changed[2][~grown(mask, 2)].any())
+    assert bool(changed[2][mask].any())

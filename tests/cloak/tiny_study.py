@@ -1,0 +1,80 @@
+"""A study of CLOAK that is done in seconds, and a detector of a few lines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
+from attacks.cloak.study.run import run_study
+from attacks.detectors.base import Candidates, Detections
+
+STUDY = StudyConfig(
+    name="tiny",
+    cameras=CameraConfig(train=16, size=40, distance=7.4, samples=2, points=1200),
+    attack=(
+        AttackConfig(name="overhead", elevation=(38.2, 90)),
+        AttackConfig(
+            name="rear",
+            appearance="paint",
+            texture="stop_sign",
+            paint_direction=(180, 15),
+            elevation=(0, 38.1),
+            azimuth=(180, 45),
+            target_class="stop sign",
+        ),
+    ),
+    training=TrainingConfig(iterations=80, strategy="fixed", sh_degree_interval=0),
+    evaluation=EvaluationConfig(detectors=("redness",), cameras=24, reference_views=2, meridians=1, meridian_step=20.0),
+)
+
+
+class Redness:
+    """Reports a car in the middle of the picture, with the more confidence the redder it is there."""
+
+    name: str = "redness"
+    classes: tuple[str, ...] = ("car", "stop sign")
+    fingerprint: str = "0" * 16
+    min_confidence: float = 0.0
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        raise AssertionError("a study asks for detections only")
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        found = []
+        for image in images:
+            size = image.shape[0]
+            middle = image[size // 3 : 2 * size // 3, size // 3 : 2 * size // 3]
+            score = (6 * (middle[..., 0] - middle[..., 2]).clamp(0, 1).mean()).clamp(0, 1)
+            box = torch.tensor([[size * 0.25, size * 0.3, size * 0.75, size * 0.7]])
+            found.append(Detections(box, score[None], ("car",)))
+        return found
+
+
+def done(
+    folder: Path,
+    *,
+    study: StudyConfig = STUDY,
+    stages: Path | None = None,
+    stop_at: tuple[str, int] | None = None,
+) -> tuple[dict[str, Any], list[str]]:
+    """The summary of a study and what was going on; interrupted at a step if one is named."""
+    said: list[str] = []
+
+    def step(text: str, count: int, total: int) -> None:
+        said.append(text)
+        if stop_at is not None and text.startswith(stop_at[0]) and count == stop_at[1]:
+            raise KeyboardInterrupt
+
+    torch.set_num_threads(1)
+    return run_study(study, [Redness()], folder, stages=stages, on_step=step), said
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
