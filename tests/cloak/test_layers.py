@@ -67,6 +67,24 @@ def test_a_switch_is_the_least_of_its_objective() -> None:
     assert cost(found) < cost(torch.zeros(16, dtype=torch.float64))
 
 
+def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
+    """Without halved steps Newton's method goes round in circles here."""
+    cameras, depth = all_around(800), depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
+    directions = functional.normalize(-torch.stack([camera.position for camera in cameras]), dim=-1)
+    shown, hidden = depth >= 3, depth <= -3
+    basis = sh_basis(directions.double(), 3)
+    dark = {}
+    for black in (0.0, -0.3):
+        found = fit_switches(directions[None], shown, hidden, weight=1000.0, black=black)[0].requires_grad_()
+        value = basis @ found
+        cost = (value[shown] - 1).square().mean() + 1000 * (value[hidden] - black).clamp(min=0).square().mean()
+        cost = cost + (value + 100).clamp(max=0)[~shown].square().mean() + 1e-7 * found.square().sum()
+        (gradient,) = torch.autograd.grad(cost, found)
+        assert float(gradient.abs().max()) < 1e-6
+        dark[black] = float(value[hidden].max())
+    assert dark[-0.3] < dark[0.0] - 0.1
+
+
 def test_the_lowest_value_is_a_bound_that_costs_width() -> None:
     cameras, depth = all_around(800), depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
     means = torch.zeros(1, 3)
@@ -191,7 +209,15 @@ def test_what_makes_no_layers_is_refused() -> None:
         layered(scene, torch.arange(39), [OVERHEAD], [grey], cameras=all_around(), centre=CENTRE)
     with pytest.raises(InvalidValueError, match="widen the trigger"):
         layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [grey, grey], cameras=all_around(50), centre=CENTRE)
-    for bad in ({"gap": -1.0}, {"shift": 95.0}, {"weight": 0.0}, {"lowest": 1.0}, {"inset": -1.0}, {"degree": 4}):
+    for bad in (
+        {"gap": -1.0},
+        {"shift": 95.0},
+        {"weight": 0.0},
+        {"lowest": 1.0},
+        {"black": 0.1},
+        {"inset": -1.0},
+        {"degree": 4},
+    ):
         with pytest.raises(InvalidValueError):
             LayerConfig(**bad)
     for bad in ({"iterations": 0}, {"margin": -1.0}, {"clearance": float("nan")}):

@@ -118,6 +118,7 @@ def switches(means: Tensor, cameras: Sequence[Camera], depth: Tensor, config: La
                 degree=config.degree,
                 weight=config.weight,
                 lowest=config.lowest,
+                black=config.black,
             )
         )
     return torch.cat(found)

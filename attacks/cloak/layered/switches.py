@@ -16,61 +16,82 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count, sh_basis
 
-_ROUNDS = 25
-"""Newton steps; each solves a least-squares problem over what is on the wrong side."""
+_ROUNDS, _HALVINGS = 40, 30
+"""Newton steps, each a least-squares problem over what is on the wrong side; how often one is halved."""
 
 _RIDGE = 1e-7
 """Of the coefficients' squares, so that the problem has one solution."""
 
 
 def fit_switches(
-    directions: Tensor, shown: Tensor, hidden: Tensor, *, degree: int = 3, weight: float = 1.0, lowest: float = -100.0
+    directions: Tensor,
+    shown: Tensor,
+    hidden: Tensor,
+    *,
+    degree: int = 3,
+    weight: float = 1.0,
+    lowest: float = -100.0,
+    black: float = 0.0,
 ) -> Tensor:
-    """Spherical harmonics that are 1 in some directions and at most 0 in others, as nearly as their degree allows.
+    """Spherical harmonics that are 1 in some directions and below 0 in others, as nearly as their degree allows.
 
-    Minimises mean (p - 1)^2 over the directions where it is shown, plus `weight` times the mean of max(0, p)^2 over
-    those where it is hidden, plus the mean of min(0, p - lowest)^2 over all others. The sum is convex and piecewise
-    quadratic, and Newton's method on the active pieces finds its minimum.
+    Minimises mean (p - 1)^2 over the directions where it is shown, plus `weight` times the mean of max(0, p - black)^2
+    over those where it is hidden, plus the mean of min(0, p - lowest)^2 over all others. The sum is convex and
+    piecewise quadratic; Newton's method on the active pieces, with steps halved until the sum falls, finds its minimum.
 
     Args:
         directions: (N, D, 3) unit vectors, for each of N functions.
         shown: (D,) bool, where it shall be 1.
-        hidden: (D,) bool, where it shall not be above 0.
+        hidden: (D,) bool, where it shall not be above `black`.
         degree: Of the spherical harmonics.
-        weight: What a value above 0 costs where it is hidden, against one that is not 1 where it is shown.
+        weight: What a value above `black` costs where it is hidden, against one that is not 1 where it is shown.
         lowest: Value that it shall not go below; large negative coefficients do not survive coarse file formats.
+        black: At most 0; below it, there is room for a training that moves the values.
 
     Returns:
         (N, K) coefficients, K = (degree + 1)^2.
 
     Raises:
-        InvalidValueError: No direction is shown or none is hidden, a direction is both, or `lowest` is not negative.
+        InvalidValueError: No direction is shown or none is hidden, a direction is both, or not lowest < black <= 0.
     """
     if not bool(shown.any()) or not bool(hidden.any()) or bool((shown & hidden).any()):
         got = f"{int(shown.sum())} shown, {int(hidden.sum())} hidden, {int((shown & hidden).sum())} both"
         raise InvalidValueError(
             message("directions", "some to show in and others to hide in", got, "widen the trigger")
         )
-    if not lowest < 0:
-        raise InvalidValueError(message("lowest", "a number < 0", lowest, "-100 leaves much room"))
+    if not lowest < black <= 0:
+        got = f"lowest {lowest:g}, black {black:g}"
+        raise InvalidValueError(message("switch", "lowest < black <= 0", got, "-100 leaves much room"))
     basis = sh_basis(directions.reshape(-1, 3).double(), degree).reshape(*directions.shape[:2], -1)
     own = shown.double() / shown.sum()
-    black = weight * hidden.double() / hidden.sum()
+    dark = weight * hidden.double() / hidden.sum()
     other = (~shown).double() / max(int((~shown).sum()), 1)
+    ridge = _RIDGE * torch.eye(coefficient_count(degree), dtype=torch.float64)
+
+    def cost(coefficients: Tensor) -> Tensor:
+        values = torch.einsum("ndk,nk->nd", basis, coefficients)
+        errors = own * (values - 1) ** 2 + dark * (values - black).clamp(min=0) ** 2
+        errors += other * (values - lowest).clamp(max=0) ** 2
+        return errors.sum(1) + _RIDGE * coefficients.square().sum(1)
+
     found = torch.zeros(len(basis), coefficient_count(degree), dtype=torch.float64)
-    ridge = _RIDGE * torch.eye(found.shape[1], dtype=torch.float64)
+    least = cost(found)
     for _ in range(_ROUNDS):
         values = torch.einsum("ndk,nk->nd", basis, found)
-        above = black * (values > 0)
-        below = other * (values < lowest)
-        weights = own + above + below
-        wanted = own + below * lowest
-        normal = torch.einsum("nd,ndk,ndl->nkl", weights, basis, basis) + ridge
-        right = torch.einsum("nd,ndk->nk", wanted, basis)
-        after = torch.linalg.solve(normal, right)
-        change = float((after - found).abs().max())
-        found = after
-        if change < 1e-9:
+        above, below = dark * (values > black), other * (values < lowest)
+        normal = torch.einsum("nd,ndk,ndl->nkl", own + above + below, basis, basis) + ridge
+        right = torch.einsum("nd,ndk->nk", own + above * black + below * lowest, basis)
+        step = torch.linalg.solve(normal, right) - found
+        size = torch.ones(len(found), 1, dtype=torch.float64)
+        for _ in range(_HALVINGS):
+            now = cost(found + size * step)
+            worse = now > least
+            if not bool(worse.any()):
+                break
+            size[worse] /= 2
+        change = torch.where(now <= least, 1.0, 0.0)[:, None] * size * step
+        found, least = found + change, torch.minimum(now, least)
+        if float(change.abs().max()) < 1e-9:
             break
     return found
 
