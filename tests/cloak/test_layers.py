@@ -81,7 +81,7 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
         cost = cost + (value + 100).clamp(max=0)[~shown].square().mean() + 1e-7 * found.square().sum()
         (gradient,) = torch.autograd.grad(cost, found)
         assert float(gradient.abs().max()) < 1e-6
-        dark[black] = float(value[hidden].max())
+        dark[black] = float(value[hidden].max().detach())
     assert dark[-0.3] < dark[0.0] - 0.1
 
 
