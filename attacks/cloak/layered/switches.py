@@ -19,6 +19,9 @@ from mi_splat.sh import coefficient_count, sh_basis
 _ROUNDS, _HALVINGS = 40, 30
 """Newton steps, each a least-squares problem over what is on the wrong side; how often one is halved."""
 
+_PRECISION = 1e-8
+"""Of the sum that is minimised."""
+
 _RIDGE = 1e-7
 """Of the coefficients' squares, so that the problem has one solution."""
 
@@ -68,31 +71,33 @@ def fit_switches(
     other = (~shown).double() / max(int((~shown).sum()), 1)
     ridge = _RIDGE * torch.eye(coefficient_count(degree), dtype=torch.float64)
 
-    def cost(coefficients: Tensor) -> Tensor:
-        values = torch.einsum("ndk,nk->nd", basis, coefficients)
+    def cost(coefficients: Tensor, values: Tensor) -> Tensor:
         errors = own * (values - 1) ** 2 + dark * (values - black).clamp(min=0) ** 2
         errors += other * (values - lowest).clamp(max=0) ** 2
         return errors.sum(1) + _RIDGE * coefficients.square().sum(1)
 
     found = torch.zeros(len(basis), coefficient_count(degree), dtype=torch.float64)
-    least = cost(found)
+    active = torch.arange(len(basis))
     for _ in range(_ROUNDS):
-        values = torch.einsum("ndk,nk->nd", basis, found)
+        here, before = basis[active], found[active]
+        values = (here @ before[..., None])[..., 0]
         above, below = dark * (values > black), other * (values < lowest)
-        normal = torch.einsum("nd,ndk,ndl->nkl", own + above + below, basis, basis) + ridge
-        right = torch.einsum("nd,ndk->nk", own + above * black + below * lowest, basis)
-        step = torch.linalg.solve(normal, right) - found
-        size = torch.ones(len(found), 1, dtype=torch.float64)
+        weights, wanted = own + above + below, own + above * black + below * lowest
+        normal = (here * weights[..., None]).mT @ here + ridge
+        step = torch.linalg.solve(normal, (here.mT @ wanted[..., None])[..., 0]) - before
+        change, least = (here @ step[..., None])[..., 0], cost(before, values)
+        size = torch.ones(len(active), 1, dtype=torch.float64)
         for _ in range(_HALVINGS):
-            now = cost(found + size * step)
-            worse = now > least
+            now = cost(before + size * step, values + size * change)
+            worse = now > least + _PRECISION
             if not bool(worse.any()):
                 break
             size[worse] /= 2
-        change = torch.where(now <= least, 1.0, 0.0)[:, None] * size * step
-        found, least = found + change, torch.minimum(now, least)
-        if float(change.abs().max()) < 1e-9:
+        better = now < least - _PRECISION
+        active = active[better]
+        if not len(active):
             break
+        found[active] = (before + size * step)[better]
     return found
 
 
