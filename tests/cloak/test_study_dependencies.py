@@ -96,6 +96,7 @@ OWN = frozenset({"layers"})
 LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
     "making": (LayerConfig(gap=7.0), OWN),
     "margin": (0.1, OWN),
+    "surroundings": (True, OWN),
     "clearance": (0.02, OWN),
     "iterations": (50, OWN),
     "lr_sh": (0.02, OWN),

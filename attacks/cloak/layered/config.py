@@ -56,6 +56,7 @@ class LayersConfig:
         attacks: Names of the attacks whose appearances have layers of their own; the benign layer shows all others.
         making: How the layers are made.
         margin: How much larger than the object the box is whose Gaussians have layers, metres.
+        surroundings: Whether the colours of all other Gaussians are trained, too, for instance to hide a shadow.
         clearance: Height above the ground under which they have none, metres.
         iterations: Steps of the training of colours.
         lr_sh: Its learning rate, as in `FitConfig`.
@@ -67,6 +68,7 @@ class LayersConfig:
     attacks: tuple[str, ...]
     making: LayerConfig = field(default_factory=LayerConfig)
     margin: float = 0.05
+    surroundings: bool = False
     clearance: float = 0.0
     iterations: int = 3000
     lr_sh: float = 0.01

@@ -29,19 +29,19 @@ class Layering:
 
     Attributes:
         scene: N Gaussians, before the training.
-        layers: (N,) bool, those of the layers; nothing else is trained.
+        trained: (N,) bool, those of the layers, and all others if the study wants it.
         views: The poisoned pictures, without those from where a look changes: a layer may show there what it likes.
     """
 
     scene: GaussianScene
-    layers: Tensor
+    trained: Tensor
     views: list[View]
 
     def rendered_by(self, render: RenderFn) -> RenderFn:
-        """The same renderer, through which gradients reach the colours of the layers alone."""
+        """The same renderer, through which gradients reach the colours that are trained alone."""
 
         def with_layers_trained(scene: GaussianScene, camera: Camera) -> Tensor:
-            trained = self.layers[:, None, None]
+            trained = self.trained[:, None, None]
             return render(scene.replace(sh=torch.where(trained, scene.sh, scene.sh.detach())), camera)
 
         return with_layers_trained
@@ -79,9 +79,9 @@ def layer_object(study: StudyConfig, clean: GaussianScene, target: Asset, views:
         centre=centre,
         config=making,
     )
-    of_layers = torch.arange(len(scene)) >= len(clean)
-    of_layers[rows] = True
-    return Layering(scene=scene, layers=of_layers, views=kept)
+    trained = torch.arange(len(scene)) >= len(clean)
+    trained[rows] = True
+    return Layering(scene=scene, trained=trained | study.layers.surroundings, views=kept)
 
 
 def layered_attacks(study: StudyConfig) -> list[AttackConfig]:
