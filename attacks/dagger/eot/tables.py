@@ -153,13 +153,14 @@ def markdown(records: Sequence[Record]) -> str:
 def _preamble(records: Sequence[Record]) -> list[str]:
     result = records[0]["result"]
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
+    commits = list(dict.fromkeys(str(record["result"]["commit"])[:12] for record in records))
     return [
         "Every attack is judged on the saved file, in 8-bit pictures from held-out cameras of another seed. PSNR is "
         "that of the mean squared error over all pixels of all held-out views. Noise is random noise of the size of "
         "the attack in the same norm, on the same views. Success is "
         f"{result['config']['required_views']:.0%} of the held-out views.",
         "",
-        f"Versions: {versions}; variant {result['variant']}; commit {result['commit']}.",
+        f"Versions: {versions}; variant {result['variant']}; commit {', '.join(commits)}.",
     ]
 
 
