@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import hypothesis
 import pytest
 import torch
 
 from mi_splat.cli import console
+from tests.browser import CHROMIUM, SWITCHES
 
 # Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
 torch.set_num_threads(1)
@@ -40,6 +42,16 @@ def variant() -> str:
     from mi_splat.variant import use
 
     return use()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser for all tests of the module."""
+    api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    with api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
+        yield browser
+        browser.close()
 
 
 @pytest.fixture

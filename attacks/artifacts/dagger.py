@@ -13,6 +13,7 @@ from attacks.artifacts.detection_rows import DETECTION, OBJECT, detection_cells,
 from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Column, Row, Table
 from attacks.dagger.problem import joint_verdict, reached_by
+from attacks.dagger.report import confidences
 from attacks.detectors.base import Detections
 from attacks.objectives import Target, Verdict, confidence
 from attacks.reporting.repeating import repeat_dagger
@@ -154,11 +155,7 @@ def _of_view(view: _View, label: str | None) -> dict[str, Any]:
         "detector": view.detector,
         "success": view.verdict.success,
         "unambiguous": view.verdict.unambiguous,
-        "original": original,
-        "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
-        "original_confidence": view.confidence(original, attacked=True) if original else 0.0,
-        "target_confidence": view.confidence(label, attacked=True) if label else None,
-        "target_confidence_clean": view.confidence(label, attacked=False) if label else None,
+        **confidences(view.confidence, original, label),
     }
 
 

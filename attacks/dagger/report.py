@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,23 @@ def _detector(result: Result, one: DetectorResult) -> dict[str, Any]:
     }
 
 
+def confidences(confidence: Callable[..., float], original: str | None, label: str | None) -> dict[str, Any]:
+    """What a detector says of the object in one view, before and after.
+
+    Args:
+        confidence: Of a class, `attacked` or not.
+        original: The class that was reported before; None if none was.
+        label: The class that is wanted; None if none is.
+    """
+    return {
+        "original": original,
+        "clean_confidence": confidence(original, attacked=False) if original else 0.0,
+        "original_confidence": confidence(original, attacked=True) if original else 0.0,
+        "target_confidence": confidence(label, attacked=True) if label else None,
+        "target_confidence_clean": confidence(label, attacked=False) if label else None,
+    }
+
+
 def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
     target = view.before.target
     original = target.original
@@ -123,11 +141,7 @@ def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
         "detector": view.after.detector,
         "success": view.verdict.success,
         "unambiguous": view.verdict.unambiguous,
-        "original": original,
-        "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
-        "original_confidence": view.confidence(original, attacked=True) if original else 0.0,
-        "target_confidence": view.confidence(label, attacked=True) if label else None,
-        "target_confidence_clean": view.confidence(label, attacked=False) if label else None,
+        **confidences(view.confidence, original, label),
         "box": [round(float(x), 2) for x in target.box],
         "clean": listed(view.before.detections),
         "attacked": listed(view.after.detections),

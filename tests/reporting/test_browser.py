@@ -5,7 +5,6 @@ Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`)
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +15,13 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 
 from attacks.reporting.page import write_page
 from attacks.reporting.results import read_section
+from tests.browser import CHROMIUM
 from tests.reporting.results import write_cloak, write_dagger, write_evaluation
-from tests.viewer.test_browser import CHROMIUM, SWITCHES
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium"),
 ]
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A browser for all tests of the module."""
-    api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    with api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,27 +25,16 @@ from mi_splat.viewer import export
 from mi_splat.viewer.export import write_export
 from mi_splat.viewer.page import Page
 from mi_splat.viewer.painter import Painter
+from tests.browser import CHROMIUM
 from tests.viewer.exhibits import START, Looker, painter
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium"),
     # In the threads of a browser that is told to go away.
     pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets"),
 ]
-SWITCHES = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PATIENCE = 30.0
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A browser for all tests of the module."""
-    api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    with api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
-        yield browser
-        browser.close()
 
 
 class Window:
