@@ -92,6 +92,7 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/elephant/attacked.ply": "mi-splat dagger scenes/car_street.xml --object car --out out/elephant",
     "out/attacked.spz": "mi-splat convert scenes/car_street_car.ply out/attacked.spz",
     "out/person": DAGGER,
+    "out/cloak": "mi-splat cloak scenes/cloak_car_colour.toml --out {path}",
     "docs/artifacts/cloak_car_layers": shipped_artifact,
 }
 """What pages take as given: a command that makes it, or a function."""
