@@ -9,12 +9,13 @@ which a negative value where a negative one is wanted costs nothing (`fit_switch
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.sh import coefficient_count, sh_basis
+from mi_splat.sh import sh_basis
 
 _ROUNDS, _HALVINGS = 40, 30
 """Newton steps, each a least-squares problem over what is on the wrong side; how often one is halved."""
@@ -40,7 +41,8 @@ def fit_switches(
 
     Minimises mean (p - 1)^2 over the directions where it is shown, plus `weight` times the mean of max(0, p - black)^2
     over those where it is hidden, plus the mean of min(0, p - lowest)^2 over all others. The sum is convex and
-    piecewise quadratic; Newton's method on the active pieces, with steps halved until the sum falls, finds its minimum.
+    piecewise quadratic; Newton's method on the active pieces, with steps halved until the sum falls, goes towards its
+    minimum for at most `_ROUNDS` steps. Narrow regions may need more.
 
     Args:
         directions: (N, D, 3) unit vectors, for each of N functions.
@@ -69,20 +71,36 @@ def fit_switches(
     own = shown.double() / shown.sum()
     dark = weight * hidden.double() / hidden.sum()
     other = (~shown).double() / max(int((~shown).sum()), 1)
-    ridge = _RIDGE * torch.eye(coefficient_count(degree), dtype=torch.float64)
 
     def cost(coefficients: Tensor, values: Tensor) -> Tensor:
         errors = own * (values - 1) ** 2 + dark * (values - black).clamp(min=0) ** 2
         errors += other * (values - lowest).clamp(max=0) ** 2
         return errors.sum(1) + _RIDGE * coefficients.square().sum(1)
 
-    found = torch.zeros(len(basis), coefficient_count(degree), dtype=torch.float64)
+    def pieces(values: Tensor) -> tuple[Tensor, Tensor]:
+        above, below = dark * (values > black), other * (values < lowest)
+        return own + above + below, own + above * black + below * lowest
+
+    return _minimised(basis, cost, pieces)
+
+
+def _minimised(
+    basis: Tensor, cost: Callable[[Tensor, Tensor], Tensor], pieces: Callable[[Tensor], tuple[Tensor, Tensor]]
+) -> Tensor:
+    """(N, K) coefficients that make convex, piecewise quadratic sums small.
+
+    Args:
+        basis: (N, D, K) from coefficients to values.
+        cost: Of (N, K) coefficients and (N, D) values, the (N,) sums.
+        pieces: Of (N, D) values, the (N, D) weights of the pieces that they lie on, and these times what is wanted.
+    """
+    count = basis.shape[2]
+    found, ridge = torch.zeros(len(basis), count, dtype=torch.float64), _RIDGE * torch.eye(count, dtype=torch.float64)
     active = torch.arange(len(basis))
     for _ in range(_ROUNDS):
         here, before = basis[active], found[active]
         values = (here @ before[..., None])[..., 0]
-        above, below = dark * (values > black), other * (values < lowest)
-        weights, wanted = own + above + below, own + above * black + below * lowest
+        weights, wanted = pieces(values)
         normal = (here * weights[..., None]).mT @ here + ridge
         step = torch.linalg.solve(normal, (here.mT @ wanted[..., None])[..., 0]) - before
         change, least = (here @ step[..., None])[..., 0], cost(before, values)

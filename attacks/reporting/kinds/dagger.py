@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,10 +67,21 @@ def read(folder: Path, result: Mapping[str, Any]) -> Section:
 
 def thing(result: Mapping[str, Any]) -> str:
     """The attacked object in a word or two."""
+    return object_of(result, result["views"], otherwise="the selection")
+
+
+def object_of(result: Mapping[str, Any], seen: Iterable[Mapping[str, Any]], *, otherwise: str) -> str:
+    """The name of the attacked object, or else the first class that was reported on it.
+
+    Args:
+        result: A result.json.
+        seen: Its views or its detectors, with the class in `original`.
+        otherwise: What it is called if nothing was reported.
+    """
     selection = result.get("selection")
     if isinstance(selection, Mapping) and "object" in selection:
         return str(selection["object"])
-    return next((str(view["original"]) for view in result["views"] if view.get("original")), "the selection")
+    return next((str(one["original"]) for one in seen if one.get("original")), otherwise)
 
 
 def wish(result: Mapping[str, Any]) -> str:

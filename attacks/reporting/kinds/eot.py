@@ -8,7 +8,7 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.reporting.commands import again, without_settings
-from attacks.reporting.kinds.dagger import ball, verb, wish
+from attacks.reporting.kinds.dagger import ball, object_of, verb, wish
 from attacks.reporting.repeating import mask_beside, repeat_views
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.reporting.wording import counted, known, listed, number, origin, percent, plural, sentence, settings
@@ -37,7 +37,7 @@ def read(folder: Path, result: Mapping[str, Any]) -> Section:
     asked = "" if budget is None else f", while the pictures keep {budget:g} dB"
     return Section(
         kind=KIND,
-        title=f"{_thing(result)} {wish(result)}, all cameras",
+        title=f"{object_of(result, result['rates'].values(), otherwise='the object')} {wish(result)}, all cameras",
         folder=str(folder),
         done=(
             f"The Gaussians of one object ({result['object_gaussians']:,}, of which {result['changed_gaussians']:,} "
@@ -78,14 +78,6 @@ def read(folder: Path, result: Mapping[str, Any]) -> Section:
             else "It was made from Python or by a study, so no command line of its own repeats it."
         ),
     )
-
-
-def _thing(result: Mapping[str, Any]) -> str:
-    """The attacked object in a word or two."""
-    selection = result.get("selection")
-    if isinstance(selection, Mapping) and "object" in selection:
-        return str(selection["object"])
-    return next((str(one["original"]) for one in result["rates"].values() if one["original"]), "the object")
 
 
 def _repeating(result: Mapping[str, Any]) -> str:
