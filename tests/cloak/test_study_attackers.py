@@ -14,7 +14,7 @@ from attacks.cloak.appearances import grown
 from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import SurrogateConfig
-from attacks.cloak.study.layering import object_rows
+from attacks.cloak.study.layering import layer_object, object_rows
 from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
 from mi_splat.camera_sets import orbit
@@ -38,6 +38,12 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     other = ~object_rows(study, before, pipeline.mesh_scene.target)
     for name in ("means", "sh"):
         assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
+    whole = replace(study, layers=LayersConfig(attacks=("overhead",), surroundings=True))
+    views = pipeline.views(pipeline.poison(pipeline.capture())[0])
+    for config in (study, whole):
+        layering = layer_object(config, before, pipeline.mesh_scene.target, views)
+        assert bool(layering.trained.all()) == (config is whole)
+        assert len(layering.views) < len(views)  # those from where the look changes are left out
     control, hidden = (
         [one.scores["car"] for one in item.observations if one.elevation >= 50]
         for item in observe(pipeline, trained, [Redness()])
