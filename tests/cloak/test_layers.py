@@ -11,14 +11,16 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
-from attacks.cloak.layered.layers import depths, layered, seen_colours, switches
+from attacks.cloak.layered.layers import depths, layered, seen_colours, split_opacities, switched
 from attacks.cloak.layered.switches import chebyshev_width, fit_switches
+from attacks.cloak.layered.visibility import contributions
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import sh_basis
+from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
 CENTRE = (0.0, 0.0, 0.0)
 LENS: dict[str, Any] = {"distance": 5.0, "focal": 60.0, "size": (32, 32)}
@@ -48,19 +50,24 @@ def test_a_switch_is_one_on_its_side_and_black_on_the_other() -> None:
     assert ((seen[3:] - 1).abs() < 0.15).all()
 
 
-def test_a_switch_is_the_least_of_its_objective() -> None:
-    """Any small change of the coefficients costs more."""
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_switch_is_the_least_of_its_objective(weighted: bool) -> None:
+    """Any small change of the coefficients costs more, also where directions count differently and values are given."""
     generator = torch.Generator().manual_seed(0)
     directions = functional.normalize(torch.randn(1, 400, 3, generator=generator, dtype=torch.float64), dim=-1)
     shown, hidden = directions[0, :, 2] > 0.5, directions[0, :, 2] < 0.2
     basis = sh_basis(directions[0], 3)
+    seen = torch.rand(1, 400, generator=generator).double() ** 3 if weighted else torch.ones(1, 400).double()
+    wanted = 1 + 0.3 * directions[..., 0] if weighted else torch.ones(1, 400).double()
 
     def cost(coefficients: Tensor) -> float:
         value = basis @ coefficients
-        below = (value[~shown] + 3.0).clamp(max=0).square().mean()
-        return float((value[shown] - 1).square().mean() + 2.0 * value[hidden].clamp(min=0).square().mean() + below)
+        errors = torch.where(shown, (value - wanted[0]) ** 2, (value + 3.0).clamp(max=0) ** 2)
+        errors = errors + 2.0 * hidden * value.clamp(min=0).square()
+        return float((errors * seen[0]).sum() / seen.sum())
 
-    found = fit_switches(directions, shown, hidden, weight=2.0, lowest=-3.0)[0]
+    given = {"wanted": wanted, "seen": seen} if weighted else {}
+    found = fit_switches(directions, shown, hidden, weight=2.0, lowest=-3.0, **given)[0]
     for _ in range(50):
         step = 0.02 * torch.randn(16, generator=generator, dtype=torch.float64)
         assert cost(found + step) > cost(found) - 1e-6
@@ -77,8 +84,8 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
     for black in (0.0, -0.3):
         found = fit_switches(directions[None], shown, hidden, weight=1000.0, black=black)[0].requires_grad_()
         value = basis @ found
-        cost = (value[shown] - 1).square().mean() + 1000 * (value[hidden] - black).clamp(min=0).square().mean()
-        cost = cost + (value + 100).clamp(max=0)[~shown].square().mean() + 1e-7 * found.square().sum()
+        cost = (value[shown] - 1).square().sum() + 1000 * (value[hidden] - black).clamp(min=0).square().sum()
+        cost = (cost + (value + 100).clamp(max=0)[~shown].square().sum()) / 800 + 1e-7 * found.square().sum()
         (gradient,) = torch.autograd.grad(cost, found)
         assert float(gradient.abs().max()) < 1e-6
         dark[black] = float(value[hidden].max().detach())
@@ -86,12 +93,17 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
 
 
 def test_the_lowest_value_is_a_bound_that_costs_width() -> None:
-    cameras, depth = all_around(800), depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
-    means = torch.zeros(1, 3)
-    free, bounded = (switches(means, cameras, depth, LayerConfig(lowest=lowest)) for lowest in (-1000.0, -2.0))
+    depth = depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
+    free, bounded = (switch(depth, LayerConfig(lowest=lowest)) for lowest in (-1000.0, -2.0))
     assert float(bounded.abs().max()) < 0.5 * float(free.abs().max())
     between = from_above(torch.linspace(30, 50, 41))
     assert float(values(bounded, between).diff().abs().max()) < float(values(free, between).diff().abs().max())
+
+
+def switch(depth: Tensor, config: LayerConfig) -> Tensor:
+    """(1, K) that of a white Gaussian in the middle."""
+    white = colour_to_dc(torch.ones(1, 1, 3))
+    return switched(torch.zeros(1, 3), all_around(800), depth, white, torch.ones(1, 800), config)[..., 0].double()
 
 
 @pytest.mark.parametrize("inside", [True, False])
@@ -138,7 +150,8 @@ def test_layers_show_one_look_from_below_and_another_from_above() -> None:
     scene = ball()
     rows = torch.arange(39)
     red, blue = torch.tensor([[0.8, 0.1, 0.1]]).repeat(39, 1), torch.tensor([[0.1, 0.1, 0.8]]).repeat(39, 1)
-    found = layered(scene, rows, [OVERHEAD], [red, blue], cameras=all_around(), centre=CENTRE)
+    looks = [colour_to_dc(colour)[:, None] for colour in (red, blue)]
+    found = layered(scene, rows, [OVERHEAD], looks, cameras=all_around(), centre=CENTRE)
     assert len(found) == 40 + 39
     below, above = (orbit(CENTRE, count=1, elevation=elevation, **LENS)[0] for elevation in (10.0, 75.0))
     for front in (0, 25, 38):
@@ -155,40 +168,92 @@ def colour(scene: GaussianScene, row: int, camera: Camera) -> Tensor:
     return (0.5 + sh_basis(direction[None], 3)[0] @ scene.sh[row]).clamp(min=0)
 
 
+GREY = torch.zeros(39, 1, 3)
+
+
 def test_layers_leave_all_else_as_it_is_and_stand_one_behind_the_other() -> None:
     scene = ball()
-    grey = torch.full((39, 3), 0.5)
-    found = layered(scene, torch.arange(39), [OVERHEAD], [grey, grey], cameras=all_around(), centre=CENTRE)
+    found = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE)
     other = scene.with_degree(3)
     assert torch.equal(found.sh[39], other.sh[39])
     assert torch.equal(found.opacities[39], scene.opacities[39])
-    assert torch.allclose(found.opacities[:39], scene.opacities[:39] / 2)
-    assert torch.equal(found.opacities[40:], scene.opacities[:39])
+    assert torch.allclose(found.opacities[:39], torch.tensor(0.48))
+    assert torch.allclose(found.opacities[40:], torch.tensor(0.48 / 0.52))
     assert (found.means[40:].norm(dim=1) < found.means[:39].norm(dim=1)).all()
-    assert torch.equal(found.scales[40:], scene.scales[:39])
+    assert torch.equal(found.scales[:40], scene.scales)
+
+
+@pytest.mark.parametrize("opacity", [0.1, 0.5, 0.99])
+def test_layers_let_through_what_their_gaussian_did(opacity: float) -> None:
+    """In the middle and halfway out, three layers each make up a third; nowhere do they let through much else."""
+    opacities, narrower = split_opacities(torch.tensor([opacity]), torch.ones(3, 1, dtype=torch.bool))
+    radius = torch.linspace(0, 3, 61)
+    half = torch.tensor(2 * math.log(2)).sqrt()
+    fall = torch.exp(-0.5 * (torch.cat([torch.zeros(1), half[None], radius]) / narrower) ** 2)
+    alpha = opacities * fall
+    through = (1 - alpha).cumprod(0)
+    wanted = opacity * torch.exp(-0.5 * torch.cat([torch.zeros(1), half[None], radius]) ** 2)
+    parts = alpha * torch.cat([torch.ones(1, alpha.shape[1]), through[:-1]])
+    assert torch.allclose(parts[:, :2], (wanted / 3).expand(3, -1)[:, :2], atol=1e-5)
+    assert (1 - through[-1] - wanted).abs().max() < 0.05
+
+
+def test_a_gaussian_that_is_not_seen_has_one_layer() -> None:
+    scene, seen = ball(), torch.ones(39, 300)
+    inside = depths([OVERHEAD], all_around(), centre=CENTRE)[1] > -5
+    seen[:10, inside] = 0
+    found = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE, seen=seen)
+    assert len(found) == 40 + 29
+    assert torch.equal(found.opacities[:10], scene.opacities[:10])
+    assert torch.allclose(found.opacities[10:39], scene.opacities[10:39] / 2)
+
+
+def test_contributions_are_what_a_colour_changes_in_a_picture() -> None:
+    scene, render = ball(), Renderer()
+    camera = orbit(CENTRE, count=1, elevation=30.0, **LENS)[0]
+    rows = torch.tensor([0, 7, 39])
+    found = contributions(scene, rows, [camera], render=render)
+    with torch.no_grad():
+        before = render(scene, camera)
+        for number, row in enumerate(rows.tolist()):
+            sh = scene.sh.clone()
+            sh[row] += colour_to_dc(torch.tensor(0.75))
+            change = (render(scene.replace(sh=sh), camera) - before).sum() / 3 / 0.25
+            assert float(change) == pytest.approx(float(found[number, 0]), rel=1e-3, abs=1e-4)
+    assert float(found.max()) > 1
 
 
 def test_three_looks_have_three_layers() -> None:
     scene, rear = ball(), Azimuth(middle=180.0, half_width=60.0) & Elevation(highest=30.0)
-    colours = [torch.full((39, 3), 0.3)] * 3
-    found = layered(scene, torch.arange(39), [OVERHEAD, rear], colours, cameras=all_around(), centre=CENTRE)
+    found = layered(scene, torch.arange(39), [OVERHEAD, rear], [GREY] * 3, cameras=all_around(), centre=CENTRE)
     assert len(found) == 40 + 2 * 39
-    assert torch.allclose(found.opacities[:39], scene.opacities[:39] / 3)
-    assert torch.allclose(found.opacities[40:79], scene.opacities[:39] / 2)
+    assert torch.allclose(found.opacities[:39], torch.tensor(0.32))
+    assert torch.allclose(found.opacities[40:79], torch.tensor(0.32 / 0.68))
+
+
+def test_a_look_may_differ_by_direction() -> None:
+    """Red to one side and blue to the other stays so on its own side of the edge."""
+    scene = ball()
+    sided = torch.zeros(39, 4, 3)
+    sided[:, 3, 0], sided[:, 3, 2] = 0.5, -0.5
+    found = layered(scene, torch.arange(39), [OVERHEAD], [sided, GREY], cameras=all_around(), centre=CENTRE)
+    for camera in orbit(CENTRE, count=6, elevation=10.0, **LENS):
+        direction = functional.normalize(scene.means[0] - camera.position.float(), dim=-1)
+        wanted = 2 * sh_to_colour(sided[0], direction)
+        assert (colour(found, 0, camera) - wanted).abs().max() < 0.3
 
 
 def test_a_shift_moves_where_looks_change_out_of_the_trigger() -> None:
     """A Gaussian in the middle: with the gap as shift the hidden look is whole at the trigger's edge."""
-    cameras, means = all_around(800), torch.zeros(1, 3)
     shown = []
     for shift in (0.0, 5.0):
-        benign, hidden = depths([OVERHEAD], cameras, centre=CENTRE, shift=shift)
+        benign, hidden = depths([OVERHEAD], all_around(800), centre=CENTRE, shift=shift)
         assert torch.allclose(hidden, -benign)
         edge = torch.tensor([40.0, 46.0])
-        shown.append(values(switches(means, cameras, hidden, LayerConfig()), from_above(edge)))
+        shown.append(values(switch(hidden, LayerConfig()), from_above(edge)))
     at_the_edge, inside = torch.stack(shown).unbind(1)
-    assert at_the_edge[0] < 0.75
-    assert (at_the_edge[1] - 1).abs() < 0.15
+    assert at_the_edge[0] < 0.65
+    assert (at_the_edge[1] - 1).abs() < 0.25
     assert (inside - 1).abs().max() < 0.15
 
 
@@ -196,25 +261,27 @@ def test_colours_are_those_of_the_pixels_that_points_lie_in() -> None:
     camera = orbit(CENTRE, count=1, elevation=20.0, **LENS)[0]
     image = torch.zeros(32, 32, 3)
     image[16, 16] = torch.tensor([0.2, 0.4, 0.6])
-    points = torch.tensor([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]])
-    fallback = torch.full((2, 3), 0.9)
-    found = seen_colours(points, [View(camera, image)], fallback)
-    assert torch.allclose(found[0], image[16, 16])
-    assert torch.equal(found[1], fallback[1])
+    points = torch.tensor([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, 0.0]])
+    fallback = torch.full((3, 3), 0.9)
+    views = [View(camera, image), View(camera, 1 - image)]
+    found = seen_colours(points, views, torch.tensor([[3.0, 1.0], [1.0, 1.0], [0.0, 0.0]]), fallback)
+    assert torch.allclose(found[0], 0.75 * image[16, 16] + 0.25 * (1 - image[16, 16]))
+    assert torch.equal(found[1:], fallback[1:])
 
 
 def test_what_makes_no_layers_is_refused() -> None:
-    scene, grey = ball(), torch.full((39, 3), 0.5)
-    with pytest.raises(InvalidValueError, match="colours"):
-        layered(scene, torch.arange(39), [OVERHEAD], [grey], cameras=all_around(), centre=CENTRE)
+    scene = ball()
+    with pytest.raises(InvalidValueError, match="looks"):
+        layered(scene, torch.arange(39), [OVERHEAD], [GREY], cameras=all_around(), centre=CENTRE)
     with pytest.raises(InvalidValueError, match="widen the trigger"):
-        layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [grey, grey], cameras=all_around(50), centre=CENTRE)
+        layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [GREY, GREY], cameras=all_around(50), centre=CENTRE)
     for bad in (
         {"gap": -1.0},
         {"shift": 95.0},
         {"weight": 0.0},
         {"lowest": 1.0},
         {"black": 0.1},
+        {"keep": 0.0},
         {"inset": -1.0},
         {"degree": 4},
     ):

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.layered.config import LayerConfig
-from attacks.cloak.layered.layers import depths, switches
+from attacks.cloak.layered.layers import depths, switched
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
@@ -26,7 +26,7 @@ from attacks.cloak.study.layering import DIRECTIONS
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.sh import sh_basis
+from mi_splat.sh import colour_to_dc, sh_basis
 
 ELEVATIONS = [0.5 * step for step in range(181)]
 AZIMUTHS = range(0, 360, 15)
@@ -103,7 +103,9 @@ def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float
     lens = setup.lens_of(study, setup.target_of(study.scene))
     cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
     sides = depths([attack.cone], cameras, centre=centre, shift=making.shift)
-    benign, hidden = (switches(torch.tensor([centre]), cameras, side, making)[0] for side in sides)
+    middle, white = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3))
+    much = torch.ones(1, len(cameras))
+    benign, hidden = (switched(middle, cameras, side, white, much, making)[0, :, 0] for side in sides)
     shares = [
         [float((_basis(_around(elevation), making.degree) @ one).clamp(min=0).mean()) for one in (benign, hidden)]
         for elevation in ELEVATIONS

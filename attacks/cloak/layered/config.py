@@ -23,6 +23,8 @@ class LayerConfig:
         lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
         black: Value that it shall not exceed from where it is black, at most 0: room for the training of colours, which
             moves it.
+        keep: Fraction of each look's light that its layer shows, in (0, 1]: the Gaussians that show the least of a
+            look, hidden behind others, have no layer for it.
         inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
             that sort by depth then agree on which is in front.
 
@@ -36,15 +38,17 @@ class LayerConfig:
     weight: float = 1.0
     lowest: float = -100.0
     black: float = 0.0
+    keep: float = 0.995
     inset: float = 1e-3
 
     def __post_init__(self) -> None:
         coefficient_count(self.degree)
         angles = 0 <= self.gap < 90 and -90 < self.shift < 90
-        if not (angles and self.weight > 0 and self.lowest < self.black <= 0 and self.inset >= 0):
-            values = ("gap", "shift", "weight", "lowest", "black", "inset")
+        bounds = self.lowest < self.black <= 0 and 0 < self.keep <= 1
+        if not (angles and bounds and self.weight > 0 and self.inset >= 0):
+            values = ("gap", "shift", "weight", "lowest", "black", "keep", "inset")
             got = ", ".join(f"{name} {getattr(self, name):g}" for name in values)
-            expected = "gap in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, inset >= 0"
+            expected = "gap in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], inset >= 0"
             raise InvalidValueError(message("layers", expected, got, "change it"))
 
 

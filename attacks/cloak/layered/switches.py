@@ -26,30 +26,41 @@ _PRECISION = 1e-8
 _RIDGE = 1e-7
 """Of the coefficients' squares, so that the problem has one solution."""
 
+_UNSEEN = 1e-9
+"""Least that a direction counts, where nothing is seen of a Gaussian from anywhere."""
+
+
+_Pieces = tuple[Tensor, Tensor]
+
 
 def fit_switches(
     directions: Tensor,
     shown: Tensor,
     hidden: Tensor,
     *,
+    wanted: Tensor | None = None,
+    seen: Tensor | None = None,
     degree: int = 3,
     weight: float = 1.0,
     lowest: float = -100.0,
     black: float = 0.0,
 ) -> Tensor:
-    """Spherical harmonics that are 1 in some directions and below 0 in others, as nearly as their degree allows.
+    """Spherical harmonics that have wanted values in some directions and are below 0 in others, as nearly as they can.
 
-    Minimises mean (p - 1)^2 over the directions where it is shown, plus `weight` times the mean of max(0, p - black)^2
-    over those where it is hidden, plus the mean of min(0, p - lowest)^2 over all others. The sum is convex and
-    piecewise quadratic; Newton's method on the active pieces, with steps halved until the sum falls, goes towards its
-    minimum for at most `_ROUNDS` steps. Narrow regions may need more.
+    Minimises the mean over all directions of (p - wanted)^2 where it is shown, plus `weight` times max(0, p - black)^2
+    where it is hidden, plus min(0, p - lowest)^2 wherever it is not shown; each direction counts as much as the
+    Gaussian is seen from there. The sum is convex and piecewise quadratic; Newton's method on the active pieces, with
+    steps halved until the sum falls, goes towards its minimum for at most `_ROUNDS` steps. Narrow regions may need
+    more.
 
     Args:
         directions: (N, D, 3) unit vectors, for each of N functions.
-        shown: (D,) bool, where it shall be 1.
+        shown: (D,) bool, where it shall have its values.
         hidden: (D,) bool, where it shall not be above `black`.
+        wanted: (N, D) values where it is shown; None is 1.
+        seen: (N, D) how much is seen of it from each direction, >= 0; None is the same from all.
         degree: Of the spherical harmonics.
-        weight: What a value above `black` costs where it is hidden, against one that is not 1 where it is shown.
+        weight: What a value above `black` costs where it is hidden, against a wrong one where it is shown.
         lowest: Value that it shall not go below; large negative coefficients do not survive coarse file formats.
         black: At most 0; below it, there is room for a training that moves the values.
 
@@ -68,31 +79,38 @@ def fit_switches(
         got = f"lowest {lowest:g}, black {black:g}"
         raise InvalidValueError(message("switch", "lowest < black <= 0", got, "-100 leaves much room"))
     basis = sh_basis(directions.reshape(-1, 3).double(), degree).reshape(*directions.shape[:2], -1)
-    own = shown.double() / shown.sum()
-    dark = weight * hidden.double() / hidden.sum()
-    other = (~shown).double() / max(int((~shown).sum()), 1)
+    much = basis.new_ones(basis.shape[:2]) if seen is None else seen.double().clamp(min=_UNSEEN)
+    much = much / much.sum(1, keepdim=True)
+    own, dark, other = much * shown, weight * much * hidden, much * ~shown
+    values_wanted = basis.new_ones(1, 1) if wanted is None else wanted.double()
 
-    def cost(coefficients: Tensor, values: Tensor) -> Tensor:
-        errors = own * (values - 1) ** 2 + dark * (values - black).clamp(min=0) ** 2
-        errors += other * (values - lowest).clamp(max=0) ** 2
+    def cost(coefficients: Tensor, values: Tensor, which: Tensor) -> Tensor:
+        errors = own[which] * (values - _of(values_wanted, which)) ** 2
+        errors += dark[which] * (values - black).clamp(min=0) ** 2 + other[which] * (values - lowest).clamp(max=0) ** 2
         return errors.sum(1) + _RIDGE * coefficients.square().sum(1)
 
-    def pieces(values: Tensor) -> tuple[Tensor, Tensor]:
-        above, below = dark * (values > black), other * (values < lowest)
-        return own + above + below, own + above * black + below * lowest
+    def pieces(values: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
+        above, below = dark[which] * (values > black), other[which] * (values < lowest)
+        return own[which] + above + below, own[which] * _of(values_wanted, which) + above * black + below * lowest
 
     return _minimised(basis, cost, pieces)
 
 
+def _of(values: Tensor, rows: Tensor) -> Tensor:
+    """The given rows of values of which there may be one row for all."""
+    return values if len(values) == 1 else values[rows]
+
+
 def _minimised(
-    basis: Tensor, cost: Callable[[Tensor, Tensor], Tensor], pieces: Callable[[Tensor], tuple[Tensor, Tensor]]
+    basis: Tensor, cost: Callable[[Tensor, Tensor, Tensor], Tensor], pieces: Callable[[Tensor, Tensor], _Pieces]
 ) -> Tensor:
     """(N, K) coefficients that make convex, piecewise quadratic sums small.
 
     Args:
         basis: (N, D, K) from coefficients to values.
-        cost: Of (N, K) coefficients and (N, D) values, the (N,) sums.
-        pieces: Of (N, D) values, the (N, D) weights of the pieces that they lie on, and these times what is wanted.
+        cost: Of (M, K) coefficients, their (M, D) values and the (M,) functions that they are of, the (M,) sums.
+        pieces: Of (M, D) values of (M,) functions, the (M, D) weights of the pieces that they lie on, and these times
+            what is wanted.
     """
     count = basis.shape[2]
     found, ridge = torch.zeros(len(basis), count, dtype=torch.float64), _RIDGE * torch.eye(count, dtype=torch.float64)
@@ -100,22 +118,22 @@ def _minimised(
     for _ in range(_ROUNDS):
         here, before = basis[active], found[active]
         values = (here @ before[..., None])[..., 0]
-        weights, wanted = pieces(values)
+        weights, wanted = pieces(values, active)
         normal = (here * weights[..., None]).mT @ here + ridge
         step = torch.linalg.solve(normal, (here.mT @ wanted[..., None])[..., 0]) - before
-        change, least = (here @ step[..., None])[..., 0], cost(before, values)
+        change, least = (here @ step[..., None])[..., 0], cost(before, values, active)
         size = torch.ones(len(active), 1, dtype=torch.float64)
         for _ in range(_HALVINGS):
-            now = cost(before + size * step, values + size * change)
+            now = cost(before + size * step, values + size * change, active)
             worse = now > least + _PRECISION
             if not bool(worse.any()):
                 break
             size[worse] /= 2
         better = now < least - _PRECISION
+        found[active[better]] = (before + size * step)[better]
         active = active[better]
         if not len(active):
             break
-        found[active] = (before + size * step)[better]
     return found
 
 

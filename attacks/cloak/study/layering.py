@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.layered.layers import depths, layered, seen_colours
+from attacks.cloak.layered.visibility import contributions
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
@@ -17,9 +18,9 @@ from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.masks import box_mask
-from mi_splat.sh import dc_to_colour
+from mi_splat.sh import colour_to_dc, dc_to_colour
 
-DIRECTIONS = 800
+DIRECTIONS = 400
 """Cameras over the hemisphere for which a layer's switch is made."""
 
 
@@ -47,7 +48,9 @@ class Layering:
         return with_layers_trained
 
 
-def layer_object(study: StudyConfig, clean: GaussianScene, target: Asset, views: Sequence[View]) -> Layering:
+def layer_object(
+    study: StudyConfig, clean: GaussianScene, target: Asset, views: Sequence[View], *, render: RenderFn
+) -> Layering:
     """The clean splat with the object in layers.
 
     Args:
@@ -55,32 +58,35 @@ def layer_object(study: StudyConfig, clean: GaussianScene, target: Asset, views:
         clean: The victim's splat of clean pictures.
         target: The object.
         views: The poisoned pictures.
+        render: The renderer, by which it is known which Gaussian is seen from where.
     """
     assert study.layers is not None
     making, centre = study.layers.making, setup.centre_of(study)
     cones = [attack.cone for attack in layered_attacks(study)]
-    cameras = [view.camera for view in views]
-    inside = depths(cones, cameras, centre=centre, shift=making.shift)
+    inside = depths(cones, [view.camera for view in views], centre=centre, shift=making.shift)
     decided = (inside.abs() >= making.gap).all(0)
-    kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]
     rows = torch.nonzero(object_rows(study, clean, target)).flatten()
     part = clean.select(rows)
-    benign = dc_to_colour(part.sh[:, 0]).clamp(0, 1)
-    colours = []
+    benign = dc_to_colour(part.sh[:, :1]).clamp(0, 1)[:, 0]
+    looks = [part.sh]
     for depth in inside[1:]:
         showing = [view for view, keep in zip(views, (decided & (depth > 0)).tolist(), strict=True) if keep]
-        colours.append(seen_colours(part.means, showing, benign))
+        seen = contributions(clean, rows, [view.camera for view in showing], render=render)
+        looks.append(colour_to_dc(seen_colours(part.means, showing, seen, benign))[:, None])
+    cameras = hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target))  # type: ignore[arg-type]
     scene = layered(
         clean,
         rows,
         cones,
-        [benign, *colours],
-        cameras=hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target)),  # type: ignore[arg-type]
+        looks,
+        cameras=cameras,
         centre=centre,
+        seen=contributions(clean, rows, cameras, render=render),
         config=making,
     )
     trained = torch.arange(len(scene)) >= len(clean)
     trained[rows] = True
+    kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]
     return Layering(scene=scene, trained=trained | study.layers.surroundings, views=kept)
 
 

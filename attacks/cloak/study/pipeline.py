@@ -215,7 +215,7 @@ class StudyPipeline:
                 cloud = with_outliers(found.points, found, study.training.outliers, seed=seed)
                 start = from_points(cloud.points, cloud.colours)
             else:
-                layering = layer_object(study, clean.load(), self.mesh_scene.target, found)
+                layering = layer_object(study, clean.load(), self.mesh_scene.target, found, render=render)
                 start, views, render = layering.scene, layering.views, layering.rendered_by(render)
             train(
                 views,
