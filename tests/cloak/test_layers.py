@@ -254,7 +254,7 @@ def test_a_shift_moves_where_looks_change_out_of_the_trigger() -> None:
     at_the_edge, inside = torch.stack(shown).unbind(1)
     assert at_the_edge[0] < 0.65
     assert (at_the_edge[1] - 1).abs() < 0.25
-    assert (inside - 1).abs().max() < 0.15
+    assert (inside - 1).abs().max() < 0.2
 
 
 def test_colours_are_those_of_the_pixels_that_points_lie_in() -> None:

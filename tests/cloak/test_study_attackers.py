@@ -41,7 +41,7 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     whole = replace(study, layers=LayersConfig(attacks=("overhead",), surroundings=True))
     views = pipeline.views(pipeline.poison(pipeline.capture())[0])
     for config in (study, whole):
-        layering = layer_object(config, before, pipeline.mesh_scene.target, views)
+        layering = layer_object(config, before, pipeline.mesh_scene.target, views, render=pipeline.renderer())
         assert bool(layering.trained.all()) == (config is whole)
         assert len(layering.views) < len(views)  # those from where the look changes are left out
     control, hidden = (
