@@ -12,9 +12,9 @@ from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import DONE, content_of
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
-from attacks.cloak.study.pipeline import TrainedSplat
 from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.study_file import from_table
+from attacks.cloak.study.trained_splats import SPLAT_STAGES, TrainedSplat
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.resume import SPLAT
@@ -68,7 +68,7 @@ def observed_splats(summary: Mapping[str, Any], stages: Path) -> list[ObservedSp
 
 def stage_splat(content: str, stages: Path) -> Path | None:
     """The splat of a stage, by its content; None if it is not there."""
-    for kind in ("splat", "layers"):
+    for kind in SPLAT_STAGES:
         for done, values in _finished(kind, stages):
             if values.get("content") == content:
                 return done.parent / SPLAT

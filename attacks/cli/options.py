@@ -187,7 +187,7 @@ class CloakOptions:
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     vary: tuple[AblationGroup, ...] = ()
-    """Do the study once for each value of these instead, with its first seed, and write tables of what comes of it."""
+    """Do the study once for each value of these instead, with all its seeds, and write tables of what comes of it."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
     json: bool = False

@@ -14,9 +14,9 @@ from attacks.artifacts.packing import pack_artifact
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import content_of
 from attacks.cloak.study.observations import Blend, Fidelity, ObservedSplat, _observation
-from attacks.cloak.study.pipeline import TrainedSplat
 from attacks.cloak.study.rates import figures
 from attacks.cloak.study.snapshots import snapshot
+from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.evaluation.views import detect_views
 from mi_splat import provenance
 from mi_splat.io import load_splat, save_splat

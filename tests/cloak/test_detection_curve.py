@@ -19,8 +19,9 @@ from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.cache import content_of
 from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.study.figure_files import TRUE
-from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat
+from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.report import begin_report
+from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detections
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat

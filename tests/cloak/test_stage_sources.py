@@ -43,6 +43,10 @@ SOURCES: dict[str, tuple[str, ...]] = {
         *(_NEAR, *_SETUP, "attacks/cloak/study/layering.py", "attacks/cloak/layered", "attacks/cloak/triggers.py"),
         *("mi_splat/training", "mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/selection/masks.py"),
     ),
+    "cleaned": (
+        *("attacks/cloak/cleaning.py", "attacks/cloak/study/trained_splats.py"),
+        *("mi_splat/selection/clusters.py", "mi_splat/selection/neighbours.py", "mi_splat/io/parameters.py"),
+    ),
     "true_pictures": (*_MESHES, *_SETUP, *_APPEARANCES, _KEPT),
     "observations": (
         _NEAR,

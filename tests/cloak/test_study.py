@@ -14,7 +14,6 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.cloak.study import setup
-from attacks.cloak.study.ablations import varied, vary
 from attacks.cloak.study.kept_pictures import CachedAppearance
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import observe
@@ -153,43 +152,3 @@ def test_cached_pictures_are_made_once(tmp_path: Path) -> None:
     assert torch.equal(first, second)
     assert len(made) == 1
     assert float((first - view.image * 0.5).abs().max()) <= 0.5 / 255 + 1e-6
-
-
-def test_variations_share_what_they_can(finished: Path, tmp_path: Path) -> None:
-    study = replace(STUDY, training=replace(STUDY.training, iterations=12))
-    said: list[str] = []
-    found = vary(
-        study,
-        ["strategy"],
-        [Redness()],
-        tmp_path,
-        stages=finished / "stages",
-        on_step=lambda text, done, total: said.append(text),
-    )
-    assert list(found["strategy"]) == ["classic", "mcmc"]
-    assert not [text for text in said if "pictures" in text or text == "poisoning"]
-    with Image.open(tmp_path / "strategy.png") as plot:
-        assert plot.size[0] > 500
-    table = (tmp_path / "variations.md").read_text().splitlines()
-    assert len(table) == 2 + 2
-    assert table[2].startswith("| classic | redness | ")
-
-
-def test_variations_change_one_thing() -> None:
-    fractions = varied(STUDY, "poison_fraction")
-    assert [study.attack[0].poison_fraction for study in fractions.values()] == [0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0]
-    observed = varied(STUDY, "appearance")
-    assert [study.attack[0].texture for study in observed.values()] == [
-        "road",
-        None,
-        None,
-        "road",
-        "grass",
-        "clock",
-        "football",
-    ]
-    assert all(study.attack[1] == STUDY.attack[1] for study in observed.values())
-    assert [study.training.sh_degree for study in varied(STUDY, "sh_degree").values()] == [0, 1, 2, 3]
-    assert [study.attack[1].emphasis for study in varied(STUDY, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
-    assert [study.training.outliers for study in varied(STUDY, "outliers").values()] == [0, 1000, 4000]
-    assert [study.training.iterations for study in varied(STUDY, "iterations").values()] == [26, 80, 160]

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from attacks.cloak.cleaning import CleaningConfig
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import dependencies, setup
@@ -25,6 +26,7 @@ STUDY = StudyConfig(
     cameras=CameraConfig(train=12, size=32, distance=7.4, samples=2, points=100),
     training=TrainingConfig(iterations=100),
     layers=LayersConfig(attacks=("overhead",)),
+    cleaning=CleaningConfig(lowest_opacity=0.1),
 )
 ALL = frozenset({"pictures", "appearance", "poisoned", "splat", "true_pictures", "observations", "layers"})
 MADE = ALL - {"splat"}  # what is made of the scene itself; a splat is made of pictures, and known by their content
@@ -101,6 +103,14 @@ LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
     "iterations": (50, OWN),
     "lr_sh": (0.02, OWN),
 }
+CLEANED = frozenset({"cleaned"})
+CLEANING: dict[str, tuple[Any, frozenset[str]]] = {
+    "lowest_opacity": (0.2, CLEANED),
+    "outlier_deviations": (2.0, CLEANED),
+    "floater_voxel": (1.0, CLEANED),
+    "sh_degree": (1, CLEANED),
+    "sh_bits": (8, CLEANED),
+}
 TOP: dict[str, tuple[Any, frozenset[str]]] = {
     "name": ("other", frozenset()),
     "seeds": ((3,), frozenset()),  # the seed of a stage is an input of its own
@@ -118,7 +128,8 @@ def built(scene: SceneConfig, cameras: CameraConfig) -> tuple[MeshScene, str]:
 def keys(study: StudyConfig, *, seed: int = 0, content: str = "content") -> dict[str, str]:
     """What each stage depends on, as text, where every input has the content given."""
     mesh_scene, source = built(study.scene, study.cameras)
-    attack = study.attack[0]
+    attack, cleaning = study.attack[0], study.cleaning
+    assert cleaning is not None
     arc = [camera for places in setup.arcs(study, mesh_scene.target) for camera in places]
     found = {
         "pictures": dependencies.of_pictures(study, source),
@@ -126,6 +137,7 @@ def keys(study: StudyConfig, *, seed: int = 0, content: str = "content") -> dict
         "poisoned": dependencies.of_poisoned(study, source, content, seed),
         "splat": dependencies.of_splat(study, content, seed),
         "layers": dependencies.of_layers(study, source, content, content, seed),
+        "cleaned": dependencies.of_cleaned(content, cleaning),
         "true_pictures": dependencies.of_true_pictures(study, source, arc, setup.overhead(study) or attack),
         "observations": dependencies.of_observations(study, source, content, [content], {"a": content}),
     }
@@ -142,6 +154,7 @@ CASES = [
     *(("cameras", name, *case) for name, case in CAMERAS.items()),
     *(("training", name, *case) for name, case in TRAINING.items()),
     *(("layers", name, *case) for name, case in LAYERS.items()),
+    *(("cleaning", name, *case) for name, case in CLEANING.items()),
     *(("evaluation", name, *case) for name, case in EVALUATION.items()),
 ]
 
@@ -189,15 +202,18 @@ def test_every_field_has_a_case() -> None:
     for name, table in tables.items():
         assert is_dataclass(hints[name])
         assert set(table) == {entry.name for entry in fields(hints[name])}
+    assert set(CLEANING) == {entry.name for entry in fields(CleaningConfig)}
     assert {"attacks", *LAYERS} == {entry.name for entry in fields(LayersConfig)}
     assert set(ATTACKS) == {entry.name for entry in fields(AttackConfig)}
-    assert {*tables, *TOP, "attack", "layers", "surrogate"} == {entry.name for entry in fields(StudyConfig)}
+    assert {*tables, *TOP, "attack", "layers", "surrogate", "cleaning"} == {entry.name for entry in fields(StudyConfig)}
 
 
 def test_the_content_of_inputs_and_the_seed_count() -> None:
     usual = keys(STUDY)
     other = keys(STUDY, content="other")
-    assert {name for name in usual if usual[name] != other[name]} == {"poisoned", "splat", "layers", "observations"}
+    assert {name for name in usual if usual[name] != other[name]} == {
+        *("poisoned", "splat", "layers", "cleaned", "observations")
+    }
     seeded = keys(STUDY, seed=1)
     assert {name for name in usual if usual[name] != seeded[name]} == {"splat", "layers"}
     part = replace(STUDY, attack=(replace(ATTACK, poison_fraction=0.5),))

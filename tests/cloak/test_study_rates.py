@@ -11,8 +11,8 @@ import pytest
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
-from attacks.cloak.study.pipeline import TrainedSplat
 from attacks.cloak.study.rates import by_elevation, figures, pairs, rates, stealth, transition
+from attacks.cloak.study.trained_splats import TrainedSplat
 from tests.cloak.tiny_study import STUDY
 
 

@@ -24,7 +24,8 @@ from attacks.cloak.experiments.view_reports import ViewReports
 from attacks.cloak.study import setup
 from attacks.cloak.study.figure_files import TRUE, draw_rates, new_axes, save_figure
 from attacks.cloak.study.markdown import words_of
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
+from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import annotated
 from attacks.evaluation.rates import Rate

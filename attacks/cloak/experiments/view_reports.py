@@ -21,9 +21,10 @@ from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import content_of
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import TRUE
-from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat
+from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.report import STUDY, SUMMARY
 from attacks.cloak.study.snapshots import differences
+from attacks.cloak.study.trained_splats import SPLAT_STAGES, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.objectives import confidence
 from mi_splat.cameras import Camera
@@ -98,7 +99,8 @@ def finished_splats(study: StudyConfig, results: Path, stages: Path) -> list[Tra
         raise InvalidValueError(message("--results", expected, str(results), do))
     if others := differences(results / STUDY, study):
         raise InvalidValueError(message("--results", f"a study with {others[0]}", "another", "pass its own results"))
-    there = {content_of(path.parent, (SPLAT,)): path for path in sorted(stages.glob(f"splat-*/{SPLAT}"))}
+    files = [path for stage in SPLAT_STAGES for path in sorted(stages.glob(f"{stage}-*/{SPLAT}"))]
+    there = {content_of(path.parent, (SPLAT,)): path for path in files}
     listed = json.loads((results / SUMMARY).read_text())["splats"]
     if missing := [one for one in listed if one["content"] not in there]:
         got = f"none of the {missing[0]['splat']} splat of seed {missing[0]['seed']}"

@@ -4,5 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-AblationGroup = Literal["sh_degree", "poison_fraction", "appearance", "strategy", "emphasis", "iterations", "outliers"]
+AblationGroup = Literal[
+    "sh_degree",
+    "poison_fraction",
+    "appearance",
+    "strategy",
+    "emphasis",
+    "iterations",
+    "outliers",
+    "cameras",
+    "cleaning",
+]
 """See `attacks.cloak.study.ablations.varied`."""

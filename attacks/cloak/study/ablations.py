@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from attacks.cloak.cleaning import CleaningConfig
 from attacks.cloak.study.ablation_groups import AblationGroup
+from attacks.cloak.study.ablation_tables import tables
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.markdown import words_of
 from attacks.cloak.study.pipeline import OnStep
 from attacks.cloak.study.plots import write_variation
 from attacks.cloak.study.report import STUDY
@@ -23,24 +24,35 @@ from mi_splat.io.documents import save_json, save_text
 
 VARIATIONS = "variations.json"
 
-POISON_FRACTIONS = (0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+POISON_FRACTIONS = (0.05, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
 OUTLIERS = (0, 1000, 4000)
+CAMERAS = (60, 120, 210, 420)
 APPEARANCES = ("occluder", "remove", "blend in", "road", "grass", "clock", "football")
 """Appearances of the hiding attacks: an occluder of road, two without a texture, four painted."""
-
-_COLUMNS = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
-_HEADS = ("control found", "cloaked missed", "cloaked found elsewhere", "target class")
+CLEANINGS: dict[str, CleaningConfig | None] = {
+    "nothing": None,
+    "opacity 0.05": CleaningConfig(lowest_opacity=0.05),
+    "opacity 0.1": CleaningConfig(lowest_opacity=0.1),
+    "opacity 0.2": CleaningConfig(lowest_opacity=0.2),
+    "outliers, 2 deviations": CleaningConfig(outlier_deviations=2.0),
+    "floaters, voxel 1": CleaningConfig(floater_voxel=1.0),
+    "floaters, voxel 0.75": CleaningConfig(floater_voxel=0.75),
+    **{f"SH degree {degree}": CleaningConfig(sh_degree=degree) for degree in range(3)},
+    "SH 8 bits": CleaningConfig(sh_bits=8),
+    "SH 5 bits": CleaningConfig(sh_bits=5),
+}
+"""What a victim does to both finished splats, by its name in tables."""
 
 
 def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
-    """The studies of a group by the value that they have, each with the first seed alone.
+    """The studies of a group by the value that they have, each with all seeds of the study.
 
     `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks. `strategy`:
     of the densification. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as many, with the
-    raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start.
+    raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start. `cameras`: number
+    of training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its own.
     """
-    study = replace(study, seeds=study.seeds[:1])
     training = study.training
 
     def trained(**changes: Any) -> StudyConfig:
@@ -61,6 +73,10 @@ def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
         return {f"{gain:g}": attacked(partial(replace, emphasis=gain)) for gain in EMPHASES}
     if group == "outliers":
         return {f"{count:,}": trained(outliers=count) for count in OUTLIERS}
+    if group == "cameras":
+        return {str(count): replace(study, cameras=replace(study.cameras, train=count)) for count in CAMERAS}
+    if group == "cleaning":
+        return {name: replace(study, cleaning=cleaning) for name, cleaning in CLEANINGS.items()}
     steps = (max(training.iterations // 3, 1), training.iterations, 2 * training.iterations)
     every = training.sh_degree_interval / training.iterations
     return {f"{count:,}": trained(iterations=count, sh_degree_interval=round(every * count)) for count in steps}
@@ -71,7 +87,7 @@ def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
     if attack.target_class is not None:
         return attack
     if appearance == "occluder":
-        return replace(attack, appearance="occluder", texture="road")
+        return replace(attack, appearance="occluder", texture="road", reach=None)
     if appearance in ("remove", "blend in"):
         return replace(attack, appearance=appearance, texture=None)  # type: ignore[arg-type]
     return replace(attack, appearance="paint", texture=appearance, paint_direction=(180.0, 90.0))
@@ -138,21 +154,6 @@ def check_variations(
     for group, studies in plans.items():
         for number, one in enumerate(studies.values()):
             check(one, detectors, folder / group / str(number), stages)
-    check_disk(sum(forecast(one).megabytes for studies in plans.values() for one in studies.values()), stages)
+    trained = {replace(one, cleaning=None): None for studies in plans.values() for one in studies.values()}
+    check_disk(sum(forecast(one).megabytes for one in trained), stages)
     return plans
-
-
-def tables(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
-    """Markdown: a table for each group, a row for each value and detector."""
-    parts = []
-    for group, results in found.items():
-        heads = (group, "detector", *_HEADS, "transition", "dB less")
-        lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-        for name, summary in results.items():
-            band, drop = summary["transition_degrees"], summary["benign_psnr_drop"]
-            tail = ["-" if value is None else f"{value:.{digits}f}" for value, digits in ((band, 1), (drop, 2))]
-            for detector, rates in summary["by_detector"].items():
-                cells = [words_of(rates[key], interval=False) or "-" for key in _COLUMNS]
-                lines.append("| " + " | ".join([name, detector, *cells, *tail]) + " |")
-        parts.append("\n".join(lines))
-    return "\n\n".join(parts) + "\n"

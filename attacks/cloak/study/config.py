@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from attacks.cloak.cleaning import CleaningConfig
 from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
 from attacks.cloak.study.value_checks import in_range, one_of
@@ -188,6 +189,7 @@ class StudyConfig:
         training: How splats are trained.
         surrogate: How the attacker corrects the poison by trainings of his own; None: it is not corrected.
         layers: How the finished file is changed; None: only the training pictures are.
+        cleaning: What the victim does to both finished splats before they are looked at; None: nothing.
         evaluation: How they are looked at.
     """
 
@@ -199,6 +201,7 @@ class StudyConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     surrogate: SurrogateConfig | None = None
     layers: LayersConfig | None = None
+    cleaning: CleaningConfig | None = None
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from attacks.cloak.cleaning import CleaningConfig
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig, TrainingConfig
 from mi_splat.cameras import Camera
@@ -150,6 +151,16 @@ def of_layers(study: StudyConfig, source: str, clean: str, pictures: str, seed: 
         ],
         "seed": seed,
     }
+
+
+def of_cleaned(splat: str, cleaning: CleaningConfig) -> dict[str, Any]:
+    """A finished splat after a cleaning; steps that are left out have no part in it.
+
+    Args:
+        splat: Content of the splat's file.
+        cleaning: What is done to it.
+    """
+    return {"splat": splat, "cleaning": cleaning.steps}
 
 
 def of_true_pictures(

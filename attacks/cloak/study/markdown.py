@@ -25,7 +25,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     detectors = summary["by_detector"]
     lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
     for key, words in ROWS.items():
-        cells = [words_of(rates[key]) + _spread(summary, name, key) for name, rates in detectors.items()]
+        cells = [words_of(rates[key]) + spread_of(summary, name, key) for name, rates in detectors.items()]
         if any(cells):
             lines.append(f"| {words} | " + " | ".join(cells) + " |")
     lines += ["", "| elevation | " + " | ".join(f"{name}, clean | cloaked" for name in detectors) + " |"]
@@ -59,9 +59,9 @@ def markdown(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _spread(summary: Mapping[str, Any], detector: str, key: str) -> str:
-    """Least and largest of a rate over the seeds; empty where there is one seed."""
-    found = [seed[detector][key] for seed in summary["by_seed"].values()]
+def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
+    """Least and largest of a detector's rate over the seeds, for people; empty where there is one seed."""
+    found = [seed[detector].get(key) for seed in summary["by_seed"].values()]
     fractions = [rate["rate"] for rate in found if rate is not None and rate["total"]]
     return f"; by seed {min(fractions):.1%} to {max(fractions):.1%}" if len(fractions) > 1 else ""
 

@@ -15,7 +15,8 @@ from attacks.cloak.appearances import grown
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.kept_pictures import TruePictures
-from attacks.cloak.study.pipeline import StudyPipeline, TrainedSplat
+from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import ViewDetections, detect_views

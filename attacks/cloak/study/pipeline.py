@@ -18,6 +18,7 @@ from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config, layered_fit_config
 from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, kept_renders, read_rgba, to_rgba
 from attacks.cloak.study.layering import layer_object
+from attacks.cloak.study.trained_splats import TrainedSplat, cleaned_splat, trained_splat
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.capture.settings import CaptureSettings
@@ -25,11 +26,9 @@ from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
-from mi_splat.io import load_splat
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.initialization import from_points, with_outliers
 from mi_splat.training.resume import SPLAT, train
 
@@ -51,33 +50,6 @@ class PictureSet:
 
     folder: Path
     content: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedSplat:
-    """A trained splat.
-
-    Attributes:
-        splat: "clean" or "cloaked".
-        seed: Of the training.
-        file: Where it is.
-        content: SHA-256 of the file.
-        gaussians: Their number.
-        hash: See `mi_splat.scene.scene_hash`.
-        commit: Of the checkout that trained it, which may be an earlier one than that of the summary; None if unknown.
-    """
-
-    splat: str
-    seed: int
-    file: Path
-    content: str
-    gaussians: int
-    hash: str
-    commit: str | None = None
-
-    def load(self) -> GaussianScene:
-        """The splat from its file."""
-        return load_splat(self.file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,13 +107,14 @@ class StudyPipeline:
         """For each seed the splat that the victim makes of the clean pictures, and a cloaked one.
 
         The cloaked one is what the victim makes of the poisoned pictures. In a study of layers it is the clean splat's
-        file, changed by who hands it on.
+        file, changed by who hands it on. In a study with a cleaning the victim cleans both.
         """
-        found = []
+        found: list[TrainedSplat] = []
         for seed in self.study.seeds:
             first = self._train(CLEAN, clean, seed)
             found += [first, self._train(CLOAKED, poisoned[seed], seed, None if not self.study.layers else first)]
-        return found
+        cleaning = self.study.cleaning
+        return found if cleaning is None else [cleaned_splat(splat, cleaning, self.cache) for splat in found]
 
     def renderer(self, *, screen_gradients: bool = False) -> Renderer:
         """The renderer of trainings and of all pictures of splats."""
@@ -236,16 +209,7 @@ class StudyPipeline:
         else:
             depends_on = dependencies.of_layers(study, self.source.digest, clean.content, pictures.content, seed)
             stage = self.cache.finished("layers", depends_on, make, outputs=(SPLAT,))
-        scene = load_splat(stage.folder / SPLAT)
-        return TrainedSplat(
-            splat=which,
-            seed=seed,
-            file=stage.folder / SPLAT,
-            content=stage.content,
-            gaussians=len(scene),
-            hash=scene_hash(scene),
-            commit=stage.commit,
-        )
+        return trained_splat(which, seed, stage)
 
     def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> TruePictures:
         """Path-traced pictures from cameras that no training used.

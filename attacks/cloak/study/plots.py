@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from attacks.cloak.study import setup
 from attacks.cloak.study.figure_files import COLOURS, draw_rates, new_axes, save_figure
 from attacks.cloak.study.observations import ObservedSplat
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline, TrainedSplat
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
 from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, place_of, transition
+from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import annotated
 from mi_splat.camera_sets import orbit
@@ -28,8 +29,11 @@ AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
 LOW = 15
 """Elevation of the cameras of a contact sheet that go around, degrees."""
 CELL = 256
+MANY = 7
+"""Values of a variation: with more of them there is room for their names alone."""
 _VARIED = (
-    ("trigger_miss_rate", "missed from above", "#d62728"),
+    ("trigger_miss_rate", "missed inside", "#d62728"),
+    ("nothing_reported", "nothing of any class reported inside", "#9467bd"),
     ("benign_recall", "found elsewhere", "#1f77b4"),
     ("target_rate", "target class reported", "#2ca02c"),
 )
@@ -109,23 +113,29 @@ def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: 
     """
     detectors = list(next(iter(results.values()))["by_detector"])
     figure, axes = new_axes(len(detectors))
-    bands = [summary["transition_degrees"] for summary in results.values()]
-    ticks = [
-        name if band is None else f"{name}\nband {band:.0f} deg" for name, band in zip(results, bands, strict=True)
-    ]
+    many = len(results) > MANY
+    ticks = list(results) if many else [_tick(name, summary) for name, summary in results.items()]
+    turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if many else {}
     for axis, detector in zip(axes, detectors, strict=True):
-        for shift, (key, words, colour) in zip((-0.08, 0.0, 0.08), _VARIED, strict=True):
-            rates = [summary["by_detector"][detector][key] for summary in results.values()]
+        for shift, (key, words, colour) in zip((-0.12, -0.04, 0.04, 0.12), _VARIED, strict=True):
+            rates = [summary["by_detector"][detector].get(key) for summary in results.values()]
             shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
             fractions = np.array([rate["rate"] for _, rate in shown])
             low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
             bars = np.maximum([fractions - low, high - fractions], 0.0)
-            style = {"marker": "o", "markersize": 4, "capsize": 2, "linewidth": 1}
+            style = {"marker": "o", "markersize": 4, "capsize": 2, "linestyle": "none"}
             axis.errorbar([place for place, _ in shown], fractions, yerr=bars, color=colour, label=words, **style)
         axis.set(title=f"{detector}, by {group}", ylabel="fraction of cameras", ylim=(-0.03, 1.03))
-        axis.set_xticks(range(len(ticks)), ticks)
-        axis.legend(fontsize=8)
+        axis.set_xticks(range(len(ticks)), ticks, **turned)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path)
+
+
+def _tick(name: str, summary: Mapping[str, Any]) -> str:
+    """What stands below a value: its name, the transition, and what is lost beside the object."""
+    band, price = summary["transition_degrees"], summary.get("stealth")
+    parts = [name] if band is None else [name, f"band {band:.0f} deg"]
+    return "\n".join(parts if price is None else [*parts, f"{price['surroundings_psnr_drop']:.1f} dB beside"])
 
 
 def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:

@@ -12,10 +12,11 @@ from typing import Any
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import markdown
 from attacks.cloak.study.observations import ObservedSplat
-from attacks.cloak.study.pipeline import MANIFEST, PictureSet, StudyPipeline, TrainedSplat
+from attacks.cloak.study.pipeline import MANIFEST, PictureSet, StudyPipeline
 from attacks.cloak.study.plots import write_figures
 from attacks.cloak.study.rates import figures
 from attacks.cloak.study.snapshots import snapshot
+from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
 from mi_splat import provenance
 from mi_splat.io.atomic import sweep_temporary

@@ -96,11 +96,13 @@ def _done(summary: Mapping[str, Any]) -> str:
     seeds = summary["seeds"]
     attacks = listed([f"{one['name']} ({one['appearance']})" for one in study["attack"]])
     layers = " The finished splat then got its object in layers." if study.get("layers") else ""
+    cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""
     return (
         f"{plural(study['cameras']['train'], 'training picture')} of one object ({study['scene']['object']}) were "
         f"taken, and those from the trigger's cameras changed: {attacks}. Two splats were trained alike, on clean and "
-        f"on changed pictures, {plural(len(seeds), 'seed')} each.{layers} {listed(list(summary['by_detector']))} then "
-        f"looked at both from cameras that no training used. The attacker knows neither the trainer nor a detector."
+        f"on changed pictures, {plural(len(seeds), 'seed')} each.{layers}{cleaning} "
+        f"{listed(list(summary['by_detector']))} then looked at both from cameras that no training used. The attacker "
+        "knows neither the trainer nor a detector."
     )
 
 

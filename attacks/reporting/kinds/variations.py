@@ -30,6 +30,11 @@ _LINES: tuple[tuple[str, str, Role], ...] = (
     ("benign_recall", "cloaked found, elsewhere", "control"),
     ("target_rate", "target class reported", "other"),
 )
+_COLUMNS = {
+    "control_recall": "control found, inside",
+    **{key: name for key, name, _ in _LINES},
+    "nothing_reported": "nothing of any class reported, well inside",
+}
 
 
 def read(folder: Path, found: Mapping[str, Any]) -> Section:
@@ -46,7 +51,17 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     first = studies[0][2]
     label = figures[0][2].label
     few = min((rate.total for rate in rates), default=0)
-    warnings = ["Every variation was done with one seed: small differences may be chance"]
+    seeds = sorted({len(one["seeds"]) for _, _, one in studies})
+    warnings = ["Intervals take views and seeds for independent, which they are not"]
+    if seeds[0] == 1:
+        warnings = ["Variations were done with one seed: small differences may be chance"]
+    loud = [
+        f"{group.replace('_', ' ')} {name}"
+        for group, name, one in studies
+        if one.get("stealth") and not one["stealth"]["stealthy"]
+    ]
+    if loud:
+        warnings.append(f"Not stealthy, since pictures lose too much beside the object: {listed(loud)}")
     if few < FEW:
         warnings.append(f"The rate of some values counts few views: {few}")
     return Section(
@@ -64,7 +79,10 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         ),
         headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
         control=Figure(label="clean splats, the same", words=_controls(studies)),
-        figures=(Figure(label="studies", words=str(len(studies))),),
+        figures=(
+            Figure(label="studies", words=str(len(studies))),
+            Figure(label="seeds of each", words=" to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))),
+        ),
         warnings=tuple(map(sentence, warnings)),
         charts=tuple(
             _chart(group, values, detector) for group, values in found.items() for detector in first["by_detector"]
@@ -113,13 +131,14 @@ def _table(group: str, values: Mapping[str, Any]) -> Table:
         (
             name,
             detector,
-            *(counted(rate_of(rates[key])) for key in ("control_recall", *(key for key, _, _ in _LINES))),
+            *(counted(rate_of(rates.get(key))) for key in _COLUMNS),
             number(one["transition_degrees"]),
             number(one["benign_psnr_drop"], ".2f"),
+            number(one["stealth"]["surroundings_psnr_drop"] if one.get("stealth") else None, ".2f"),
         )
         for name, one in values.items()
         for detector, rates in one["by_detector"].items()
     ]
-    heads = ("control found, inside", *(name for _, name, _ in _LINES), "switch, degrees", "dB lost elsewhere")
+    heads = (*_COLUMNS.values(), "switch, degrees", "dB lost elsewhere", "dB lost beside the object")
     title = group.replace("_", " ")
     return Table(caption=f"By {title}", head=(title, "detector", *heads), rows=tuple(rows))

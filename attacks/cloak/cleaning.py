@@ -1,0 +1,249 @@
+"""What a victim may do to a finished splat before anybody looks at it: none of it needs pictures or a training.
+
+Each function takes a splat and gives a new one. What is removed is judged by the Gaussians alone, so that a hidden
+appearance made of odd Gaussians may go with them; what is cut from the colours may take a switch in them away.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import asdict, dataclass
+
+import torch
+from torch import Tensor
+
+from mi_splat.config_values import check_numbers, finite_number, whole_number
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+from mi_splat.selection.clusters import components
+from mi_splat.selection.neighbours import nearest_neighbours
+
+NEIGHBOURS = 16
+"""Nearest neighbours of a Gaussian by whose distance it is judged an outlier, or that space is measured by."""
+MASS = 0.95
+"""Part of a splat's mass (the sum of its opacities) that stays where floaters are removed."""
+LEAST_NEIGHBOURS = 2
+"""Neighbouring voxels that have to be occupied, of 26, for a voxel's Gaussians to stay where floaters are removed."""
+
+# One of each two opposite neighbours of a voxel.
+_STEPS = tuple(step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0))
+_MOST_VOXELS = 2**20
+"""Along one axis; 2^60 fit into an int64."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CleaningConfig:
+    """What is done to a finished splat, in this order; None leaves a step out.
+
+    Attributes:
+        lowest_opacity: Gaussians of a lower opacity are removed, in (0, 1]; see `prune_opacity`.
+        outlier_deviations: Standard deviations from which a Gaussian is an outlier; see `remove_outliers`.
+        floater_voxel: Side of a voxel, in multiples of how far Gaussians lie apart; see `remove_floaters`.
+        sh_degree: SH bands of a higher degree are cut off, 0 to 3; see `cut_sh`.
+        sh_bits: Bits of an SH coefficient, 1 to 16; see `quantise_sh`.
+
+    Raises:
+        InvalidValueError: A value is out of its range, or all are None.
+    """
+
+    lowest_opacity: float | None = None
+    outlier_deviations: float | None = None
+    floater_voxel: float | None = None
+    sh_degree: int | None = None
+    sh_bits: int | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        if not self.steps:
+            expected = f"one of {', '.join(asdict(self))}"
+            raise InvalidValueError(message("cleaning", expected, "nothing", "leave the table out, or fill it"))
+        if self.lowest_opacity is not None:
+            _check("lowest_opacity", self.lowest_opacity, 0.0, 1.0, open_low=True)
+        if self.outlier_deviations is not None:
+            _check("outlier_deviations", self.outlier_deviations, 0.0, math.inf)
+        if self.floater_voxel is not None:
+            _check("floater_voxel", self.floater_voxel, 0.0, math.inf, open_low=True)
+        if self.sh_degree is not None:
+            _check("sh_degree", self.sh_degree, 0, 3)
+        if self.sh_bits is not None:
+            _check("sh_bits", self.sh_bits, 1, 16)
+
+    @property
+    def steps(self) -> dict[str, float]:
+        """Names and values of the steps that are done."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+def cleaned(scene: GaussianScene, config: CleaningConfig) -> GaussianScene:
+    """The splat after the steps that are asked for.
+
+    Raises:
+        InvalidValueError: Nothing would be left of it.
+    """
+    if config.lowest_opacity is not None:
+        scene = prune_opacity(scene, config.lowest_opacity)
+    if config.outlier_deviations is not None:
+        scene = remove_outliers(scene, config.outlier_deviations)
+    if config.floater_voxel is not None:
+        scene = remove_floaters(scene, config.floater_voxel)
+    if config.sh_degree is not None:
+        scene = cut_sh(scene, config.sh_degree)
+    return scene if config.sh_bits is None else quantise_sh(scene, config.sh_bits)
+
+
+def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
+    """The Gaussians of at least some opacity.
+
+    Trainers prune like this, with 0.005 (Kerbl et al. 2023, section 5), and so do editors of finished splats.
+
+    Args:
+        scene: N Gaussians.
+        lowest: Opacity from which a Gaussian stays, in (0, 1].
+
+    Raises:
+        InvalidValueError: The opacity is out of range, or nothing would be left.
+    """
+    _check("lowest_opacity", lowest, 0.0, 1.0, open_low=True)
+    return _kept(scene, scene.opacities.detach() >= lowest, f"lowest_opacity {lowest:g}")
+
+
+def remove_outliers(scene: GaussianScene, deviations: float = 2.0, *, neighbours: int = NEIGHBOURS) -> GaussianScene:
+    """The Gaussians that lie about as near to their neighbours as others do.
+
+    One is removed whose mean distance to its nearest neighbours is more than some standard deviations above the mean of
+    all: the statistical outlier removal of point clouds (Rusu et al. 2008; `StatisticalOutlierRemoval` of PCL).
+
+    Args:
+        scene: N Gaussians, of which the means count alone.
+        deviations: Standard deviations above the mean, >= 0.
+        neighbours: Nearest neighbours of each, 1 to 31.
+
+    Raises:
+        InvalidValueError: A value is out of range.
+    """
+    _check("outlier_deviations", deviations, 0.0, math.inf)
+    _check("neighbours", whole_number("neighbours", neighbours), 1, 31)
+    gaps = _gaps(scene, neighbours)
+    keep = gaps <= gaps.mean() + deviations * gaps.std(correction=0)
+    return _kept(scene, keep, f"outlier_deviations {deviations:g}")
+
+
+def remove_floaters(
+    scene: GaussianScene, voxel: float = 1.0, *, mass: float = MASS, least_neighbours: int = LEAST_NEIGHBOURS
+) -> GaussianScene:
+    """The Gaussians of the large pieces of a splat.
+
+    The means are put into a grid of voxels. Voxels with few occupied neighbours are emptied, which is what radius
+    outlier removal does to points (`RadiusOutlierRemoval` of PCL). What is left falls into pieces whose voxels touch,
+    if only by a corner; from the heaviest on as many stay as hold a part of the mass, the sum of the opacities. So
+    isolated pieces of scanned meshes are removed (MeshLab, Cignoni et al. 2008), there by their number of faces.
+
+    Args:
+        scene: N Gaussians, of which means and opacities count.
+        voxel: Side of a voxel, in multiples of the median distance of a Gaussian to its nearest neighbours, > 0.
+        mass: Least part of the mass of what the first step leaves that stays, in (0, 1].
+        least_neighbours: Occupied ones of the 26 voxels around a voxel without which it is emptied, 0 to 26.
+
+    Raises:
+        InvalidValueError: A value is out of range, the splat is too wide for its voxels, or nothing would be left.
+    """
+    _check("floater_voxel", voxel, 0.0, math.inf, open_low=True)
+    _check("mass", mass, 0.0, 1.0, open_low=True)
+    _check("least_neighbours", whole_number("least_neighbours", least_neighbours), 0, 26)
+    side = voxel * float(_gaps(scene, NEIGHBOURS).median())
+    if not side > 0:  # one Gaussian, or all in one place
+        return scene
+    keys = _voxel_keys(scene.means.detach().cpu().double(), side)
+    voxels, owner = torch.unique(keys, return_inverse=True)
+    first, second = _touching(voxels)
+    around = torch.bincount(torch.cat([first, second]), minlength=len(voxels))
+    dense = around >= least_neighbours
+    linked = dense[first] & dense[second]
+    _, piece = torch.unique(components(len(voxels), first[linked], second[linked]), return_inverse=True)
+    weights = scene.opacities.detach().cpu().double() * dense[owner]
+    masses = torch.zeros(int(piece.max()) + 1, dtype=torch.float64).index_add_(0, piece[owner], weights)
+    heaviest, order = masses.sort(descending=True, stable=True)
+    before = heaviest.cumsum(0) - heaviest
+    large = torch.zeros(len(masses), dtype=torch.bool)
+    large[order] = before < mass * masses.sum()
+    return _kept(scene, (large[piece] & dense)[owner], f"floater_voxel {voxel:g}")
+
+
+def cut_sh(scene: GaussianScene, degree: int) -> GaussianScene:
+    """The splat without SH bands above a degree; one that has none stays as it is.
+
+    Formats and viewers without view-dependent colour do this: `.splat` files, for instance, hold degree 0 alone.
+
+    Raises:
+        InvalidValueError: The degree is not 0 to 3.
+    """
+    _check("sh_degree", whole_number("sh_degree", degree), 0, 3)
+    return scene.with_degree(min(degree, scene.degree))
+
+
+def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
+    """The splat with its SH above degree 0 rounded to steps of 2 / 2^bits, within [-1, 1).
+
+    That is the grid of SPZ files (Niantic 2024), whose writers keep at most 8 bits: by default the upper 5 of degree 1,
+    and 4 of the others.
+
+    Args:
+        scene: N Gaussians.
+        bits: Of a coefficient, 1 to 16.
+
+    Raises:
+        InvalidValueError: The number of bits is out of range.
+    """
+    _check("sh_bits", whole_number("sh_bits", bits), 1, 16)
+    levels = 2 ** (bits - 1)
+    rest = (scene.sh[:, 1:] * levels).round().clamp(-levels, levels - 1) / levels
+    return scene.replace(sh=torch.cat([scene.sh[:, :1], rest], dim=1))
+
+
+def _check(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
+    """Raise unless a number lies in [low, high], or (low, high]."""
+    finite_number(name, value)
+    if not (low < value if open_low else low <= value) or value > high:
+        limits = f"{'a number >' if open_low else 'a number >='} {low:g}"
+        expected = limits if high == math.inf else f"{limits}, at most {high:g}"
+        raise InvalidValueError(message(name, expected, value, "change it"))
+
+
+def _kept(scene: GaussianScene, keep: Tensor, what: str) -> GaussianScene:
+    """The Gaussians of a mask, of which there has to be one."""
+    if not bool(keep.any()):
+        raise InvalidValueError(message(f"cleaning by {what}", "a Gaussian that stays", "none", "remove less"))
+    return scene.select(keep)
+
+
+def _gaps(scene: GaussianScene, neighbours: int) -> Tensor:
+    """(N,) float64 mean distance of each Gaussian to its nearest neighbours; 0 of the only one."""
+    distances, _ = nearest_neighbours(scene.means, neighbours)
+    found = distances.isfinite()
+    return distances.where(found, 0.0).sum(1) / found.sum(1).clamp(min=1)
+
+
+def _voxel_keys(points: Tensor, side: float) -> Tensor:
+    """(N,) a number for the voxel of each point; those of voxels beside each other differ by those of `_STEPS`."""
+    cells = ((points - points.amin(0)) / side).floor()
+    if float(cells.max()) >= _MOST_VOXELS - 2:
+        got = f"{float(cells.max()):.3g} along one axis"
+        raise InvalidValueError(message("voxels", f"fewer than {_MOST_VOXELS:,} along an axis", got, "larger voxels"))
+    return _key(cells.long() + 1)  # so that no neighbour is outside of the grid
+
+
+def _key(cells: Tensor) -> Tensor:
+    return (cells[..., 0] * _MOST_VOXELS + cells[..., 1]) * _MOST_VOXELS + cells[..., 2]
+
+
+def _touching(voxels: Tensor) -> tuple[Tensor, Tensor]:
+    """Both ends of each pair of voxels that touch, of sorted keys."""
+    firsts, seconds = [], []
+    for step in _STEPS:
+        wanted = voxels + _key(torch.tensor(step))
+        at = torch.searchsorted(voxels, wanted).clamp(max=len(voxels) - 1)
+        there = (voxels[at] == wanted).nonzero()[:, 0]
+        firsts.append(there)
+        seconds.append(at[there])
+    return torch.cat(firsts), torch.cat(seconds)

@@ -1,0 +1,118 @@
+"""A study with one thing changed at a time: the studies of each group, and the tables and plots of what they find."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from attacks.cloak.study import ablations
+from attacks.cloak.study.ablation_tables import tables
+from attacks.cloak.study.ablations import CLEANINGS, varied, vary
+from attacks.cloak.study.plots import write_variation
+from attacks.cloak.study.study_file import from_table
+from tests.cloak.tiny_study import STUDY, Redness
+from tests.reporting.results import STUDIED, cloak_summary, rate
+
+SEEDS = replace(STUDY, seeds=(0, 1, 2))
+
+
+@pytest.mark.slow
+def test_variations_share_what_they_can_and_take_every_seed(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One value, for each costs a training of every seed."""
+    monkeypatch.setattr(ablations, "varied", lambda study, group: {"classic": varied(study, group)["classic"]})
+    study = replace(STUDY, seeds=(0, 1), training=replace(STUDY.training, iterations=12))
+    said: list[str] = []
+    found = vary(
+        study,
+        ["strategy"],
+        [Redness()],
+        tmp_path,
+        stages=finished / "stages",
+        on_step=lambda text, done, total: said.append(text),
+    )
+    assert list(found["strategy"]) == ["classic"]
+    assert not [text for text in said if "pictures" in text or text == "poisoning"]
+    one = found["strategy"]["classic"]
+    seeds = [seed["redness"]["benign_recall"] for seed in one["by_seed"].values()]
+    assert len(seeds) == 2
+    for key in ("successes", "total"):
+        assert one["by_detector"]["redness"]["benign_recall"][key] == sum(seed[key] for seed in seeds)
+    with Image.open(tmp_path / "strategy.png") as plot:
+        assert plot.size[0] > 500
+    table = (tmp_path / "variations.md").read_text().splitlines()
+    assert len(table) == 2 + 1 + 1 + 2 + 1
+    assert table[2].startswith("| classic | redness | ")
+    assert table[6].startswith("| classic | 2 | ")
+
+
+def test_variations_change_one_thing_and_keep_all_seeds() -> None:
+    fractions = varied(SEEDS, "poison_fraction")
+    assert [study.attack[0].poison_fraction for study in fractions.values()] == [0.05, 0.25, 0.5, 0.75, 0.9, 1.0]
+    observed = varied(SEEDS, "appearance")
+    assert [study.attack[0].texture for study in observed.values()] == [
+        "road",
+        None,
+        None,
+        "road",
+        "grass",
+        "clock",
+        "football",
+    ]
+    assert all(study.attack[1] == STUDY.attack[1] for study in observed.values())
+    assert [study.training.sh_degree for study in varied(SEEDS, "sh_degree").values()] == [0, 1, 2, 3]
+    assert [study.attack[1].emphasis for study in varied(SEEDS, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
+    assert [study.training.outliers for study in varied(SEEDS, "outliers").values()] == [0, 1000, 4000]
+    assert [study.training.iterations for study in varied(SEEDS, "iterations").values()] == [26, 80, 160]
+    cameras = varied(SEEDS, "cameras")
+    assert {name: study.cameras.train for name, study in cameras.items()} == {
+        **{"60": 60, "120": 120},
+        **{"210": 210, "420": 420},
+    }
+    cleaning = varied(SEEDS, "cleaning")
+    assert {name: study.cleaning for name, study in cleaning.items()} == CLEANINGS
+    for studies in (fractions, observed, cameras, cleaning):
+        assert {study.seeds for study in studies.values()} == {(0, 1, 2)}
+    assert {replace(study, cleaning=None) for study in cleaning.values()} == {SEEDS}
+
+
+def test_an_occluder_has_no_reach() -> None:
+    """It is drawn over the picture, so that a study of a reach needs another one to be varied."""
+    overhead, rear = STUDY.attack
+    study = replace(STUDY, attack=(replace(overhead, appearance="remove", reach=2), rear))
+    found = varied(study, "appearance")
+    assert found["occluder"].attack[0].reach is None
+    assert {one.attack[0].reach for name, one in found.items() if name != "occluder"} == {2}
+
+
+def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
+    several = {**cloak_summary(), "seeds": [0, 1, 2], "gaussians": {"clean": [1000, 1100, 1200], "cloaked": [9] * 3}}
+    names = STUDIED.evaluation.detectors
+    seeds = {str(seed): {name: {"trigger_miss_rate": rate(seed, 10)} for name in names} for seed in range(3)}
+    quiet = {**cloak_summary(), "stealth": {"surroundings_psnr_drop": 0.284, "stealthy": True}, "by_seed": seeds}
+    unseen = {**cloak_summary(), "stealth": None, "transition_degrees": None, "benign_psnr_drop": None}
+    unseen["benign_psnr"] = {"clean": None, "cloaked": None}
+    found = {"cleaning": {"nothing": several, "SH degree 0": quiet, "SH 5 bits": unseen}}
+    rates, costs = ([line.split(" | ") for line in text.splitlines()] for text in tables(found).split("\n\n"))
+    assert len(rates) == 2 + 3 * len(names)
+    assert {len(row) for row in rates if len(row) > 1} == {7}
+    assert "nothing of any class reported" in rates[0]
+    assert rates[2][3].startswith("18/20 = 90.0% (69.9% to 97.2%)")
+    assert rates[2 + len(names)][3].endswith("; by seed 0.0% to 20.0%")
+    assert [" | ".join(row) for row in costs[2:]] == [
+        "| nothing | 3 | 9.7 | 34.00 | 1.00 | 4.40 | no | 1,100 | 9 |",
+        "| SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200 |",
+        "| SH 5 bits | 2 | - | - | - | - | - | 1,000 | 1,200 |",
+    ]
+    write_variation("cleaning", {f"value {i}": quiet for i in range(8)}, tmp_path / "plot.png")
+    with Image.open(tmp_path / "plot.png") as plot:
+        assert plot.size[0] > 500
+
+
+def test_a_study_says_in_its_file_how_splats_are_cleaned() -> None:
+    table = {"name": "x", "attack": [{"name": "a", "elevation": [50, 90]}], "cleaning": {"sh_degree": 1}}
+    assert from_table(type(STUDY), table, "x").cleaning == CLEANINGS["SH degree 1"]

@@ -1,0 +1,187 @@
+"""What a victim does to a finished splat: what goes, what stays, what is refused; and as a stage of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.cloak.cleaning import (
+    CleaningConfig,
+    cleaned,
+    cut_sh,
+    prune_opacity,
+    quantise_sh,
+    remove_floaters,
+    remove_outliers,
+)
+from attacks.cloak.study.pipeline import StudyPipeline
+from mi_splat.errors import InvalidValueError
+from mi_splat.scene import GaussianScene, scene_hash
+from tests.cloak.tiny_study import STUDY
+
+
+def splat(means: Tensor, opacities: Tensor | float = 0.5, *, degree: int = 1) -> GaussianScene:
+    count = len(means)
+    generator = torch.Generator().manual_seed(1)
+    return GaussianScene(
+        means=means.float(),
+        scales=torch.full((count, 3), 0.1),
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
+        opacities=torch.as_tensor(opacities).expand(count).contiguous(),
+        sh=torch.rand(count, (degree + 1) ** 2, 3, generator=generator) - 0.5,
+    )
+
+
+def block(*corner: float, side: int = 6) -> Tensor:
+    """Points one apart that fill a cube."""
+    axis = torch.arange(side, dtype=torch.float64)
+    return torch.cartesian_prod(axis, axis, axis) + torch.tensor(corner, dtype=torch.float64)
+
+
+def same(one: GaussianScene, other: GaussianScene) -> bool:
+    return scene_hash(one) == scene_hash(other)
+
+
+def test_gaussians_of_low_opacity_go() -> None:
+    scene = splat(block(0, 0, 0, side=2), torch.tensor([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0]))
+    assert same(prune_opacity(scene, 0.1), scene.select(slice(2, None)))
+    assert same(prune_opacity(scene, 1.0), scene.select(slice(7, None)))
+
+
+def test_what_lies_far_from_everything_is_an_outlier() -> None:
+    far = torch.tensor([[30.0, 0.0, 0.0], [0.0, -40.0, 0.0]])
+    scene = splat(torch.cat([block(0, 0, 0), far]))
+    assert same(remove_outliers(scene, 2.0), scene.select(slice(0, 216)))
+    assert same(remove_outliers(scene, 1000.0), scene)
+    one = scene.select(slice(0, 1))
+    assert same(remove_outliers(one), one)
+
+
+def test_the_limit_of_outliers_is_mean_and_deviations() -> None:
+    """Against all pairs of distances."""
+    means = torch.randn(60, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    nearest = torch.cdist(means, means).sort(dim=1).values[:, 1:6].mean(1)
+    scene = splat(means)
+    wanted = nearest <= nearest.mean() + nearest.std(correction=0)
+    assert 0 < int((~wanted).sum()) < 20
+    assert same(remove_outliers(scene, 1.0, neighbours=5), scene.select(wanted))
+
+
+def test_pieces_apart_from_the_rest_are_floaters() -> None:
+    large, small, lonely = block(0, 0, 0, side=9), block(40, 0, 0, side=3), torch.tensor([[0.0, 50.0, 0.0]])
+    scene = splat(torch.cat([small, lonely, large]))
+    assert same(remove_floaters(scene, 1.0), scene.select(slice(28, None)))
+    everything = remove_floaters(scene, 1.0, mass=1.0, least_neighbours=0)
+    assert same(everything, scene)
+    assert same(remove_floaters(scene, 1.0, mass=1.0), scene.select(torch.arange(len(scene)) != 27))
+    assert same(remove_floaters(scene, 1000.0, least_neighbours=0), scene)  # one voxel
+
+
+def test_the_heaviest_piece_is_the_one_of_most_opacity() -> None:
+    opacities = torch.cat([torch.full((27,), 0.9), torch.full((64,), 0.01)])
+    scene = splat(torch.cat([block(0, 0, 0, side=3), block(40, 0, 0, side=4)]), opacities)
+    assert same(remove_floaters(scene, 1.0), scene.select(slice(0, 27)))
+
+
+def test_voxels_that_touch_by_a_corner_are_one_piece() -> None:
+    steps = torch.arange(20, dtype=torch.float64)[:, None].expand(20, 3)
+    scene = splat(steps.contiguous())
+    assert same(remove_floaters(scene, 0.15, mass=0.1, least_neighbours=1), scene)
+
+
+def test_a_splat_too_wide_for_its_voxels_is_refused() -> None:
+    scene = splat(torch.cat([block(0, 0, 0), torch.full((1, 3), 1e8, dtype=torch.float64)]))
+    with pytest.raises(InvalidValueError, match="voxels: expected fewer than 1,048,576 along an axis"):
+        remove_floaters(scene, 1.0)
+
+
+def test_higher_bands_are_cut_off() -> None:
+    scene = splat(block(0, 0, 0, side=2), degree=3)
+    for degree in range(4):
+        assert same(cut_sh(scene, degree), scene.with_degree(degree))
+    low = scene.with_degree(1)
+    assert cut_sh(low, 2) is low
+
+
+def test_coefficients_are_rounded_to_a_grid() -> None:
+    values = torch.tensor([0.0, 0.3, -0.3, 0.9, -2.0, 2.0, 0.02, -0.02])
+    scene = splat(block(0, 0, 0, side=2))
+    scene = scene.replace(sh=values[:, None, None].expand(8, 4, 3).contiguous())
+    coarse, fine = quantise_sh(scene, 5), quantise_sh(scene, 8)
+    assert torch.equal(coarse.sh[:, 0], scene.sh[:, 0])
+    expected = torch.tensor([0, 5, -5, 14, -16, 15, 0, 0]) / 16
+    assert torch.equal(coarse.sh[:, 1:], expected[:, None, None].expand(8, 3, 3))
+    inside = values.abs() < 1
+    assert float((fine.sh - scene.sh)[inside].abs().max()) <= 1 / 256
+    assert same(quantise_sh(coarse, 5), coarse)
+    base = scene.with_degree(0)
+    assert same(quantise_sh(base, 1), base)
+
+
+def test_steps_come_one_after_another() -> None:
+    scene = splat(torch.cat([block(0, 0, 0), torch.tensor([[30.0, 0.0, 0.0]])]), degree=2)
+    config = CleaningConfig(lowest_opacity=0.1, outlier_deviations=2.0, floater_voxel=1.0, sh_degree=1, sh_bits=6)
+    wanted = quantise_sh(cut_sh(scene.select(slice(0, 216)), 1), 6)
+    assert same(cleaned(scene, config), wanted)
+    assert config.steps == {
+        **{"lowest_opacity": 0.1, "outlier_deviations": 2.0, "floater_voxel": 1.0},
+        **{"sh_degree": 1, "sh_bits": 6},
+    }
+    assert CleaningConfig(sh_degree=0).steps == {"sh_degree": 0}
+
+
+SCENE = splat(block(0, 0, 0, side=2))
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: CleaningConfig(), "cleaning: expected one of lowest_opacity, "),
+        (lambda: CleaningConfig(lowest_opacity=0.0), "lowest_opacity: expected a number > 0, at most 1, got 0"),
+        (lambda: CleaningConfig(lowest_opacity=float("nan")), "lowest_opacity: expected a finite number"),
+        (lambda: CleaningConfig(outlier_deviations=-1.0), "outlier_deviations: expected a number >= 0, got -1"),
+        (lambda: CleaningConfig(floater_voxel=0.0), "floater_voxel: expected a number > 0, got 0"),
+        (lambda: CleaningConfig(sh_degree=4), "sh_degree: expected a number >= 0, at most 3, got 4"),
+        (lambda: CleaningConfig(sh_bits=0), "sh_bits: expected a number >= 1, at most 16, got 0"),
+        (lambda: prune_opacity(SCENE, 1.5), "lowest_opacity"),
+        (lambda: prune_opacity(SCENE, 0.9), "cleaning by lowest_opacity 0.9: expected a Gaussian that stays, got none"),
+        (lambda: remove_outliers(SCENE, -0.5), "outlier_deviations"),
+        (lambda: remove_outliers(SCENE, neighbours=32), "neighbours"),
+        (lambda: remove_floaters(SCENE, -1.0), "floater_voxel"),
+        (lambda: remove_floaters(SCENE, mass=0.0), "mass"),
+        (lambda: remove_floaters(SCENE, least_neighbours=27), "least_neighbours"),
+        (lambda: remove_floaters(SCENE, 0.1, least_neighbours=8), "cleaning by floater_voxel 0.1"),
+        (lambda: cut_sh(SCENE, -1), "sh_degree"),
+        (lambda: quantise_sh(SCENE, 17), "sh_bits"),
+    ],
+)
+def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(InvalidValueError) as raised:
+        make()
+    assert says in str(raised.value)
+
+
+@pytest.mark.slow
+def test_both_splats_of_a_study_are_cleaned_and_none_is_trained_anew(finished: Path) -> None:
+    said: list[str] = []
+    study = replace(STUDY, cleaning=CleaningConfig(lowest_opacity=0.1, sh_degree=0))
+    usual, other = (
+        StudyPipeline(study=one, folder=finished / "stages", on_step=lambda text, *_: said.append(text))
+        for one in (STUDY, study)
+    )
+    clean = usual.capture()
+    before = usual.train(clean, usual.poison(clean))
+    for _ in range(2):
+        after = other.train(clean, other.poison(clean))
+        assert not said
+        assert [(one.splat, one.seed) for one in after] == [(one.splat, one.seed) for one in before]
+        for one, was in zip(after, before, strict=True):
+            assert one.file.parent.name.startswith("cleaned-")
+            assert same(one.load(), cleaned(was.load(), CleaningConfig(lowest_opacity=0.1, sh_degree=0)))
+            assert (one.gaussians, one.hash) == (len(one.load()), scene_hash(one.load()))
+    assert len(list((finished / "stages").glob("cleaned-*"))) == 2
