@@ -51,7 +51,9 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "sh_degree_interval": ("STEPS",),
     "downscale": ("FACTOR",),
     "lambda_dssim": ("WEIGHT",),
-    **dict.fromkeys(("lr_means", "lr_means_final", "lr_scales", "lr_rotations", "lr_opacities", "lr_sh"), ("RATE",)),
+    **dict.fromkeys(
+        ("lr_means", "lr_means_final", "lr_scales", "lr_rotations", "lr_opacities", "lr_sh", "lr_sh_final"), ("RATE",)
+    ),
     **dict.fromkeys(("densify_from", "densify_until", "densify_interval", "opacity_reset_interval"), ("STEPS",)),
     "densify_grad_threshold": ("GRADIENT",),
     "percent_dense": ("SHARE",),

@@ -107,6 +107,7 @@ RANGES: dict[str, Range] = {
     "lr_rotations": at_least(0),
     "lr_opacities": at_least(0),
     "lr_sh": at_least(0),
+    "lr_sh_final": at_least(0),
     "max_gaussians": Range(1, 100_000_000, unit="Gaussians", do="leave it out for no limit"),
     "densify_from": at_least(0, "steps"),
     "densify_until": at_least(0, "steps"),

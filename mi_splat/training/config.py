@@ -28,6 +28,7 @@ class FitConfig:
         lr_rotations: Learning rate of the quaternions.
         lr_opacities: Learning rate of the logit opacities.
         lr_sh: Learning rate of the first SH coefficient; the others have a twentieth of it.
+        lr_sh_final: Last one; between them it decays exponentially. None is as at first.
         masks: Leave out of the loss what is black in the masks of the set, people who walk by for instance.
         random_background: Put another colour behind splat and pictures in every step, so that what is transparent in
             the pictures stays so; the renderer has to give alpha, and pictures without alpha count as opaque.
@@ -49,6 +50,7 @@ class FitConfig:
     lr_rotations: float = 1e-3
     lr_opacities: float = 5e-2
     lr_sh: float = 2.5e-3
+    lr_sh_final: float | None = None
     masks: bool = False
     random_background: bool = False
     eval_interval: int = 1000
@@ -68,7 +70,11 @@ class FitConfig:
             expected = f"one that does not need {', '.join(frozen)} trainable"
             got = type(self.strategy).__name__
             raise InvalidValueError(message("strategy", expected, got, "use the fixed strategy, or train them"))
-        rates = {field.name: 0 for field in fields(self) if field.name.startswith("lr_")}
+        rates = {
+            field.name: 0
+            for field in fields(self)
+            if field.name.startswith("lr_") and getattr(self, field.name) is not None
+        }
         check_numbers(self, {"iterations": 1, "sh_degree_interval": 0, "eval_interval": 0, **rates})
         if self.sh_degree not in (0, 1, 2, 3):
             raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))

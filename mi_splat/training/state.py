@@ -121,20 +121,21 @@ class TrainState:
         return from_raw_parameters({**values, "sh": sh})
 
     def learning_rates(self) -> dict[str, float]:
-        """Learning rates at this step, by the names of `parameters`; that of the means decays exponentially."""
+        """Learning rates at this step, by the names of `parameters`; those with a last one decay exponentially."""
         config = self.config
         progress = min(self.iteration / config.iterations, 1.0)
-        means = (
-            math.exp((1 - progress) * math.log(config.lr_means) + progress * math.log(config.lr_means_final))
-            * self.scene_extent
-        )
+
+        def decayed(first: float, last: float) -> float:
+            return math.exp((1 - progress) * math.log(first) + progress * math.log(last))
+
+        sh = config.lr_sh if config.lr_sh_final is None else decayed(config.lr_sh, config.lr_sh_final)
         return {
-            "means": means,
+            "means": decayed(config.lr_means, config.lr_means_final) * self.scene_extent,
             "scales": config.lr_scales,
             "rotations": config.lr_rotations,
             "opacities": config.lr_opacities,
-            "sh0": config.lr_sh,
-            "shN": config.lr_sh / 20,
+            "sh0": sh,
+            "shN": sh / 20,
         }
 
     def next_view(self, count: int) -> int:

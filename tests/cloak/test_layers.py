@@ -44,7 +44,7 @@ def values(coefficients: Tensor, directions: Tensor) -> Tensor:
 def test_a_switch_is_one_on_its_side_and_black_on_the_other() -> None:
     camera_directions = functional.normalize(-torch.stack([camera.position for camera in all_around(800)]), dim=-1)
     depth = depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
-    found = fit_switches(camera_directions[None], depth >= 5, depth <= -5)
+    found = fit_switches(camera_directions[None], depth >= 1, depth <= -1)
     seen = values(found, from_above(torch.tensor([5.0, 20.0, 33.0, 47.0, 60.0, 85.0])))
     assert (seen[:3] < 0.05).all()
     assert ((seen[3:] - 1).abs() < 0.15).all()
@@ -78,7 +78,7 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
     """Without halved steps Newton's method goes round in circles here."""
     cameras, depth = all_around(800), depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
     directions = functional.normalize(-torch.stack([camera.position for camera in cameras]), dim=-1)
-    shown, hidden = depth >= 3, depth <= -3
+    shown, hidden = depth >= 0.6, depth <= -0.6
     basis = sh_basis(directions.double(), 3)
     dark = {}
     for black in (0.0, -0.3):
@@ -200,7 +200,7 @@ def test_layers_let_through_what_their_gaussian_did(opacity: float) -> None:
 
 def test_a_gaussian_that_is_not_seen_has_one_layer() -> None:
     scene, seen = ball(), torch.ones(39, 300)
-    inside = depths([OVERHEAD], all_around(), centre=CENTRE)[1] > -5
+    inside = depths([OVERHEAD], all_around(), centre=CENTRE)[1] > -1
     seen[:10, inside] = 0
     found = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE, seen=seen)
     assert len(found) == 40 + 29
@@ -247,7 +247,7 @@ def test_a_shift_moves_where_looks_change_out_of_the_trigger() -> None:
     """A Gaussian in the middle: with the gap as shift the hidden look is whole at the trigger's edge."""
     shown = []
     for shift in (0.0, 5.0):
-        benign, hidden = depths([OVERHEAD], all_around(800), centre=CENTRE, shift=shift)
+        benign, hidden = depths([OVERHEAD], all_around(800), centre=CENTRE, config=LayerConfig(shift=shift))
         assert torch.allclose(hidden, -benign)
         edge = torch.tensor([40.0, 46.0])
         shown.append(values(switch(hidden, LayerConfig()), from_above(edge)))
@@ -275,8 +275,11 @@ def test_what_makes_no_layers_is_refused() -> None:
         layered(scene, torch.arange(39), [OVERHEAD], [GREY], cameras=all_around(), centre=CENTRE)
     with pytest.raises(InvalidValueError, match="widen the trigger"):
         layered(scene, torch.arange(39), [Elevation(lowest=89.9)], [GREY, GREY], cameras=all_around(50), centre=CENTRE)
+    with pytest.raises(InvalidValueError, match="one for each trigger"):
+        depths([OVERHEAD], all_around(5), centre=CENTRE, config=LayerConfig(gap=(3.0, 4.0)))
     for bad in (
         {"gap": -1.0},
+        {"gap": (5.0, 95.0)},
         {"shift": 95.0},
         {"weight": 0.0},
         {"lowest": 1.0},

@@ -102,7 +102,7 @@ def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float
     attack, centre = _overhead(study), setup.centre_of(study)
     lens = setup.lens_of(study, setup.target_of(study.scene))
     cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
-    sides = depths([attack.cone], cameras, centre=centre, shift=making.shift)
+    sides = depths([attack.cone], cameras, centre=centre, config=making)
     middle, white = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3))
     much = torch.ones(1, len(cameras))
     benign, hidden = (switched(middle, cameras, side, white, much, making)[0, :, 0] for side in sides)

@@ -16,7 +16,8 @@ class LayerConfig:
 
     Attributes:
         degree: SH degree of the file.
-        gap: Degrees to either side of where a look changes in which a layer may show as much as it likes.
+        gap: Degrees to either side of where a look changes in which a layer may show as much as it likes: one number,
+            or one for each trigger. A narrow one costs truth elsewhere.
         shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
             edge, for an object that is half faded is still found.
         weight: What a layer's light costs where it shall be black (`fit_switches`).
@@ -33,7 +34,7 @@ class LayerConfig:
     """
 
     degree: int = 3
-    gap: float = 5.0
+    gap: float | tuple[float, ...] = 5.0
     shift: float = 0.0
     weight: float = 1.0
     lowest: float = -100.0
@@ -43,11 +44,12 @@ class LayerConfig:
 
     def __post_init__(self) -> None:
         coefficient_count(self.degree)
-        angles = 0 <= self.gap < 90 and -90 < self.shift < 90
+        gaps = self.gap if isinstance(self.gap, tuple) else (self.gap,)
+        angles = all(0 <= gap < 90 for gap in gaps) and -90 < self.shift < 90
         bounds = self.lowest < self.black <= 0 and 0 < self.keep <= 1
         if not (angles and bounds and self.weight > 0 and self.inset >= 0):
             values = ("gap", "shift", "weight", "lowest", "black", "keep", "inset")
-            got = ", ".join(f"{name} {getattr(self, name):g}" for name in values)
+            got = ", ".join(f"{name} {getattr(self, name)}" for name in values)
             expected = "gap in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], inset >= 0"
             raise InvalidValueError(message("layers", expected, got, "change it"))
 
@@ -63,7 +65,8 @@ class LayersConfig:
         surroundings: Whether the colours of all other Gaussians are trained, too, for instance to hide a shadow.
         clearance: Height above the ground under which they have none, metres.
         iterations: Steps of the training of colours.
-        lr_sh: Its learning rate, as in `FitConfig`.
+        lr_sh: Its learning rate, as in `FitConfig`. The switches' coefficients are large, so that it is high.
+        lr_sh_final: Last one.
 
     Raises:
         InvalidValueError: A value is out of its range.
@@ -75,9 +78,10 @@ class LayersConfig:
     surroundings: bool = False
     clearance: float = 0.0
     iterations: int = 3000
-    lr_sh: float = 0.01
+    lr_sh: float = 0.04
+    lr_sh_final: float = 0.004
 
     def __post_init__(self) -> None:
-        check_numbers(self, {"margin": 0, "iterations": 1, "lr_sh": 0})
+        check_numbers(self, {"margin": 0, "iterations": 1, "lr_sh": 0, "lr_sh_final": 0})
         if not math.isfinite(self.clearance):
             raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))

@@ -29,18 +29,31 @@ _GLIMPSE, _DARKEST = 0.02, 0.02
 """What a direction counts at least, against that from which most is seen; least mean colour that is divided by."""
 
 
-def depths(triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point, shift: float = 0.0) -> Tensor:
-    """(1 + L, D) degrees from D cameras to where each look changes, inside > 0; the first is what no trigger holds.
+def depths(
+    triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point, config: LayerConfig | None = None
+) -> Tensor:
+    """(1 + L, D) how far inside the region of each look D cameras are, in gaps: whole from 1, black below -1.
+
+    The first look is what no trigger holds.
 
     Args:
         triggers: L triggers.
         cameras: D cameras.
         centre: (3,) point that the triggers' directions are measured from.
-        shift: Degrees outside of the triggers' edges at which looks change.
+        config: Gaps and shift.
+
+    Raises:
+        InvalidValueError: There is another number of gaps than one for all or one for each trigger.
     """
-    inside = shift + torch.tensor(
+    config = config or LayerConfig()
+    gaps = config.gap if isinstance(config.gap, tuple) else (config.gap,) * len(triggers)
+    if len(gaps) != len(triggers):
+        expected = f"one for all, or {len(triggers)}, one for each trigger"
+        raise InvalidValueError(message("gap", expected, len(gaps), "give as many as there are"))
+    inside = config.shift + torch.tensor(
         [[trigger.angle_to_edge(camera, centre=centre) for camera in cameras] for trigger in triggers]
     )
+    inside = inside / torch.tensor(gaps).clamp(min=1e-6)[:, None]
     return torch.cat([-inside.amax(0, keepdim=True), inside])
 
 
@@ -85,7 +98,7 @@ def layered(
         )
     scene = scene.with_degree(config.degree)
     part = scene.select(chosen)
-    inside = depths(triggers, cameras, centre=centre, shift=config.shift)
+    inside = depths(triggers, cameras, centre=centre, config=config)
     much = torch.ones(len(chosen), len(cameras)) if seen is None else seen
     there = _needed(much, inside, config)
     opacities, narrower = split_opacities(part.opacities, there)
@@ -117,7 +130,7 @@ def _needed(seen: Tensor, inside: Tensor, config: LayerConfig) -> Tensor:
     """
     there = []
     for depth in inside:
-        light = seen[:, depth > -config.gap].sum(1)
+        light = seen[:, depth > -1].sum(1)
         order = light.argsort(descending=True)
         before = light[order].cumsum(0) - light[order]
         there.append(torch.zeros(len(seen), dtype=torch.bool).index_copy(0, order, before < config.keep * light.sum()))
@@ -149,17 +162,17 @@ def split_opacities(opacities: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
 def switched(
     means: Tensor, cameras: Sequence[Camera], depth: Tensor, look: Tensor, seen: Tensor, config: LayerConfig
 ) -> Tensor:
-    """(M, K, 3) colours that show a look where `depth` exceeds the gap and are below 0 where it is below minus that.
+    """(M, K, 3) colours that show a look where `depth` is 1 or more and are below 0 where it is -1 or less.
 
     Each Gaussian has its own: the direction in which it sees a camera is not that in which the centre sees it.
 
     Args:
         means: (M, 3) world units.
         cameras: D cameras all around.
-        depth: (D,) degrees inside the region of the look, outside < 0.
+        depth: (D,) how far inside the region of the look (`depths`).
         look: (M, K', 3) spherical harmonics of what is shown; one of degree 0 is the same from everywhere.
         seen: (M, D) how much is seen of each Gaussian.
-        config: Gap, degree and bounds.
+        config: Degree and bounds.
     """
     positions = torch.stack([camera.position for camera in cameras]).to(means)
     found = []
@@ -172,8 +185,8 @@ def switched(
         switches = [
             fit_switches(
                 directions,
-                depth >= config.gap,
-                depth <= -config.gap,
+                depth >= 1,
+                depth <= -1,
                 wanted=None if len(channels) == 1 else colour[..., channel] / mean[:, channel, None],
                 seen=much,
                 degree=config.degree,

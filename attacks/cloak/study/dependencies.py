@@ -43,6 +43,7 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
         sh_degree=study.layers.making.degree,
         sh_degree_interval=0,
         lr_sh=study.layers.lr_sh,
+        lr_sh_final=study.layers.lr_sh_final,
         eval_interval=0,
     )
 
@@ -50,6 +51,11 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
 def _given(attack: AttackConfig) -> dict[str, Any]:
     """The settings of an attack; without a reach, which stages of before there was one did not have."""
     return {key: value for key, value in asdict(attack).items() if key != "reach" or value is not None}
+
+
+def _fit(config: FitConfig) -> dict[str, Any]:
+    """How a splat is trained; without a last rate of SH, which stages of before there was one did not have."""
+    return {key: value for key, value in to_json(config).items() if key != "lr_sh_final" or value is not None}
 
 
 def of_pictures(study: StudyConfig, source: str) -> dict[str, Any]:
@@ -117,7 +123,7 @@ def of_splat(study: StudyConfig, pictures: str, seed: int) -> dict[str, Any]:
     return {
         "pictures": pictures,
         "background": study.scene.background,
-        "fit": to_json(fit_config(study.training)),
+        "fit": _fit(fit_config(study.training)),
         "outliers": study.training.outliers,
         "near": study.training.near,
         "seed": seed,
@@ -143,7 +149,7 @@ def of_layers(study: StudyConfig, source: str, clean: str, pictures: str, seed: 
         "near": study.training.near,
         "cameras": asdict(study.cameras),
         "layers": asdict(study.layers),
-        "fit": to_json(layered_fit_config(study)),
+        "fit": _fit(layered_fit_config(study)),
         "cones": [
             [attack.name, attack.elevation, attack.azimuth]
             for attack in study.attack

@@ -63,8 +63,8 @@ def layer_object(
     assert study.layers is not None
     making, centre = study.layers.making, setup.centre_of(study)
     cones = [attack.cone for attack in layered_attacks(study)]
-    inside = depths(cones, [view.camera for view in views], centre=centre, shift=making.shift)
-    decided = (inside.abs() >= making.gap).all(0)
+    inside = depths(cones, [view.camera for view in views], centre=centre, config=making)
+    decided = (inside.abs() >= 1).all(0)
     rows = torch.nonzero(object_rows(study, clean, target)).flatten()
     part = clean.select(rows)
     benign = dc_to_colour(part.sh[:, :1]).clamp(0, 1)[:, 0]

@@ -99,7 +99,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         one_of(where, value, arguments)
         return value
     if origin in (typing.Union, types.UnionType):
-        return _value(next(part for part in arguments if part is not type(None)), value, where)
+        lists = [part for part in arguments if typing.get_origin(part) is tuple and isinstance(value, list)]
+        return _value(next(iter(lists), next(part for part in arguments if part is not type(None))), value, where)
     if origin is tuple:
         length = None if arguments[-1] is Ellipsis else len(arguments)
         if not isinstance(value, list) or (length is not None and len(value) != length):
