@@ -102,6 +102,7 @@ LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
     "clearance": (0.02, OWN),
     "iterations": (50, OWN),
     "lr_sh": (0.02, OWN),
+    "lr_sh_final": (0.02, OWN),
 }
 CLEANED = frozenset({"cleaned"})
 CLEANING: dict[str, tuple[Any, frozenset[str]]] = {

@@ -55,6 +55,14 @@ def test_learning_rates_at_both_ends_and_in_the_middle() -> None:
         assert rates == pytest.approx(others)
 
 
+def test_the_rate_of_sh_decays_if_there_is_a_last_one() -> None:
+    state = state_of(FitConfig(iterations=1000, lr_sh=0.04, lr_sh_final=0.0004))
+    for iteration, rate in ((0, 0.04), (500, 0.004), (1000, 0.0004)):
+        state.iteration = iteration
+        rates = state.learning_rates()
+        assert (rates["sh0"], rates["shN"]) == pytest.approx((rate, rate / 20))
+
+
 def test_adam_steps_with_these_rates() -> None:
     _, views, start = scene_and_views()
     config = FitConfig(iterations=4, sh_degree=1, strategy=FixedConfig())
