@@ -105,7 +105,7 @@ def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float
     sides = depths([attack.cone], cameras, centre=centre, config=making)
     middle, white = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3))
     much = torch.ones(1, len(cameras))
-    benign, hidden = (switched(middle, cameras, side, white, much, making)[0, :, 0] for side in sides)
+    benign, hidden = (switched(middle, cameras, side, white, much, making)[0, :, 0].double() for side in sides)
     shares = [
         [float((_basis(_around(elevation), making.degree) @ one).clamp(min=0).mean()) for one in (benign, hidden)]
         for elevation in ELEVATIONS
