@@ -19,7 +19,7 @@ FEW_OBJECTS = 20
 CONDITIONS = {
     "elevation": "elevation of the camera, degrees",
     "distance": "distance, diagonals of the object",
-    "size": "longer side of the object's box, fraction of the picture's side",
+    "size": "longer side of the box, of the picture's",
     "brightness": "mean luma of the object's box",
     "sun_elevation": "elevation of the sun, degrees",
     "sun_strength": "irradiance of the sun",
