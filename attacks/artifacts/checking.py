@@ -14,6 +14,7 @@ from attacks.artifacts.kinds import known_kind
 from attacks.artifacts.rows import read_table
 from mi_splat.io.atomic import is_temporary
 
+_HEADING = re.compile(r"^(?=## )", re.MULTILINE)
 _FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 
 
@@ -88,8 +89,8 @@ def check_files(found: FoundArtifact) -> list[Line]:
 def check_pages(checked: Checked, root: Path) -> list[Line]:
     """Whether the pages of the documentation that an artifact names show its figures.
 
-    A page that holds the study's own tables has to hold them word for word. Of any other page, every fraction such as
-    139/139 has to be a figure of the artifact.
+    A page that holds the study's own tables has to hold each of them word for word. Of any other page, every
+    fraction such as 139/139 has to be a figure of the artifact.
 
     Args:
         checked: The artifact.
@@ -103,7 +104,8 @@ def _page_line(checked: Checked, name: str, path: Path) -> Line:
         return Line(name=name, words="no such page", passed=False)
     text = path.read_text("utf-8")
     make = known_kind(checked.contents.kind, path).page
-    if make is not None and make(checked.derived, checked.contents).strip() in text:
+    tables = "" if make is None else make(checked.derived, checked.contents)
+    if tables.strip() and all(table.strip() in text for table in _HEADING.split(tables)):
         return Line(name=name, words="holds the tables that the rows give, word for word", passed=True)
     known = {in_words(figure.value) for figure in flat(checked.derived) if isinstance(figure.value, tuple)}
     shown = set(_FRACTION.findall(text))

@@ -70,32 +70,53 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     """
     result = read_object(folder / RESULT)
     try:
-        names = [one["detector"] for one in result["detectors"]]
-        per_detector = len(result["views"]) // len(names)
-        numbered = [(i % per_detector, view) for i, view in enumerate(result["views"])]
-        tables = {ROWS: Table(columns=_COLUMNS, rows=tuple(row for i, view in numbered for row in _rows(view, i)))}
-        noise = tuple(row for i, view in numbered for row in _noise_rows(view, i))
-        if noise:
-            tables[NOISE] = Table(columns=_NOISE_COLUMNS, rows=noise)
+        tables = tables_of(result)
         fingerprints = {one["detector"]: one["detector_fingerprint"] for one in result["detectors"]}
         contents = contents_of(
             result,
             tables,
             fingerprints,
-            _STATED if noise else (*_STATED, "noise"),
+            _STATED if NOISE in tables else (*_STATED, "noise"),
             folder=folder,
             repeat=repeat_dagger,
             cameras=[CAMERAS],
         )
-        figures = {key: result[key] for key in ("success", "unambiguous", "score", "target_confidence")}
-        figures["views"] = [{key: view[key] for key in _OF_VIEW} for view in result["views"]]
-        if noise:
-            figures["noise"] = result["noise"]
-        cameras = cameras_of(result, dict(numbered[:per_detector]))
+        cameras = cameras_of(result, dict(_numbered(result)[: len(result["views"]) // len(fingerprints)]))
+        figures = figures_of(result, tables)
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise broken(folder / RESULT, error) from error
     files = mask_of(result, folder)
     return Packed(contents=contents, figures=figures, cameras=cameras, files=files, splats=splat_of(folder))
+
+
+def tables_of(result: Mapping[str, Any]) -> dict[str, Table]:
+    """The rows of an attack, and those of its control if the result holds them.
+
+    Args:
+        result: Its result.json.
+    """
+    numbered = _numbered(result)
+    tables = {ROWS: Table(columns=_COLUMNS, rows=tuple(row for i, view in numbered for row in _rows(view, i)))}
+    noise = tuple(row for i, view in numbered for row in _noise_rows(view, i))
+    return {**tables, NOISE: Table(columns=_NOISE_COLUMNS, rows=noise)} if noise else tables
+
+
+def figures_of(result: Mapping[str, Any], tables: Mapping[str, Table]) -> dict[str, Any]:
+    """The figures of an attack that its rows have to give.
+
+    Args:
+        result: Its result.json.
+        tables: From `tables_of`.
+    """
+    figures = {key: result[key] for key in ("success", "unambiguous", "score", "target_confidence")}
+    figures["views"] = [{key: view[key] for key in _OF_VIEW} for view in result["views"]]
+    return {**figures, "noise": result["noise"]} if NOISE in tables else figures
+
+
+def _numbered(result: Mapping[str, Any]) -> list[tuple[int, Mapping[str, Any]]]:
+    """The views with the number of their camera: those of each detector follow each other."""
+    per_detector = len(result["views"]) // len(result["detectors"])
+    return [(i % per_detector, view) for i, view in enumerate(result["views"])]
 
 
 def derive(contents: Contents) -> Mapping[str, Any]:

@@ -28,6 +28,11 @@ _STATED = (
     *("image_psnr", "psnr_definition", "image", "noise_psnr", "steps", "used", "used_in_file"),
     *("changed_gaussians", "object_gaussians", "redraws", "warnings"),
 )
+FIGURES = (
+    *("success", "rate", "rates", "clean_rate", "noise_rate", "unambiguous_rate"),
+    *("by_azimuth", "by_elevation"),
+)
+"""Keys of a result that follow from its rows."""
 _FOUND = 0.5
 """Confidence from which the object counts as found, as in `attacks.dagger.eot.result.found_rate`."""
 
@@ -40,14 +45,10 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     """
     result = read_object(folder / RESULT)
     try:
-        draws = int(result["config"]["noise_draws"])
-        reached = _reached(objective_of(result))
-        rows = tuple(_row(view, result["rates"][view["detector"]]["original"], reached) for view in result["views"])
-        table = Table(columns=_columns(draws), rows=rows)
         reference = result.get("reference")
         contents = contents_of(
             result,
-            {ROWS: table},
+            tables_of(result),
             result["detectors"],
             _STATED,
             folder=folder,
@@ -55,8 +56,7 @@ def pack(folder: Path, stages: Path | None) -> Packed:
             cameras=(result.get("cameras") or []) if reference is None else [REFERENCE],
         )
         cameras = cameras_of(result, {int(view["index"]): view for view in result["views"]})
-        keys = ("success", "rate", "rates", "clean_rate", "noise_rate", "unambiguous_rate")
-        figures = {key: result[key] for key in (*keys, "by_azimuth", "by_elevation")}
+        figures = {key: result[key] for key in FIGURES}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise broken(folder / RESULT, error) from error
     return Packed(
@@ -67,6 +67,17 @@ def pack(folder: Path, stages: Path | None) -> Packed:
         files=mask_of(result, folder),
         splats=splat_of(folder),
     )
+
+
+def tables_of(result: Mapping[str, Any]) -> dict[str, Table]:
+    """The rows of an attack.
+
+    Args:
+        result: Its result.json.
+    """
+    reached = _reached(objective_of(result))
+    rows = tuple(_row(view, result["rates"][view["detector"]]["original"], reached) for view in result["views"])
+    return {ROWS: Table(columns=_columns(int(result["config"]["noise_draws"])), rows=rows)}
 
 
 def derive(contents: Contents) -> Mapping[str, Any]:

@@ -84,6 +84,7 @@ class Kind:
         agree: Compares them with the others.
         further: Names of tables that an artifact may lack.
         outcomes: What scoring an attack again compares with; None for a study.
+        rescored: Whether its splats can be scored again.
     """
 
     pack: Pack
@@ -94,6 +95,7 @@ class Kind:
     agree: Agree = lambda contents: ()
     further: tuple[str, ...] = ()
     outcomes: Outcomes | None = None
+    rescored: bool = True
 
 
 def rows_of(tables: Mapping[str, Table]) -> int:

@@ -34,7 +34,7 @@ def pack_artifact(
     The rows are read back from the files that were written, and have to give every figure that the result states.
 
     Args:
-        result: Folder that `mi-splat cloak`, `dagger-eot` or `dagger` has written.
+        result: Folder of a finished result, of one of the kinds in `attacks.artifacts.kinds.KINDS`.
         out: The new folder.
         stages: Folder of a study's stages; None is one in `result`.
         pages: Pages of the documentation that show its figures, relative to the checkout.

@@ -51,9 +51,15 @@ def rescore(
         A line for each detector and rate; grey for a detector that the artifact does not have.
 
     Raises:
-        InvalidValueError: A splat is not there or another one, or cameras.json is missing or broken.
+        InvalidValueError: A splat is not there or another one, cameras.json is missing or broken, or the artifact is
+            one of many attacks.
     """
-    outcomes = known_kind(checked.contents.kind, checked.found.folder).outcomes
+    kind = known_kind(checked.contents.kind, checked.found.folder)
+    if not kind.rescored:
+        do = "pack one of its attacks, from its folder in results/, and score that again"
+        got = f"a study of {checked.contents.kind}"
+        raise InvalidValueError(message(str(checked.found.folder), "one attack, or a study of CLOAK", got, do))
+    outcomes = kind.outcomes
     if outcomes is not None:
         return rescore_attack(
             checked,

@@ -12,7 +12,8 @@ from tyro.conf import Positional
 class ArtifactOptions:
     """Pack a finished result into a folder that others can check: raw rows, cameras, configuration, expected figures.
 
-    Takes the folder that `mi-splat cloak`, `dagger-eot` or `dagger` has written. Writes artifact.json, the tables of
+    Takes the folder that `mi-splat cloak`, `dagger`, `dagger-eot`, `dagger-study`, `dagger-eot-study`, `dagger-pairs`
+    or `dagger-transfer` has written. Writes artifact.json, the tables of
     raw rows, and what the result has of cameras.json, study.toml and splats/ into --out. Nothing is rendered, unless
     --detections asks for it.
     """

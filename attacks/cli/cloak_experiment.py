@@ -20,49 +20,90 @@ from attacks.cloak.study.figure_files import need_matplotlib
 from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.report import SUMMARY
 from attacks.cloak.study.setup import near_of, target_of
+from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
+from mi_splat import provenance
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
-from mi_splat.io.documents import read_json
+from mi_splat.io.documents import read_json, save_json
 from mi_splat.io.folders import check_new_file, check_new_folder, new_folder
 from mi_splat.rendering import Renderer, RenderSettings
 
+JSON, PNG = ".json", ".png"
+_LOOKS = ("results", "every", "detectors")
+_USED = {
+    "surroundings": ("results", "every"),
+    "distance": _LOOKS,
+    "formats": _LOOKS,
+    "transition-limit": ("results",),
+    "paint-direction": (),
+    "detection-curve": (*_LOOKS, "stages"),
+}
+"""The flags that an experiment heeds, besides the study, --weights and --out."""
+
 
 def run(options: CloakExperimentOptions) -> int:
-    """Do one experiment and print what it found."""
+    """Do one experiment, print what it found, and with --out keep it."""
     limit_threads(1)
     study = read_study(options.study)
+    keeps = options.out is not None and options.experiment != "detection-curve" and options.out.suffix != PNG
+    if options.out is not None and options.experiment != "detection-curve":
+        check_new_file(options.out, (JSON, PNG) if options.experiment == "transition-limit" else (JSON,))
     with progress(options.experiment) as advance:
-        found = _found(options, study, advance)
-    show_json({"study": study.name, "experiment": options.experiment, "found": found})
+        found, detectors = _found(options, study, advance)
+    document = {**_origin(options, study), "found": found, "detectors": detectors}
+    if options.out is not None and keeps:
+        save_json(document, options.out)
+    show_json(document)
     return 0
 
 
-def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> Any:
+def _origin(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, Any]:
+    """What every document says of the experiment: the study, the flags, versions."""
+    given = {name: getattr(options, name) for name in ("results", "every", "detectors", "stages")}
+    return {
+        "study": study.name,
+        "experiment": options.experiment,
+        "settings": {
+            name: str(value) if isinstance(value, Path) else list(value) if isinstance(value, tuple) else value
+            for name, value in given.items()
+            if value is not None and name in _USED[options.experiment]
+        },
+        "configuration": snapshot(study),
+        **provenance.origin(),
+    }
+
+
+def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> tuple[Any, dict[str, str]]:
+    """What was found, and the fingerprints of the detectors that looked."""
     if options.experiment == "paint-direction":
-        return measure_paint_directions(study)
+        return measure_paint_directions(study), {}
     if options.experiment == "transition-limit":
-        return _transition_limit(options, study)
+        return _transition_limit(options, study), {}
     if options.results is None:
         do = "pass the folder that mi-splat cloak has written"
         raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
     if options.experiment == "detection-curve":
-        return _detection_curve(options, study, options.results, advance)
+        found = _detection_curve(options, study, options.results, advance)
+        return found, found["detectors"]
     splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
     render = Renderer(RenderSettings(background=study.scene.background, near=near_of(study, target_of(study.scene))))
     if options.experiment == "surroundings":
-        return measure_surroundings(study, splats, render=render, every=options.every)
+        return measure_surroundings(study, splats, render=render, every=options.every), {}
+    detectors = _detectors(options, study)
+    fingerprints = {detector.name: detector.fingerprint for detector in detectors}
     if options.experiment == "formats":
-        return measure_formats(study, splats["cloaked"], _detectors(options, study), render=render, every=options.every)
-    return measure_distances(study, splats, _detectors(options, study), render=render, every=options.every)
+        rows = measure_formats(study, splats["cloaked"], detectors, render=render, every=options.every)
+    else:
+        rows = measure_distances(study, splats, detectors, render=render, every=options.every)
+    return rows, fingerprints
 
 
 def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, Any]:
     """The limits, and with --out a figure of them, beside the transition of finished results if they are named."""
-    if options.out is not None:
-        check_new_file(options.out, (".png",))
+    if options.out is not None and options.out.suffix == PNG:
         measured = None if options.results is None else read_json(options.results / SUMMARY).get("transition")
         write_limit_figure(study, measured, options.out)
     return {"one_layer": measure_transition_limit(study), "two_layers": measure_layer_limit(study)}
@@ -93,6 +134,9 @@ def _detection_curve(
     pipeline = StudyPipeline(study=study, folder=stages, on_step=follow)
     found = watch(pipeline, splats, detectors, every=options.every)
     with new_folder(options.out, record=FILES[0]) as folder:
-        document = write_detection_curve(pipeline, found, splats, detectors, folder, every=options.every)
+        document = write_detection_curve(
+            pipeline, found, splats, detectors, folder, every=options.every, origin=_origin(options, study)
+        )
     rates = [row for row in document["rates"] if row["by"] == "region" and row["seed"] is None]
-    return {**document, "rates": rates, "out": str(options.out), "files": list(FILES)}
+    own = {name: document[name] for name in ("cameras", "detectors", "splats")}
+    return {**own, "rates": rates, "out": str(options.out), "files": list(FILES)}

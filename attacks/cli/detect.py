@@ -16,6 +16,7 @@ from attacks.cli.options import DetectOptions
 from attacks.detectors.base import Detections, Detector
 from attacks.evaluation.drawing import annotated, listed
 from attacks.evaluation.views import detect_views
+from mi_splat import provenance
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.console import progress, show, show_json
@@ -74,8 +75,10 @@ def run(options: DetectOptions) -> int:
         ]
         document = {
             "min_confidence": options.min_confidence,
+            "view": _given(options.view),
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
             "pictures": rows,
+            **provenance.origin(),
         }
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
             for seen, name in zip(found, names, strict=True):
@@ -131,12 +134,18 @@ def _check_idle(options: DetectOptions) -> None:
     """Raise if a flag says where a scene is looked at from, and there is none among the inputs."""
     if any(not _is_picture(source) for source in options.inputs):
         return
-    usual = CameraOptions()
-    names = [field.name for field in dataclasses.fields(usual) if field.name != "background"]
-    idle = [f"--{name}" for name in names if getattr(options.view, name) != getattr(usual, name)]
+    idle = [f"--{name}" for name in _given(options.view) if name != "background"]
     if idle:
         got = f"pictures only, and {', '.join(idle)}"
         raise UsageError(message("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out"))
+
+
+def _given(view: CameraOptions) -> dict[str, Any]:
+    """What was said of the cameras, by the name of the flag, as JSON can hold it."""
+    usual = CameraOptions()
+    names = [field.name for field in dataclasses.fields(usual)]
+    values = {name: getattr(view, name) for name in names if getattr(view, name) != getattr(usual, name)}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
 def _is_picture(source: Path) -> bool:

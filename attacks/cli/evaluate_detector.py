@@ -28,13 +28,13 @@ from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
+from mi_splat import provenance
 from mi_splat.cli.console import progress, show, show_json, show_table
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
 from mi_splat.io.images import to_bytes
-from mi_splat.provenance import commit, versions
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
 
@@ -73,8 +73,9 @@ def run(options: EvaluateDetectorOptions) -> int:
             "splat": asdict(options.splat),
             "backgrounds": asdict(options.backgrounds),
         },
-        "versions": versions(),
-        "commit": commit(),
+        "data": str(options.data),
+        "scenes": list(map(str, options.scenes)),
+        **provenance.origin(),
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
     save_json(found, options.out)

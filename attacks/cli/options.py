@@ -221,7 +221,7 @@ class CloakExperimentOptions:
     stages: Path | None = None
     """Folder of the study's stages; None is a folder in --results (detection-curve)."""
     out: Path | None = None
-    """What is written: a folder (detection-curve), or a PNG file with the limit (transition-limit)."""
+    """What is written: a folder (detection-curve), a PNG file with the limit (transition-limit), or a JSON file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -89,7 +89,7 @@ class CompareDetectorsOptions:
     figures: Positional[tuple[Path, ...]] = ()
     """Files that `mi-splat evaluate-detector` wrote; at least one."""
     out: Path = Path("out/detector/comparison.md")
-    """File for the tables; a picture of recall (.png, extra `figures`) is written beside it."""
+    """File for the tables; recall as a picture (.png, extra `figures`) and figures (.compared.json) lie beside it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -94,3 +94,14 @@ def aim(result: Mapping[str, Any], confidences: Mapping[str, float]) -> list[str
 def again(folder: Path) -> list[str]:
     """Where a repeated result goes: beside the one that is there."""
     return ["--out", f"{folder}-again"]
+
+
+def again_file(path: Path, ending: str = "") -> list[str]:
+    """Where a repeated result goes that is one file: beside the one that is there.
+
+    Args:
+        path: The file.
+        ending: Of its name, if it is longer than the suffix.
+    """
+    ending = ending or path.suffix
+    return ["--out", str(path.with_name(f"{path.name.removesuffix(ending)}-again{ending}"))]

@@ -1,8 +1,8 @@
-"""Folders of results as sections: which command has written a folder, and what reads it."""
+"""Results as sections: which command has written a folder or a file, and what reads it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from attacks.reporting.kinds import (
     transfer,
     variations,
 )
+from attacks.reporting.kinds.detectors import comparison, held_out, pictures
+from attacks.reporting.kinds.experiments import detection_curve, limits, splats
 from attacks.reporting.section import Section
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.documents import read_json
@@ -32,15 +34,17 @@ class Kind:
 
     Attributes:
         command: What writes it.
-        record: File by which it is known.
+        record: File by which it is known; of a result that is one file, what it is usually called.
         is_it: Whether such a file is of this kind.
-        read: Makes the section of a folder and of what its file holds.
+        read: Makes the section of a folder, or of the one file, and of what that file holds.
+        one_file: Whether the result is that one file, wherever it lies, and not a folder.
     """
 
     command: str
     record: str
     is_it: Callable[[Found], bool]
     read: Callable[[Path, Found], Section]
+    one_file: bool = False
 
 
 def _always(found: Found) -> bool:
@@ -61,41 +65,99 @@ KINDS = (
     Kind(command="dagger-transfer --eot-study", record="held_out.json", is_it=_always, read=transfer.read_held_out),
     Kind(command="dagger-sanity", record="sanity.json", is_it=_always, read=sanity.read),
     Kind(command="evaluate", record="evaluation.json", is_it=_always, read=evaluation.read),
+    Kind(command="detect", record="detections.json", is_it=_always, read=pictures.read),
+    Kind(
+        command="cloak-experiment detection-curve",
+        record="detection-curve.json",
+        is_it=_always,
+        read=detection_curve.read,
+    ),
+    Kind(
+        command="evaluate-detector",
+        record="held-out.json",
+        is_it=lambda one: {"detector", "sets", "false_positives"} <= set(one),
+        read=held_out.read,
+        one_file=True,
+    ),
+    Kind(
+        command="compare-detectors",
+        record="comparison.compared.json",
+        is_it=lambda one: "compared" in one,
+        read=comparison.read,
+        one_file=True,
+    ),
+    *(
+        Kind(
+            command=f"cloak-experiment {name}",
+            record=f"{name}.json",
+            is_it=lambda one, name=name: one.get("experiment") == name,  # type: ignore[misc]
+            read=read,
+            one_file=True,
+        )
+        for name, read in (
+            ("surroundings", splats.read_surroundings),
+            ("distance", splats.read_distances),
+            ("formats", splats.read_formats),
+            ("transition-limit", limits.read_transition_limit),
+            ("paint-direction", limits.read_paint_direction),
+        )
+    ),
 )
 """Every kind of result that a page can show."""
 
 
-def read_section(folder: Path) -> Section:
-    """What a page says of one folder of results.
+def read_section(path: Path) -> Section:
+    """What a page says of one result.
+
+    Args:
+        path: A folder of results, or the one JSON file that a command has written.
 
     Raises:
-        InvalidValueError: It is no folder that one of `KINDS` names, or a file in it is broken.
+        InvalidValueError: It is none that one of `KINDS` names, or a file in it is broken.
     """
-    commands = ", ".join(f"mi-splat {kind.command}" for kind in KINDS if " " not in kind.command)
-    if not folder.is_dir():
-        got = "a file" if folder.exists() else "nothing there"
-        do = f"pass {folder.parent}" if folder.exists() else "check the path"
-        raise InvalidValueError(message(str(folder), "a folder of results", got, do))
-    records = dict.fromkeys(kind.record for kind in KINDS if (folder / kind.record).is_file())
+    if path.is_file():
+        return _of_file(path)
+    commands = _commands([kind for kind in KINDS if not kind.one_file])
+    if not path.is_dir():
+        raise InvalidValueError(message(str(path), "a folder of results", "nothing there", "check the path"))
+    records = dict.fromkeys(kind.record for kind in KINDS if not kind.one_file and (path / kind.record).is_file())
     if not records:
         expected = f"a folder that one of {commands} has written"
-        raise InvalidValueError(message(str(folder), expected, "one without a result", "pass a finished result"))
+        raise InvalidValueError(message(str(path), expected, "one without a result", "pass a finished result"))
     for record in records:
-        found = read_json(folder / record)
+        found = read_json(path / record)
         for kind in KINDS:
-            if kind.record == record and kind.is_it(found):
-                return _read(kind, folder, found)
+            if not kind.one_file and kind.record == record and kind.is_it(found):
+                return _read(kind, path, path / record, found)
     do = "make the result again"
-    raise InvalidValueError(message(str(folder / next(iter(records))), f"a result of {commands}", "something else", do))
+    raise InvalidValueError(message(str(path / next(iter(records))), f"a result of {commands}", "something else", do))
 
 
-def _read(kind: Kind, folder: Path, found: Found) -> Section:
-    """The section of a folder; whatever is broken in it is told in one line."""
+def _of_file(path: Path) -> Section:
+    """The section of a result that is one file."""
+    found = read_json(path) if path.suffix == ".json" else {}
+    for kind in KINDS:
+        if kind.one_file and kind.is_it(found):
+            return _read(kind, path, path, found)
+    commands = _commands([kind for kind in KINDS if kind.one_file])
+    expected = f"a folder of results, or a JSON file that one of {commands} has written"
+    raise InvalidValueError(
+        message(str(path), expected, "another file", f"pass {path.parent}, or make the result again")
+    )
+
+
+def _commands(kinds: Sequence[Kind]) -> str:
+    """The commands of some kinds, each once."""
+    return ", ".join(dict.fromkeys(f"mi-splat {kind.command.split()[0]}" for kind in kinds))
+
+
+def _read(kind: Kind, path: Path, record: Path, found: Found) -> Section:
+    """The section of a result; whatever is broken in it is told in one line."""
     try:
-        return kind.read(folder, found)
+        return kind.read(path, found)
     except MiSplatError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
         expected, do = f"a finished result of mi-splat {kind.command}", "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
-        raise InvalidValueError(message(str(folder / kind.record), expected, got, do)) from error
+        raise InvalidValueError(message(str(record), expected, got, do)) from error

@@ -159,6 +159,7 @@ class Section:
         conclusion: What may be concluded, in plain words.
         headline: The figure that matters.
         control: The same figure where nothing was attacked, or noise was added; None if there was no control.
+        attacked: Whether the figure is one of an attack.
         figures: More figures; with the two above, a table.
         warnings: Reasons to look twice.
         pictures: What can be seen.
@@ -178,6 +179,7 @@ class Section:
     conclusion: str
     headline: Figure
     control: Figure | None = None
+    attacked: bool = True
     figures: tuple[Figure, ...] = ()
     warnings: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()

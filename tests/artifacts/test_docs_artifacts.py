@@ -8,6 +8,7 @@ import pytest
 
 from attacks.artifacts.checking import check_artifact, check_pages
 from attacks.artifacts.contents import RECORD
+from tests.artifacts.test_docs_figures import SENTENCES
 from tests.project.documented_commands import ROOT
 
 FOLDERS = sorted(path.parent for path in (ROOT / "docs" / "artifacts").glob(f"*/{RECORD}"))
@@ -23,7 +24,7 @@ def test_there_are_artifacts() -> None:
 def test_every_figure_follows_from_the_rows_and_stands_on_its_pages(folder: Path) -> None:
     checked = check_artifact(folder)
     pages = check_pages(checked, ROOT)
-    assert pages, "name the pages that show its figures"
+    assert pages or folder.name in SENTENCES, "name the pages that show its figures"
     lines = [*checked.files, *checked.figures, *pages]
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from attacks.reporting.results import read_section
+from tests.reporting.makers import options, write_held_out, write_sanity
 from tests.reporting.results import write_dagger, write_evaluation
-from tests.reporting.test_results import options, write_held_out, write_sanity
 
 
 def without(path: Path, *keys: str) -> None:

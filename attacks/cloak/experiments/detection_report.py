@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,7 @@ def write_detection_curve(
     folder: Path,
     *,
     every: int = 1,
+    origin: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write `FILES` and return what is in the JSON one.
 
@@ -66,6 +67,7 @@ def write_detection_curve(
         detectors: Those that looked.
         folder: For the files; it is there.
         every: As in `watch`.
+        origin: What else the JSON one shall hold: the study, the flags, versions.
 
     Raises:
         InvalidValueError: matplotlib is not installed.
@@ -75,6 +77,7 @@ def write_detection_curve(
     fingerprints = {detector.name: detector.fingerprint for detector in detectors}
     names = list(fingerprints)
     document = {
+        **(origin or {}),
         "cameras": len(found[0].view_reports),
         "detectors": fingerprints,
         "splats": [{"splat": one.splat, "seed": one.seed, "hash": one.hash} for one in splats],

@@ -30,12 +30,9 @@ def markdown(records: Sequence[Record]) -> str:
         "interval. White box: the judging detector was attacked; marked with *.",
         "",
     ]
-    lines += _rates(matrix)
+    lines += rate_tables(matrix)
     lines += [
-        "## Leave one out",
-        "",
-        _left_out(matrix),
-        "",
+        *left_out_table(matrix),
         "## The attacks",
         "",
         _attacks(records, attacked(matrix)),
@@ -47,7 +44,8 @@ def markdown(records: Sequence[Record]) -> str:
     return "\n".join([*lines, f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.", ""])
 
 
-def _rates(matrix: Sequence[Cell]) -> list[str]:
+def rate_tables(matrix: Sequence[Cell]) -> list[str]:
+    """The lines of the two tables of rates."""
     names = list(dict.fromkeys(cell.detector for cell in matrix))
     lines = []
     for kind, what in (("targeted", "the wanted class is reported"), ("untargeted", "the object's class is gone")):
@@ -66,7 +64,8 @@ def _matrix(matrix: Sequence[Cell], names: Sequence[str], kind: str) -> str:
     return _page(["attacked, judged by", *names], [*body, ["random noise", *control]])
 
 
-def _left_out(matrix: Sequence[Cell]) -> str:
+def left_out_table(matrix: Sequence[Cell]) -> list[str]:
+    """The lines of the table of detectors that were left out of an attack on all others."""
     head = ["left out", "targeted: ensemble", "best single", "noise", "untargeted: ensemble", "best single", "noise"]
     body = []
     for row in left_out(matrix):
@@ -76,7 +75,7 @@ def _left_out(matrix: Sequence[Cell]) -> str:
             best = "-" if single is None else f"{_of(single[kind])} ({single['sources'][0]})"
             words += [_of(row["ensemble"][kind]), best, _of(row["ensemble"][f"noise_{kind}"])]
         body.append(words)
-    return _page(head, body) if body else "No ensembles were attacked."
+    return ["## Leave one out", "", _page(head, body) if body else "No ensembles were attacked.", ""]
 
 
 def _attacks(records: Sequence[Record], every: Sequence[str]) -> str:
@@ -147,7 +146,7 @@ def write_held_out(
         f"search has seen. A class counts from {SUCCESS:g}, with every detector. Rates are of the views in which the "
         "judging detector finds the clean object; in brackets the 95 % Wilson interval. White box: marked with *."
     )
-    save_text("\n".join(["# Transfer over held-out views", "", said, "", *_rates(matrix)]), paths[0])
+    save_text("\n".join(["# Transfer over held-out views", "", said, "", *rate_tables(matrix)]), paths[0])
     save_json({"cells": [cell.as_dict() for cell in matrix], "views": views, **(origin or {})}, paths[1])
     if draw_heat_maps(matrix, out / "held_out.png"):
         paths.append(out / "held_out.png")

@@ -63,7 +63,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             [{**record["job"], "weights": record["result"].get("detectors", {})} for record in records]
         ),
         versions=origin(records[0]["result"]),
-        command=tuple(_commands(folder, records)),
+        command=tuple(commands(records, again(folder))),
     )
 
 
@@ -199,11 +199,16 @@ def _smallest(records: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
         yield Table(caption="Smallest radius that was enough", head=head, rows=cells)
 
 
-def _commands(folder: Path, records: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """A command for each set of detectors; settings are those of the pairs, or else those that all attacks share."""
+def commands(records: Sequence[Mapping[str, Any]], out: Sequence[str]) -> Iterator[str]:
+    """A command for each set of detectors and each seed; settings are those of the pairs, or else those that all share.
+
+    Args:
+        records: Of the study.
+        out: The flag --out with its value.
+    """
     jobs = [record["job"] for record in records]
-    for key in dict.fromkeys((tuple(job["detectors"]), job["search"], job["confidence"]) for job in jobs):
-        own = [job for job in jobs if (tuple(job["detectors"]), job["search"], job["confidence"]) == key]
+    for key in dict.fromkeys(map(_of_one_run, jobs)):
+        own = [job for job in jobs if _of_one_run(job) == key]
         base = next((job for job in own if job["group"] == "pairs"), None)
         config, cameras = (base or own[0])["config"], (base or own[0])["transformations"]["cameras"]
         if base is None:  # what a table varies is said by its name
@@ -215,4 +220,11 @@ def _commands(folder: Path, records: Sequence[Mapping[str, Any]]) -> Iterator[st
         words += flag("pairs", numbers) if len(numbers) < len(PAIRS) else []
         words += [*flag("search", key[1]), *([] if key[2] is None else flag("confidence", key[2]))]
         words += [*flags(config, EotConfig()), *flags(cameras, CameraRegion())]
-        yield command("dagger-eot-study", *words, *again(folder))
+        yield command("dagger-eot-study", *words, *out)
+
+
+def _of_one_run(job: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What all attacks of one run of the command have in common."""
+    config = job["config"]
+    same = (config["seed"], config["judge_seed"], config["steps"], config["held_out"])
+    return (tuple(job["detectors"]), job["search"], job["confidence"], *same)

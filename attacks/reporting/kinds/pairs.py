@@ -58,7 +58,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             {key: value for key, value in found.items() if key not in ("pairs", "smallest", "versions")}
         ),
         versions=origin(found),
-        command=(_command(folder, found, names, eps),),
+        command=(repeat(found, again(folder)),),
     )
 
 
@@ -151,8 +151,16 @@ def _span(words: Sequence[str]) -> str:
     return words[0] if words[0] == words[-1] else f"{words[0]} to {words[-1]}"
 
 
-def _command(folder: Path, found: Mapping[str, Any], names: Sequence[str], eps: Sequence[float]) -> str:
+def repeat(found: Mapping[str, Any], out: Sequence[str]) -> str:
+    """The command that attacks the pairs again.
+
+    Args:
+        found: summary.json.
+        out: The flag --out with its value.
+    """
+    names = list(dict.fromkeys(row["detector"] for row in found["pairs"]))
+    eps = sorted({row["eps"] for row in found["pairs"]})
     words = [*flag("detectors", names), *flag("eps", eps), *flag("steps", found["steps_allowed"])]
     words += [*flag("search", found["search"]), *flag("confidence", found["pairs"][0]["confidence_needed"])]
     words += [*flag("seeds", len(found["seeds"])), *flag("radii", found["radii"])]
-    return command("dagger-pairs", *words, *again(folder))
+    return command("dagger-pairs", *words, *out)

@@ -57,18 +57,23 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         tables=tuple(_table(table, group) for group in groups),
         configuration=shared([{**record["job"], **_weights(record["result"])} for record in records]),
         versions=origin(records[0]["result"]),
-        command=tuple(
-            command(
-                "dagger-study",
-                *flag("seeds", len(seeds)),
-                *flag("groups", groups),
-                *flag("detector", name),
-                *again(folder),
-            )
-            for name in detectors
-        ),
+        command=tuple(commands(records, again(folder))),
         repeating="A table whose attacks were not all done yet is done whole.",
     )
+
+
+def commands(records: Sequence[Mapping[str, Any]], out: Sequence[str]) -> Iterator[str]:
+    """A command for each detector.
+
+    Args:
+        records: Of the study.
+        out: The flag --out with its value.
+    """
+    groups = dict.fromkeys(row["group"] for row in rows(records))
+    seeds = {record["job"]["config"]["seed"] for record in records}
+    for name in dict.fromkeys(record["result"]["detector"] for record in records):
+        words = [*flag("seeds", len(seeds)), *flag("groups", list(groups)), *flag("detector", name)]
+        yield command("dagger-study", *words, *out)
 
 
 def _weights(result: Mapping[str, Any]) -> dict[str, Any]:

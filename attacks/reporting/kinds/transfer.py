@@ -39,7 +39,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         done="Each detector was attacked alone, and all but one at once; every detector judged every attacked splat.",
         configuration=(*shared(configs), *shared([{"weights": found.get("weights", {})}])),
         versions=origin(records[0]["result"]) if records else (),
-        command=_command(folder, found["cells"], configs),
+        command=commands(found["cells"], configs, again(folder)),
         repeating="" if records else "The folder jobs/ is not there, so the settings are not known.",
     )
 
@@ -55,7 +55,6 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
     jobs = [
         {key: value for key, value in record["job"].items() if key not in ("attack", "splat")} for record in records
     ]
-    names = list(dict.fromkeys(cell["detector"] for cell in found["cells"]))
     return _section(
         folder,
         found["cells"],
@@ -65,7 +64,7 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
         done="Splats that were attacked from all cameras of a region were judged from views that no search has seen.",
         configuration=(*shared(jobs), *settings({key: found[key] for key in _OF_LOOKS if key in found})),
         versions=origin(found),
-        command=(_look_again(folder, found, names, records),),
+        command=(look_again(found, records, again(folder)),),
         repeating=(
             ""
             if "study" in found
@@ -74,17 +73,22 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
     )
 
 
-def _look_again(
-    folder: Path, found: Mapping[str, Any], names: Sequence[str], records: Sequence[Mapping[str, Any]]
-) -> str:
-    """The command that lets the detectors look again."""
+def look_again(found: Mapping[str, Any], records: Sequence[Mapping[str, Any]], out: Sequence[str]) -> str:
+    """The command that lets the detectors look again.
+
+    Args:
+        found: held_out.json.
+        records: Of its ledger.
+        out: The flag --out with its value.
+    """
+    names = list(dict.fromkeys(cell["detector"] for cell in found["cells"]))
     views = found.get("views", records[0]["job"]["views"] if records else None)
     words = [
         *("--eot-study", found.get("study", "STUDY")),
         *flag("detectors", names),
         *([] if views is None else flag("views", views)),
         *(flag("scenes", found["scenes"]) if found.get("scenes", "scenes") != "scenes" else []),
-        *again(folder),
+        *out,
     ]
     return command("dagger-transfer", *words)
 
@@ -211,7 +215,14 @@ def _matrix(cells: Sequence[Cell], names: Sequence[str], which: str) -> Table:
     return Table(caption=title, head=("attacked, judged by", *names), rows=tuple(rows))
 
 
-def _command(folder: Path, cells: Sequence[Cell], jobs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def commands(cells: Sequence[Cell], jobs: Sequence[Mapping[str, Any]], out: Sequence[str]) -> tuple[str, ...]:
+    """The command that attacks and judges again; none where the attacks are not known.
+
+    Args:
+        cells: Of transfer.json.
+        jobs: Settings of the attacks.
+        out: The flag --out with its value.
+    """
     if not jobs:
         return ()
     attacked = list(dict.fromkeys(name for cell in cells for name in cell["sources"]))
@@ -224,6 +235,6 @@ def _command(folder: Path, cells: Sequence[Cell], jobs: Sequence[Mapping[str, An
         *flag("eps", config["eps"][0]),
         *flag("steps", config["steps"]),
         *([] if any(len(job["sources"]) > 1 for job in jobs) or len(attacked) < 3 else ["--no-ensembles"]),
-        *again(folder),
+        *out,
     ]
     return (command("dagger-transfer", *words),)

@@ -1,0 +1,1 @@
+"""What `mi-splat cloak-experiment` leaves behind: one reader for each experiment."""

@@ -1,0 +1,91 @@
+"""What every experiment's JSON holds besides what was found: the study, the flags, where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.reporting.commands import again, again_file, command, flag
+from attacks.reporting.kinds.cloak import toml
+from attacks.reporting.section import Chart, Figure, Picture, Section, Table
+from attacks.reporting.wording import origin, sentence, settings
+
+Document = Mapping[str, Any]
+Row = Mapping[str, Any]
+
+_FLAGS = ("results", "every", "detectors", "stages")
+
+
+def section(
+    path: Path,
+    document: Document,
+    *,
+    kind: str,
+    done: str,
+    conclusion: str,
+    headline: Figure,
+    control: Figure | None = None,
+    attacked: bool = True,
+    figures: Sequence[Figure] = (),
+    warnings: Sequence[str] = (),
+    pictures: tuple[Picture, ...] = (),
+    charts: Sequence[Chart] = (),
+    tables: Sequence[Table] = (),
+) -> Section:
+    """The section of an experiment: what is its own, and what all of them have.
+
+    Args:
+        path: File or folder of the result.
+        document: Its JSON.
+        kind: What sort of experiment it is.
+        done: What was done.
+        conclusion: What may be concluded.
+        headline: The figure that matters.
+        control: The same where nothing was cloaked.
+        attacked: Whether the figure is one of an attack.
+        figures: More figures.
+        warnings: Reasons to look twice.
+        pictures: What can be seen.
+        charts: What is drawn.
+        tables: More numbers.
+    """
+    study, given = document.get("configuration"), document.get("settings", {})
+    name = str(document.get("study", "study"))
+    weights = {"weights": document["detectors"]} if document.get("detectors") else {}
+    return Section(
+        kind=kind,
+        title=name if "study" in document else path.stem,
+        folder=str(path),
+        done=done,
+        conclusion=conclusion,
+        headline=headline,
+        control=control,
+        attacked=attacked,
+        figures=tuple(figures),
+        warnings=tuple(map(sentence, warnings)),
+        pictures=pictures,
+        charts=tuple(charts),
+        tables=tuple(tables),
+        configuration=settings({**{key: given[key] for key in given}, **({} if study is None else study), **weights}),
+        versions=origin(document),
+        command=(_command(path, document, name),) if "settings" in document else (),
+        repeating=_repeating(document, name),
+        file=None if study is None else (f"{name}.toml", toml(study)),
+    )
+
+
+def _repeating(document: Document, name: str) -> str:
+    if "settings" not in document:
+        return "The result is one of an older version: it stores neither its study nor the flags that were given."
+    results = " It needs the folder of results of that study." if document["settings"].get("results") else ""
+    return f"Save the text below as {name}.toml first.{results}"
+
+
+def _command(path: Path, document: Document, name: str) -> str:
+    given = document["settings"]
+    words: list[object] = [document["experiment"], f"{name}.toml"]
+    for key in _FLAGS:
+        if given.get(key) is not None:
+            words += flag(key, given[key])
+    return command("cloak-experiment", *words, *(again_file(path) if path.suffix == ".json" else again(path)))
