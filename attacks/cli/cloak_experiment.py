@@ -50,7 +50,8 @@ def run(options: CloakExperimentOptions) -> int:
     study = read_study(options.study)
     keeps = options.out is not None and options.experiment != "detection-curve" and options.out.suffix != PNG
     if options.out is not None and options.experiment != "detection-curve":
-        check_new_file(options.out, (JSON, PNG) if options.experiment == "transition-limit" else (JSON,))
+        endings = (JSON, PNG) if options.experiment == "transition-limit" else (JSON,)
+        check_new_file(options.out, endings, force=None)
     with progress(options.experiment) as advance:
         found, detectors = _found(options, study, advance)
     document = {**_origin(options, study), "found": found, "detectors": detectors}

@@ -33,13 +33,13 @@ def check_writable(out: str | os.PathLike[str]) -> None:
     sweep_temporary(out)
 
 
-def check_new_file(path: Path, endings: Sequence[str], *, force: bool = False) -> None:
+def check_new_file(path: Path, endings: Sequence[str], *, force: bool | None = False) -> None:
     """Raise, before any work is done, unless a file can be written at `path`.
 
     Args:
         path: The file; its folder has to be there.
         endings: That its name may have.
-        force: Whether a file that is there may be replaced.
+        force: Whether a file that is there may be replaced; None where nobody can ask for that.
 
     Raises:
         InvalidValueError: The name has another ending, the file is there, or its folder is not.
@@ -49,9 +49,10 @@ def check_new_file(path: Path, endings: Sequence[str], *, force: bool = False) -
         expected, got = f"a name that ends in {' or '.join(endings)}", path.suffix or "no ending"
         raise InvalidValueError(message(str(path), expected, got, "change the ending"))
     if path.exists() and not (force and path.is_file()):
-        do = "choose another name" if path.is_dir() else "choose another name, or replace it with force"
+        final = path.is_dir() or force is None
+        do = "choose another name" if final else "choose another name, or replace it with force"
         error = InvalidValueError(message(str(path), "a free name", "something that is there", do))
-        raise error if path.is_dir() else error.hinted("--force")
+        raise error if final else error.hinted("--force")
     if not path.absolute().parent.is_dir():
         raise InvalidValueError(message(str(path), "a folder to write into", "none", "make the folder first"))
     check_writable(path.parent)

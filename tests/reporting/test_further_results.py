@@ -194,7 +194,9 @@ def test_an_experiment_stores_what_its_page_shows(tmp_path: Path, capsys: pytest
     assert section.versions
     assert options(section).out == tmp_path / "limit-again.json"
     assert cli.main(words) == 1
-    assert "expected a free name" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "expected a free name" in said
+    assert "force" not in said
 
 
 def test_a_page_calls_only_figures_of_attacks_attacks(tmp_path: Path) -> None:
