@@ -16,7 +16,12 @@ from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
+from attacks.cloak.experiments.transition_limit import (
+    making_from_above,
+    measure_layer_limit,
+    measure_transition_limit,
+)
+from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import CameraConfig, StudyConfig
@@ -52,6 +57,16 @@ def test_two_layers_switch_faster_than_one_and_the_faster_the_lower_they_may_go(
     assert two[3, -100.0]["width"] < two[2, -100.0]["width"] < two[1, -100.0]["width"]
     assert two[3, -10.0]["width"] < two[3, -3.0]["width"] < two[3, -1.0]["width"]
     assert two[3, -10.0]["largest_coefficient"] > two[3, -3.0]["largest_coefficient"]
+
+
+def test_the_limit_is_that_of_the_layer_seen_from_above() -> None:
+    """Each trigger of a study may have a gap of its own; a study without layers has the library's."""
+    making = LayerConfig(gap=(12.0, 4.0), shift=3.0)
+    layers = LayersConfig(attacks=("rear", "overhead"), making=making)
+    swapped = replace(STUDY, attack=STUDY.attack[::-1], layers=layers)
+    assert making_from_above(swapped) == replace(making, gap=4.0)
+    assert making_from_above(replace(swapped, layers=replace(layers, attacks=("rear",)))) == LayerConfig()
+    assert making_from_above(STUDY) == LayerConfig()
 
 
 @pytest.mark.slow

@@ -8,11 +8,11 @@ from typing import Any
 
 from attacks.cloak.experiments.transition_limit import (
     ELEVATIONS,
+    making_from_above,
     measure_layer_limit,
     one_layer_curve,
     two_layer_curve,
 )
-from attacks.cloak.layered.config import LayerConfig
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import new_axes, save_figure
 
@@ -33,7 +33,7 @@ def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, p
         SplatFileError: The file cannot be written.
     """
     figure, (by_elevation, by_size) = new_axes(2, columns=2)
-    making = LayerConfig() if study.layers is None else study.layers.making
+    making = making_from_above(study)
     for degree, colour in _DEGREES.items():
         by_elevation.plot(
             ELEVATIONS, one_layer_curve(study, degree)[0], color=colour, linestyle="--", label=f"one layer, SH {degree}"

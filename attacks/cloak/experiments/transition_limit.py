@@ -22,7 +22,7 @@ from attacks.cloak.layered.layers import depths, switched
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.layering import DIRECTIONS
+from attacks.cloak.study.layering import DIRECTIONS, layered_attacks
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError, message
@@ -111,6 +111,15 @@ def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float
         for elevation in ELEVATIONS
     ]
     return [(1 - seen + shown) / 2 for seen, shown in shares], float(torch.cat([benign, hidden]).abs().max())
+
+
+def making_from_above(study: StudyConfig) -> LayerConfig:
+    """How the study makes the layer that is seen from above; as the library does it if the study has none."""
+    attack = _overhead(study)
+    if study.layers is None or attack.name not in study.layers.attacks:
+        return LayerConfig()
+    number = [other.name for other in layered_attacks(study)].index(attack.name)
+    return study.layers.making.with_gap_of(number)
 
 
 def _overhead(study: StudyConfig) -> AttackConfig:

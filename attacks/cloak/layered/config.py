@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
@@ -52,6 +52,10 @@ class LayerConfig:
             got = ", ".join(f"{name} {getattr(self, name)}" for name in values)
             expected = "gap in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], inset >= 0"
             raise InvalidValueError(message("layers", expected, got, "change it"))
+
+    def with_gap_of(self, trigger: int) -> LayerConfig:
+        """The same for one trigger alone, by its number."""
+        return replace(self, gap=self.gap[trigger]) if isinstance(self.gap, tuple) else self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
