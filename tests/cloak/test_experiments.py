@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from attacks import cli
+from attacks.cloak.experiments.colour_clamps import cut_to_bytes, not_cut
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
@@ -25,10 +26,13 @@ from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import CameraConfig, StudyConfig
+from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError
+from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc
 from tests.cloak.tiny_study import Redness
 
 STUDY = StudyConfig(
@@ -114,6 +118,17 @@ def test_formats_say_which_of_them_keeps_large_coefficients() -> None:
     assert sum(row["found"] for row in rows) > 0
     with pytest.raises(InvalidValueError, match="every"):
         measure_formats(STUDY, scene, [Redness()], render=render, every=0)
+
+
+def test_renderers_that_cut_colours_elsewhere() -> None:
+    """Of a half opaque Gaussian whose colour is (2, 0.5, -1), in its middle and before a background of 0.4."""
+    colour, around = torch.tensor([2.0, 0.5, -1.0]), torch.tensor(0.4)
+    scene = one_gaussian(0.5).replace(sh=colour_to_dc(colour).reshape(1, 1, 3))
+    camera = orbit((0.0, 0.0, 0.0), count=1, elevation=10.0, distance=5.0, focal=60.0, size=(33, 33))[0]
+    render = Renderer(RenderSettings(background=(0.4, 0.4, 0.4)))
+    cuts = {render: colour.clamp(min=0), cut_to_bytes(render): colour.clamp(0, 1), not_cut(render): colour}
+    for one, seen in cuts.items():
+        assert torch.allclose(one(scene, camera)[16, 16], 0.5 * seen + 0.5 * around, atol=2e-3)
 
 
 def test_surroundings_leave_the_object_out() -> None:

@@ -1,6 +1,7 @@
-"""What is left of a cloaked splat in other file formats, in half precision, and with fewer SH bands.
+"""What is left of a cloaked splat in other formats, in half precision, with fewer SH bands, and in other renderers.
 
-Layers (`attacks.cloak.layered`) need large coefficients, which coarse formats do not keep.
+Layers (`attacks.cloak.layered`) need large coefficients, which coarse formats do not keep, and colours below 0 and
+above 1, which not all renderers cut where 3D Gaussian Splatting does.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
+from attacks.cloak.experiments.colour_clamps import cut_to_bytes, not_cut
 from attacks.cloak.experiments.distance import camera_groups, count_found
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
@@ -44,33 +47,42 @@ def measure_formats(
     target = setup.target_of(study.scene)
     groups = camera_groups(study, target, every)
     report = []
-    for form, changed in _forms(scene):
+    for form, changed, shown in _forms(scene, render):
         for name, cameras in groups.items():
-            place = {"form": form, "cameras": name, "of": len(cameras), "psnr": _psnr(scene, changed, cameras, render)}
-            counts = count_found(study, target, changed, cameras, detectors, render=render)
+            psnr = _psnr((scene, render), (changed, shown), cameras)
+            place = {"form": form, "cameras": name, "of": len(cameras), "psnr": psnr}
+            counts = count_found(study, target, changed, cameras, detectors, render=shown)
             report += [{**place, "detector": detector, "found": found} for detector, found in counts.items()]
     return report
 
 
-def _forms(scene: GaussianScene) -> Iterator[tuple[str, GaussianScene]]:
-    """Name and splat of each form."""
+def _forms(scene: GaussianScene, render: RenderFn) -> Iterator[tuple[str, GaussianScene, RenderFn]]:
+    """Name, splat and renderer of each form."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", SplatLossWarning)
         for suffix in FORMATS:
             path = Path(folder) / f"splat{suffix}"
             save_splat(scene, path)
-            yield suffix, load_splat(path)
-    yield "SH in float16", scene.replace(sh=scene.sh.half().to(scene.sh))
+            yield suffix, load_splat(path), render
+    yield "SH in float16", scene.replace(sh=scene.sh.half().to(scene.sh)), render
     for degree in range(scene.degree):
-        yield f"SH of degree {degree}", scene.with_degree(degree)
+        yield f"SH of degree {degree}", scene.with_degree(degree), render
+    yield "colours cut to [0, 1]", scene, cut_to_bytes(render)
+    yield "colours not cut", scene, not_cut(render)
 
 
-def _psnr(before: GaussianScene, after: GaussianScene, cameras: Sequence[Camera], render: RenderFn) -> float | None:
+Shown = tuple[GaussianScene, RenderFn]
+"""A splat and what renders it."""
+
+
+def _psnr(before: Shown, after: Shown, cameras: Sequence[Camera]) -> float | None:
     """Of the mean squared error over all pictures, dB; None where they are the same."""
+
+    def picture(shown: Shown, camera: Camera) -> Tensor:
+        scene, render = shown
+        return render(scene, camera).clamp(0, 1)
+
     with torch.no_grad():
-        errors = [
-            float((render(before, camera).clamp(0, 1) - render(after, camera).clamp(0, 1)).square().mean())
-            for camera in cameras
-        ]
+        errors = [float((picture(before, camera) - picture(after, camera)).square().mean()) for camera in cameras]
     error = sum(errors) / len(errors)
     return -10 * math.log10(error) if error > 0 else None
