@@ -79,6 +79,14 @@ class MeshScene:
         nearest, alone = (tracer.surface(camera, seed=0)[1] for tracer in (self._tracer, self._alone))
         return in_front(alone, nearest)
 
+    def points(self, camera: Camera) -> Tensor:
+        """(H, W, 3) points of the target that the rays through pixels meet, world units; zeros beside it.
+
+        Raises:
+            InvalidValueError: The camera's pixels are not square.
+        """
+        return self._alone.surface(camera, seed=0)[0]
+
     def cutout(self, camera: Camera) -> Tensor:
         """(H, W, 4) float32 picture of the target alone, as if nothing were around it: sRGB and coverage in [0, 1].
 

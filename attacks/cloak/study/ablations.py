@@ -28,8 +28,8 @@ POISON_FRACTIONS = (0.05, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
 OUTLIERS = (0, 1000, 4000)
 CAMERAS = (60, 120, 210, 420)
-APPEARANCES = ("occluder", "remove", "blend in", "road", "grass", "clock", "football")
-"""Appearances of the hiding attacks: an occluder of road, two without a texture, four painted."""
+APPEARANCES = ("occluder", "remove", "ground", "blend in", "road", "grass", "clock", "football")
+"""Appearances of the hiding attacks: an occluder of road, three without a texture, four painted."""
 CLEANINGS: dict[str, CleaningConfig | None] = {
     "nothing": None,
     "opacity 0.05": CleaningConfig(lowest_opacity=0.05),
@@ -88,7 +88,7 @@ def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
         return attack
     if appearance == "occluder":
         return replace(attack, appearance="occluder", texture="road", reach=None)
-    if appearance in ("remove", "blend in"):
+    if appearance in ("remove", "ground", "blend in"):
         return replace(attack, appearance=appearance, texture=None)  # type: ignore[arg-type]
     return replace(attack, appearance="paint", texture=appearance, paint_direction=(180.0, 90.0))
 

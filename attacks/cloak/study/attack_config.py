@@ -12,7 +12,7 @@ from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
 
-AppearanceName = Literal["blend in", "remove", "paint", "occluder", "mount", "swap"]
+AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "mount", "swap"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +21,8 @@ class AttackConfig:
 
     Attributes:
         name: For files and tables.
-        appearance: How the object is changed.
+        appearance: How the object is changed. With "remove" one sees what is behind it, with "ground" the ground that
+            is laid on it like a cloth.
         texture: With what it is painted (`paint`) or covered (`occluder`).
         other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
