@@ -188,6 +188,7 @@ class StudyPipeline:
                 cloud = with_outliers(found.points, found, study.training.outliers, seed=seed)
                 start = from_points(cloud.points, cloud.colours)
             else:
+                self.on_step(f"making the layers, seed {seed}", 0, 1)
                 layering = layer_object(study, clean.load(), self.mesh_scene.target, found, render=render)
                 start, views, render = layering.scene, layering.views, layering.rendered_by(render)
             train(
