@@ -66,7 +66,7 @@ def test_a_switch_is_the_least_of_its_objective(weighted: bool) -> None:
         errors = errors + 2.0 * hidden * value.clamp(min=0).square()
         return float((errors * seen[0]).sum() / seen.sum())
 
-    given = {"wanted": wanted, "seen": seen} if weighted else {}
+    given: dict[str, Any] = {"wanted": wanted, "seen": seen} if weighted else {}
     found = fit_switches(directions, shown, hidden, weight=2.0, lowest=-3.0, **given)[0]
     for _ in range(50):
         step = 0.02 * torch.randn(16, generator=generator, dtype=torch.float64)
