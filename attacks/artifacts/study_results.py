@@ -63,7 +63,16 @@ def observed_splats(summary: Mapping[str, Any], stages: Path) -> list[ObservedSp
         InvalidValueError: The observations of a splat are not there, or have been changed.
     """
     study = from_table(StudyConfig, stated(summary["study"]), SUMMARY)
-    return [_observed(study, entry, summary["detectors"], stages) for entry in summary["splats"]]
+    found = [_finished_looks(study, entry, summary["detectors"], stages) for entry in summary["splats"]]
+    # A clean splat may have been compared with the pictures of several studies, a cloaked one with those of its own.
+    shared = [pictures for pictures in found[-1] if all(pictures in looks for looks in found)]
+    if not shared:
+        expected, do = "observations that were compared with the same pictures", "do the study again"
+        raise InvalidValueError(message(str(stages), expected, "none", do)).hinted("--stages")
+    return [
+        _rebuilt(entry, read_object(looks[shared[0]].parent / OBSERVATIONS))
+        for entry, looks in zip(summary["splats"], found, strict=True)
+    ]
 
 
 def stage_splat(content: str, stages: Path) -> Path | None:
@@ -75,22 +84,25 @@ def stage_splat(content: str, stages: Path) -> Path | None:
     return None
 
 
-def _observed(
+def _finished_looks(
     study: StudyConfig, entry: Mapping[str, Any], detectors: Mapping[str, str], stages: Path
-) -> ObservedSplat:
-    """What was observed of one splat."""
+) -> dict[tuple[str, ...], Path]:
+    """done.json of each stage in which one splat was observed, by the content of what it was compared with."""
     asked = dependencies.of_observations(study, "", entry["content"], [], detectors)
     wanted = json.loads(json.dumps({key: asked[key] for key in asked if key not in ("source", "true_pictures")}))
+    found = {}
     for done, values in _finished("observations", stages):
         depends_on = values.get("depends_on", {})
         if all(depends_on.get(key) == value for key, value in wanted.items()):
             if content_of(done.parent, ("**/*",)) != values.get("content"):
                 do = "make the result again"
                 raise InvalidValueError(message(str(done.parent), "what the study wrote", "other bytes", do))
-            return _rebuilt(entry, read_object(done.parent / OBSERVATIONS))
-    expected = f"the observations of the {entry['splat']} splat, seed {entry['seed']}"
-    do = "pass the folder of stages that the study was done with"
-    raise InvalidValueError(message(str(stages), expected, "none", do)).hinted("--stages")
+            found[tuple(depends_on.get("true_pictures", ()))] = done
+    if not found:
+        expected = f"the observations of the {entry['splat']} splat, seed {entry['seed']}"
+        do = "pass the folder of stages that the study was done with"
+        raise InvalidValueError(message(str(stages), expected, "none", do)).hinted("--stages")
+    return found
 
 
 def _finished(kind: str, stages: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
