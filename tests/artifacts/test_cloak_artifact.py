@@ -18,6 +18,7 @@ from attacks.artifacts.study_results import observed_splats
 from attacks.artifacts.study_toml import study_toml
 from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
+from attacks.cloak.study.cache import content_of
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
@@ -110,6 +111,31 @@ def test_observations_that_were_changed_are_refused(result: Path, tmp_path: Path
     path.write_text(path.read_text().replace('"view": 3,', '"view": 4,'))
     with pytest.raises(InvalidValueError, match="expected what the study wrote, got other bytes"):
         pack_artifact(folder, tmp_path / "out")
+
+
+def other_looks(folder: Path, *splats: str) -> None:
+    """Observations of the same splats by a study with other pictures to compare with; they sort before the study's."""
+    for name in splats:
+        own, other = (folder / "stages" / f"observations-{prefix}{name}" for prefix in ("", "another-"))
+        shutil.copytree(own, other)
+        done = json.loads((other / "done.json").read_text())
+        if name == "clean":
+            values = json.loads((other / "observations.json").read_text())
+            values["blends"] = [{**one, "appearance_psnr": 1.0} for one in values["blends"]]
+            (other / "observations.json").write_text(json.dumps(values))
+            done["content"] = content_of(other, ("observations.json",))
+        done["depends_on"]["true_pictures"] = ["other"]
+        (other / "done.json").write_text(json.dumps(done))
+
+
+def test_a_clean_splat_that_other_studies_share_is_as_its_own_study_saw_it(result: Path, tmp_path: Path) -> None:
+    folder = unfinished(result, tmp_path / "study")
+    other_looks(folder, "clean")
+    pack_artifact(folder, tmp_path / "out")  # it raises unless the figures of the summary follow
+    assert (tmp_path / "out" / "artifact.json").is_file()
+    shutil.rmtree(folder / "stages" / "observations-clean")
+    with pytest.raises(InvalidValueError, match="compared with the same pictures"):
+        pack_artifact(folder, tmp_path / "other")
 
 
 def test_a_summary_of_other_observations_is_refused(result: Path, tmp_path: Path) -> None:
