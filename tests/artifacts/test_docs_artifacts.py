@@ -12,7 +12,7 @@ from tests.artifacts.test_docs_figures import SENTENCES
 from tests.project.documented_commands import ROOT
 
 FOLDERS = sorted(path.parent for path in (ROOT / "docs" / "artifacts").glob(f"*/{RECORD}"))
-MOST_BYTES = 800_000
+MOST_BYTES = 1_000_000
 
 
 def test_there_are_artifacts() -> None:
