@@ -58,6 +58,7 @@ def test_variations_change_one_thing_and_keep_all_seeds() -> None:
         "road",
         None,
         None,
+        None,
         "road",
         "grass",
         "clock",
