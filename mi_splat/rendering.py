@@ -1,11 +1,12 @@
-"""Renderer: the splat rasteriser as a torch function. The only caller of `dr.wrap`."""
+"""Renderer: the rasteriser and the ray tracer of splats as torch functions. The only caller of `dr.wrap`."""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -16,29 +17,43 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.rasterization.settings import checked_background, checked_near
 from mi_splat.scene import GaussianScene, check_scene
 
+Method = Literal["tile", "ray"]
+"""How a picture is made: "tile" as 3DGS does (`splat_tile`), "ray" by ray tracing (`splat_ray`)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSettings:
     """What a picture of a splat depends on besides the splat and the camera; the defaults are those of 3DGS.
 
     Attributes:
+        method: "tile" projects Gaussians to the screen and sorts them by the depth of their means, as 3DGS does; "ray"
+            meets each at its peak along the ray and sorts on every ray by itself.
         background: sRGB colour behind the splat.
-        near: Gaussians whose mean is nearer than this (camera-space depth, world units) are culled.
+        near: What is nearer than this (camera-space depth, world units) is culled: Gaussians by the depth of their
+            mean with "tile", by that of their peak with "ray".
+        colour_to_mean: For "ray": look a Gaussian's colour up in the direction of its mean, as "tile" always does, in
+            place of along the ray.
         alpha: Append opacity (1 - transmittance) as a fourth channel.
         linear: Return linear values instead of sRGB.
         variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb"; the current one (or LLVM) if empty.
 
     Raises:
-        InvalidValueError: A number is not finite, `near` is not positive, or the background has not three channels.
+        InvalidValueError: There is no such method, a number is not finite, `near` is not positive, or the background
+            has not three channels.
     """
 
+    method: Method = "tile"
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     near: float = 0.2
+    colour_to_mean: bool = False
     alpha: bool = False
     linear: bool = False
     variant: str = ""
 
     def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            expected = "one of " + ", ".join(get_args(Method))
+            raise InvalidValueError(message("method", expected, self.method, "choose one of them"))
         checked_background(self.background)
         checked_near(self.near)
 
@@ -77,20 +92,27 @@ class _Job:
 
 
 class Renderer:
-    """Renders splats with the `splat_tile` rasteriser; a `RenderFn`.
+    """Renders splats with the rasteriser of `splat_tile` or the ray tracer of `splat_ray`; a `RenderFn`.
 
-    Differentiable in the five tensors of the scene (reverse mode), deterministic to the bit, and free of random
-    numbers: a picture depends on the scene, the camera and the settings only.
+    Differentiable in the five tensors of the scene (reverse mode) and free of random numbers: a picture depends on the
+    scene, the camera and the settings only, to the bit. So do the gradients of "tile"; the last bits of those of "ray"
+    depend on the order in which threads come.
 
     Args:
         settings: How to render.
         screen_gradients: Filled in every backward pass, if given.
+
+    Raises:
+        InvalidValueError: Screen gradients are asked for with "ray", which has no Gaussians on a screen.
     """
 
     def __init__(
         self, settings: RenderSettings | None = None, *, screen_gradients: ScreenGradients | None = None
     ) -> None:
         self.settings = settings or RenderSettings()
+        if screen_gradients is not None and self.settings.method == "ray":
+            do = 'use the method "tile", or a strategy without them (fixed, mcmc)'
+            raise InvalidValueError(message("screen_gradients", 'the method "tile"', '"ray"', do))
         self.screen_gradients = screen_gradients
         self.variant = variant.use(self.settings.variant)
 
@@ -143,9 +165,19 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     from mi_splat.rasterization.frozen import aligned, buffer
     from mi_splat.rasterization.picture import Picture
     from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
+    from mi_splat.raytracing.picture import RayPicture, raytrace, raytrace_backward
+    from mi_splat.raytracing.splats import prepare
 
-    class Rasterize(dr.CustomOp):  # type: ignore[misc]
-        """Rasteriser as one node of Dr.Jit's AD graph."""
+    def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
+        settings = job.settings
+        cameras = [pinhole.from_camera(camera, near=settings.near) for camera in job.cameras]
+        if settings.method == "tile":
+            return [rasterize(layouts.TENSORS, arrays, camera, settings.background) for camera in cameras]
+        splats = prepare(layouts.TENSORS, arrays)
+        return [raytrace(splats, camera, settings.background, to_mean=settings.colour_to_mean) for camera in cameras]
+
+    class Render(dr.CustomOp):  # type: ignore[misc]
+        """A renderer as one node of Dr.Jit's AD graph."""
 
         def eval(self, means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
             """One image per camera.
@@ -163,14 +195,12 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             # Here and not only in `rasterize`, so that memory that is not aligned is copied once and not once a camera.
             arrays = tuple(aligned(mi.Float(dr.detach(t.array))) for t in tensors)
             self.job = job
-            self.pictures: list[Picture] = []
-            images = []
-            for camera in job.cameras:
-                numbers = pinhole.from_camera(camera, near=job.settings.near)
-                picture = rasterize(layouts.TENSORS, arrays, numbers, job.settings.background)
-                self.pictures.append(picture)
-                images.append(develop(picture, numbers.size, alpha=job.settings.alpha, linear=job.settings.linear))
-            return images
+            self.pictures = make_pictures(arrays, job)
+            settings = job.settings
+            return [
+                develop(picture, (camera.width, camera.height), alpha=settings.alpha, linear=settings.linear)
+                for camera, picture in zip(job.cameras, self.pictures, strict=True)
+            ]
 
         def backward(self) -> None:
             totals: list[Any] | None = None
@@ -180,12 +210,18 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             for camera, picture, grad_image in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
                 grad_picture = develop_backward(picture, grad_image, alpha=settings.alpha, linear=settings.linear)
                 screen = None if screen_gradients is None else buffer(3 * count, value=0.0)
-                gradients = rasterize_backward(picture, *grad_picture, screen=screen)
+                if isinstance(picture, RayPicture):
+                    gradients = raytrace_backward(picture, *grad_picture)
+                else:
+                    gradients = rasterize_backward(picture, *grad_picture, screen=screen)
+                if gradients is None:
+                    continue
                 if screen_gradients is not None and screen is not None:
                     screen_gradients._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
                 totals = list(gradients) if totals is None else [a + b for a, b in zip(totals, gradients, strict=True)]
             names = ("means", "scales", "rotations", "opacities", "sh")
-            for key, shape, total in zip(names, self.shapes, totals or [], strict=True):
+            totals = totals or [dr.zeros(mi.Float, math.prod(shape)) for shape in self.shapes]
+            for key, shape, total in zip(names, self.shapes, totals, strict=True):
                 self.set_grad_in(key, mi.TensorXf(total, shape))
 
         def forward(self) -> None:
@@ -196,10 +232,10 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             )
 
         def name(self) -> str:
-            return "mi_splat.Rasterize"
+            return "mi_splat.Render"
 
     @dr.wrap(source="torch", target="drjit")  # type: ignore[untyped-decorator]
     def bridge(means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
-        return tuple(dr.custom(Rasterize, means, scales, rotations, opacities, sh, job))
+        return tuple(dr.custom(Render, means, scales, rotations, opacities, sh, job))
 
     return bridge  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""Mitsuba plugins of this project: the shape `gaussians` and the integrator `splat_tile`.
+"""Mitsuba plugins of this project: the shape `gaussians`, the integrators `splat_tile` and `splat_ray`.
 
 Importing this package is enough: the plugins are registered in the current variant, and again whenever another one
 that can render splats is set.
@@ -19,10 +19,11 @@ SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 def _register_in(variant: str) -> None:
     import mitsuba as mi
 
-    from mi_splat.plugins import shape, tile
+    from mi_splat.plugins import ray, shape, tile
 
     mi.register_shape("gaussians", shape.gaussians)
     mi.register_integrator("splat_tile", tile.integrator_class(variant))
+    mi.register_integrator("splat_ray", ray.integrator_class(variant))
 
 
 def _on_variant(old: str | None, new: str | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -18,21 +18,23 @@ _KEYS = ("data", "opacities", "sh_coeffs")
 class GaussianShapes:
     """The `gaussians` shapes of a scene, in file order.
 
+    Args:
+        scene: A Mitsuba scene.
+        among: What else it may hold: "nothing", or "surfaces" that a path tracer knows.
+
     Attributes:
         arrays: `data`, `opacities` and `sh_coeffs` of each shape, as `mi.traverse` shows them.
         degrees: SH degree of each shape.
+        others: All other shapes.
 
     Raises:
-        InvalidValueError: The scene holds other shapes, or a shape's SH are not of degree 0 to 3.
+        InvalidValueError: The scene holds shapes that it may not hold, or a shape's SH are not of degree 0 to 3.
     """
 
-    def __init__(self, scene: Any) -> None:
-        shapes = scene.shapes()
-        others = [s.id() or s.class_name() for s in shapes if not s.is_ellipsoids()]
-        if others:
-            raise InvalidValueError(
-                message("scene", "gaussians shapes only", f"also {', '.join(others)}", "render it without its meshes")
-            )
+    def __init__(self, scene: Any, *, among: Literal["nothing", "surfaces"] = "nothing") -> None:
+        self.others = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
+        shapes = [shape for shape in scene.shapes() if shape.is_ellipsoids()]
+        _check_others(self.others, among)
         self.arrays = [self._arrays_of(shape) for shape in shapes]
         self.degrees = [math.isqrt(len(sh) // (3 * len(opacities))) - 1 for _, opacities, sh in self.arrays]
         for shape, (_, opacities, sh), degree in zip(shapes, self.arrays, self.degrees, strict=True):
@@ -89,6 +91,22 @@ class GaussianShapes:
                     part = _with_degree(part, top, degree)
                 dr.backward_from(dr.detach(part) * array)
             row += count
+
+
+def _check_others(shapes: list[Any], among: str) -> None:
+    """Refuse what an integrator cannot show beside splats."""
+    if shapes and among == "nothing":
+        got = f"also {', '.join(_name(shape) for shape in shapes)}"
+        do = 'use the integrator "splat_ray", which knows meshes, or render it without them'
+        raise InvalidValueError(message("scene", "gaussians shapes only", got, do))
+    media = [_name(shape) for shape in shapes if shape.is_medium_transition()]
+    if media:
+        got = f"a medium inside or outside of {', '.join(media)}"
+        raise InvalidValueError(message("scene", "surfaces and gaussians shapes", got, "remove the medium"))
+
+
+def _name(shape: Any) -> str:
+    return str(shape.id() or shape.class_name())
 
 
 def _scene_of(data: torch.Tensor, opacities: torch.Tensor, sh: torch.Tensor) -> GaussianScene:

@@ -26,20 +26,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 
 from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
-from mi_splat.plugins.settings import SETTINGS
+from mi_splat.plugins.settings import TILE_SETTINGS, SettingValues, name_integrator, setting_property
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.layouts import ELLIPSOIDS
 from mi_splat.rasterization.picture import Picture
 from mi_splat.rasterization.pinhole import Pinhole
 from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
 
-_DEFAULT_ID = "integrator"  # as in the usual dict; Mitsuba would name an integrator without an id by its address
 _CACHED_PICTURES = 2
 
 
@@ -52,11 +50,6 @@ class CachedPicture:
     picture: Picture
 
 
-def _property_of(name: str) -> property:
-    """Attribute of the integrator that reads and sets a setting."""
-    return property(lambda self: self._values[name], lambda self, value: self._set(name, value))
-
-
 def integrator_class(variant: str) -> Any:
     """The integrator for one variant; its base class exists only once a variant is set."""
     from mitsuba.python.ad.integrators.common import ADIntegrator
@@ -64,57 +57,35 @@ def integrator_class(variant: str) -> Any:
     class SplatTile(ADIntegrator):  # type: ignore[misc]
         """Thin caller of `mi_splat.rasterization`."""
 
-        background = _property_of("background")
-        near = _property_of("near")
-        alpha = _property_of("alpha")
-        linear = _property_of("linear")
+        background = setting_property("background")
+        near = setting_property("near")
+        alpha = setting_property("alpha")
+        linear = setting_property("linear")
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            if not props.id() or props.id().startswith("_unnamed_"):
-                self.set_id(_DEFAULT_ID)
-            self._values: dict[str, Any] = {}
-            # What `mi.traverse` shows. The plain values count: reading these waits for every kernel in flight.
-            self._shown = {name: setting.array(setting.default) for name, setting in SETTINGS.items()}
-            self.near_is_set = False
-            for name, setting in SETTINGS.items():
-                if name in props:
-                    self._set(name, props[name])
-                else:
-                    self._values[name] = setting.default
+            name_integrator(self, props)
+            self.settings = SettingValues(TILE_SETTINGS, props)
             self._pictures: OrderedDict[Any, CachedPicture] = OrderedDict()
             self._camera: tuple[Any, Any, Pinhole] | None = None
 
-        def _set(self, name: str, value: Any) -> None:
-            self._values[name] = SETTINGS[name].checked(value)
-            self.near_is_set |= name == "near"
-            self._show(name)
-
-        def _show(self, name: str) -> None:
-            # In place, as SceneParameters does it: one made before shall show the new value.
-            mi.set_property(self._shown[name], SETTINGS[name].array(self._values[name]))
+        @property
+        def near_is_set(self) -> bool:
+            """Whether near has a value that is not the default."""
+            return "near" in self.settings.given
 
         def traverse(self, callback: Any) -> None:
-            for name, array in self._shown.items():
-                callback.put(name, array, mi.ParamFlags.NonDifferentiable)
+            self.settings.traverse(callback)
 
         def parameters_changed(self, keys: list[str]) -> None:
             """Take over what `mi.traverse` was given; a value that cannot be is refused, and the old one stays."""
-            changed = [name for name in SETTINGS if name in keys]
-            try:
-                values = {name: SETTINGS[name].checked(self._shown[name]) for name in changed}
-            except InvalidValueError:
-                for name in changed:
-                    self._show(name)
-                raise
-            for name, value in values.items():
-                self._set(name, value)
+            self.settings.changed(keys)
 
         def _follow(self, scene: Any, shapes: GaussianShapes) -> None:
             """Set near to what suits the scene, unless it has a value."""
             if not self.near_is_set and shapes.arrays:
                 cameras = [sensors.camera(sensor) for sensor in scene.sensors() if sensors.is_pinhole(sensor)]
-                self._set("near", near_plane(shapes.scene(), cameras))
+                self.settings.set("near", near_plane(shapes.scene(), cameras))
 
         def _camera_of(self, sensor: Any) -> Pinhole:
             """The camera of a sensor; the last one is cached, since a gradient is asked for right after its picture."""
@@ -225,8 +196,7 @@ def integrator_class(variant: str) -> Any:
             )
 
         def to_string(self) -> str:
-            values = ", ".join(f"{name} = {value}" for name, value in self._values.items())
-            return f"SplatTile[{values}]"
+            return f"SplatTile[{self.settings}]"
 
     _develop = develop
     return SplatTile

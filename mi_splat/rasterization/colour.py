@@ -2,35 +2,45 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.rasterization.picture import Picture
+
+class FlatPicture(Protocol):
+    """A picture as any renderer here makes it: row-major colours, three a pixel, and opacities."""
+
+    @property
+    def colour(self) -> Any:
+        """Float, height x width x 3 values in sRGB."""
+
+    @property
+    def opacity(self) -> Any:
+        """Float, height x width values."""
 
 
-def _linear(value: Any) -> Any:
+def linear_value(value: Any) -> Any:
     """Linear value of an sRGB one (IEC 61966-2-1)."""
     return dr.select(value <= 0.04045, value / 12.92, dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 2.4))
 
 
-def _linear_derivative(value: Any) -> Any:
+def linear_derivative(value: Any) -> Any:
     """d(linear value) / d(sRGB value)."""
     return dr.select(value <= 0.04045, 1 / 12.92, 2.4 / 1.055 * dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 1.4))
 
 
-def develop(picture: Picture, size: tuple[int, int], *, alpha: bool, linear: bool) -> Any:
+def develop(picture: FlatPicture, size: tuple[int, int], *, alpha: bool, linear: bool) -> Any:
     """The picture as an image: TensorXf (H, W, 3), or (H, W, 4) with `alpha`.
 
     Args:
-        picture: What `rasterize` returned.
+        picture: A picture.
         size: Its width and height in pixels.
         alpha: Append opacity as a fourth channel.
         linear: Linear instead of sRGB values.
     """
     width, height = size
-    colour = _linear(picture.colour) if linear else picture.colour
+    colour = linear_value(picture.colour) if linear else picture.colour
     if not alpha:
         return mi.TensorXf(colour, (height, width, 3))
     flat = dr.empty(mi.Float, 4 * width * height)
@@ -40,7 +50,7 @@ def develop(picture: Picture, size: tuple[int, int], *, alpha: bool, linear: boo
     return mi.TensorXf(flat, (height, width, 4))
 
 
-def develop_backward(picture: Picture, grad_image: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
+def develop_backward(picture: FlatPicture, grad_image: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
     """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(image).
 
     Args:
@@ -57,4 +67,4 @@ def develop_backward(picture: Picture, grad_image: Any, *, alpha: bool, linear: 
         flat = dr.empty(mi.Float, 3 * len(picture.opacity))
         dr.scatter(flat, mi.ArrayXf([rgba[0], rgba[1], rgba[2]]), pixel)
         grad_opacity = (mi.Float(rgba[3]),)
-    return (flat * _linear_derivative(picture.colour) if linear else flat, *grad_opacity)
+    return (flat * linear_derivative(picture.colour) if linear else flat, *grad_opacity)

@@ -1,0 +1,103 @@
+"""A Mitsuba scene as `splat_ray` sees it: its splats ready to be traced, and its surfaces as a scene of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.plugins.gaussian_shapes import GaussianShapes
+from mi_splat.rasterization.layouts import ELLIPSOIDS
+from mi_splat.raytracing.splats import Splats, prepare
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixed:
+    """What paths run through.
+
+    Attributes:
+        scene: The Mitsuba scene; its emitters light the surfaces.
+        surfaces: A Mitsuba scene of its surfaces alone, so that no ray stops at a Gaussian; None where it has none.
+        splats: Its Gaussians; None where it has none.
+    """
+
+    scene: Any
+    surfaces: Any | None
+    splats: Splats | None
+
+
+class MixedCache:
+    """The last scene that was prepared; it is prepared again as soon as an array of one of its shapes is another one.
+
+    Dr.Jit's arrays never change under a given index while someone holds them, so the indices are a safe key.
+    """
+
+    def __init__(self) -> None:
+        self._splats: tuple[Any, Any, Splats | None] | None = None
+        self._surfaces: tuple[Any, Any, Any] | None = None
+
+    def mixed(self, scene: Any, shapes: GaussianShapes) -> Mixed:
+        """The scene, prepared.
+
+        Raises:
+            InvalidValueError: A number of a splat is not finite.
+        """
+        return Mixed(scene, self._surfaces_of(shapes), self._splats_of(shapes))
+
+    def _splats_of(self, shapes: GaussianShapes) -> Splats | None:
+        held = shapes.detached()
+        key = _key(held)
+        if self._splats is None or self._splats[0] != key:
+            arrays = shapes.joined()
+            check_finite(arrays)
+            self._splats = key, held, prepare(ELLIPSOIDS, arrays)
+        return self._splats[2]
+
+    def _surfaces_of(self, shapes: GaussianShapes) -> Any | None:
+        if not shapes.others:
+            return None
+        held = [value for shape in shapes.others for _, value in mi.traverse(shape)]
+        arrays = [dr.detach(value) for value in held if dr.is_array_v(value)]
+        key = tuple(id(shape) for shape in shapes.others), _key(_flat(arrays))
+        if self._surfaces is None or self._surfaces[0] != key:
+            parts = {f"surface_{number}": shape for number, shape in enumerate(shapes.others)}
+            self._surfaces = key, (arrays, shapes.others), mi.load_dict({"type": "scene", **parts}, parallel=False)
+        return self._surfaces[2]
+
+    def clear(self) -> None:
+        """Drop what was prepared."""
+        self._splats = self._surfaces = None
+
+
+def _flat(arrays: list[Any]) -> list[Any]:
+    """Arrays of one dimension that hold the same numbers."""
+    flat = []
+    for array in arrays:
+        if dr.is_tensor_v(array):
+            flat.append(array.array)
+        elif dr.depth_v(array) > 1:
+            flat += _flat([array[k] for k in range(len(array))])
+        else:
+            flat.append(array)
+    return flat
+
+
+def _key(arrays: list[Any]) -> tuple[int, ...]:
+    return tuple(array.index for array in arrays)
+
+
+def check_finite(arrays: tuple[Any, ...]) -> None:
+    """Refuse Gaussians with a number that is not finite.
+
+    Raises:
+        InvalidValueError: There is one.
+    """
+    names = ("data (means, scales, rotations)", "opacities", "sh_coeffs")
+    for name, array in zip(names, arrays, strict=True):
+        bad = dr.count(~dr.isfinite(array))[0]
+        if bad:
+            do = "look at the last update of the parameters: a step may have been too long"
+            raise InvalidValueError(message(name, "finite numbers", f"{bad} that are not", do))

@@ -1,0 +1,113 @@
+"""A picture of splats alone by ray tracing, one ray through every pixel centre, and its derivative.
+
+The counterpart of `mi_splat.rasterization.pipeline`: the same arrays, camera and colours in, the same form of picture
+out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization import pinhole
+from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.frozen import buffer
+from mi_splat.rasterization.picture import tile_columns
+from mi_splat.rasterization.pinhole import Pinhole
+from mi_splat.raytracing import adjoint, segments
+from mi_splat.raytracing.peaks import Stretch
+from mi_splat.raytracing.splats import Splats, gradients, zero_sums
+
+_FAR = 1e9  # world units; no peak is farther away
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayPicture:
+    """What the forward pass returns and the backward pass takes.
+
+    Attributes:
+        colour: Float, height x width x 3 values, row-major, background blended in.
+        opacity: Float, height x width values of 1 - transmittance.
+        splats: What was traced.
+        camera: The camera.
+        seen: Colour and transmittance of each ray, in the order of `_rays`; None where there is no Gaussian.
+        background: sRGB colour behind everything.
+        to_mean: See `segments.view_direction`.
+    """
+
+    colour: Any
+    opacity: Any
+    splats: Splats | None
+    camera: Pinhole
+    seen: tuple[Any, Any] | None
+    background: tuple[float, float, float]
+    to_mean: bool
+
+
+def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:
+    """A ray a lane, tile after tile, so that the lanes of a packet take the same way; its pixel, and whether it is one.
+
+    Peaks whose camera-space depth is below the camera's near plane do not count.
+    """
+    width, height = (dr.opaque(mi.Int32, side) for side in camera.size)
+    columns = tile_columns(width)
+    tiles = -(-camera.size[0] // TILE) * -(-camera.size[1] // TILE)
+    lane = dr.arange(mi.Int32, TILE * TILE * tiles)
+    tile, inside = lane // (TILE * TILE), lane % (TILE * TILE)
+    x, y = (tile % columns) * TILE + inside % TILE, (tile // columns) * TILE + inside // TILE
+    numbers = pinhole.unpack(camera.numbers())
+    centre = (mi.Point2f(mi.Float(x) + 0.5, mi.Float(y) + 0.5) - numbers.principal) / numbers.focal
+    local = mi.Vector3f(centre.x, centre.y, 1.0)
+    length = dr.norm(local)
+    direction = numbers.rotation.T @ (local / length)
+    origin = mi.Point3f(numbers.position) + dr.zeros(mi.Vector3f, dr.width(lane))
+    stretch = Stretch(origin, mi.Vector3f(direction), numbers.near * length, mi.Float(_FAR))
+    return stretch, mi.UInt32(y * width + x), (x < width) & (y < height)
+
+
+def raytrace(
+    splats: Splats | None, camera: Pinhole, background: tuple[float, float, float], *, to_mean: bool
+) -> RayPicture:
+    """Render Gaussians to a picture.
+
+    Args:
+        splats: What `splats.prepare` made.
+        camera: The camera.
+        background: sRGB colour behind everything.
+        to_mean: See `segments.view_direction`.
+    """
+    pixels = camera.size[0] * camera.size[1]
+    colour, opacity = buffer(3 * pixels), buffer(pixels, value=0.0)
+    if splats is None:
+        return RayPicture(dr.tile(mi.Float(background), pixels), opacity, None, camera, None, background, to_mean)
+    stretch, pixel, there = _rays(camera)
+    seen = segments.blend(splats, stretch, there, to_mean=to_mean)
+    dr.scatter(colour, seen[0] + seen[1] * mi.Color3f(background), pixel, there)
+    dr.scatter(opacity, 1.0 - seen[1], pixel, there)
+    dr.eval(colour, opacity, seen)
+    return RayPicture(colour, opacity, splats, camera, seen, background, to_mean)
+
+
+def raytrace_backward(picture: RayPicture, grad_colour: Any, grad_opacity: Any | None = None) -> tuple[Any, ...] | None:
+    """Gradient with respect to each array of the Gaussians; None where there are none.
+
+    Args:
+        picture: What `raytrace` returned.
+        grad_colour: Float, dL/d(picture.colour).
+        grad_opacity: Float, dL/d(picture.opacity), if that output is used.
+    """
+    if picture.splats is None or picture.seen is None:
+        return None
+    stretch, pixel, there = _rays(picture.camera)
+    grad_seen = dr.gather(mi.Color3f, grad_colour, pixel, there)
+    grad_through = dr.dot(grad_seen, mi.Color3f(picture.background))
+    if grad_opacity is not None:
+        grad_through -= dr.gather(mi.Float, grad_opacity, pixel, there)
+    sums = zero_sums(picture.splats)
+    gradient = grad_seen, grad_through
+    adjoint.blend_backward(picture.splats, stretch, there, picture.seen, gradient, sums, to_mean=picture.to_mean)
+    dr.eval(sums.moments, sums.pulls, sums.sh)
+    return gradients(picture.splats, sums)

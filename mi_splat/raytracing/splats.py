@@ -1,0 +1,149 @@
+"""Gaussians as rays meet them: a record each, in the order of the tree, and the way back for gradients."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.rasterization.frozen import aligned, buffer
+from mi_splat.rasterization.layouts import Layout
+from mi_splat.rasterization.picture import sh_terms
+from mi_splat.rasterization.projection import CUTOFF, Gaussians, rotation_matrix
+from mi_splat.raytracing.tree import Tree, build
+
+RECORD = 16
+"""Floats of a record: the rows of S^-1 R^T (9), the mean (3), log2 of the opacity, and three that are unused."""
+
+MOMENTS = 10
+"""Floats of a gradient in a slot: the sums over rays of h, h u (3) and h u u^T (6), see `adjoint`."""
+
+_SECOND = ((4, 7, 8), (7, 5, 9), (8, 9, 6))  # where the entries of h u u^T are
+
+HALF_LOG2_E = 0.5 * math.log2(math.e)
+_LN2 = math.log(2.0)
+_LEAST_OPACITY = 1e-12  # no ray meets such a Gaussian; its gradient shall be 0, not infinity times 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Splats:
+    """What is traced.
+
+    Attributes:
+        layout: What lies where in `arrays`.
+        arrays: Flat Float arrays, detached; the last holds SH, the one before it has one opacity a Gaussian.
+        tree: Boxes about them; its slots are the rows of `records`.
+        records: Float, `RECORD` a slot.
+        terms: SH coefficients a Gaussian and channel.
+    """
+
+    layout: Layout
+    arrays: tuple[Any, ...]
+    tree: Tree
+    records: Any
+    terms: int
+
+
+def prepare(layout: Layout, arrays: tuple[Any, ...]) -> Splats | None:
+    """Gaussians ready to be traced; None where there are none.
+
+    Args:
+        layout: What lies where in `arrays`.
+        arrays: Flat Float arrays, detached.
+    """
+    arrays = tuple(aligned(array) for array in arrays)
+    count = len(arrays[-2])
+    if count == 0:
+        return None
+    terms = sh_terms(arrays)
+    gaussians = layout.read(arrays, dr.arange(mi.UInt32, count), terms)
+    half = _half_boxes(gaussians)
+    means = mi.Point3f(gaussians.mean)
+    dr.eval(means, half)
+    tree = build(means, half)
+    records = buffer(RECORD * count)
+    rows = _rows(layout.read(arrays, tree.order, terms))
+    dr.scatter(records, mi.ArrayXf([*rows, *[mi.Float(0)] * (RECORD - len(rows))]), dr.arange(mi.UInt32, count))
+    dr.eval(records)
+    return Splats(layout, arrays, tree, records, terms)
+
+
+def _half_boxes(gaussians: Gaussians) -> Any:
+    """Vector3f, half the box outside of which alpha < 1/255; negative where there is no such box."""
+    reach = (dr.log2(gaussians.opacity) - CUTOFF) / HALF_LOG2_E
+    axes, scale = rotation_matrix(gaussians.rotation), gaussians.scale
+    half = [
+        dr.sqrt(reach * sum(dr.square(axes[row, column] * scale[column]) for column in range(3))) for row in range(3)
+    ]
+    return dr.select(reach >= 0, mi.Vector3f(*half), mi.Vector3f(-1.0))
+
+
+def _whitening(gaussians: Gaussians) -> list[Any]:
+    """S^-1 R^T, three rows: it takes a Gaussian to the standard normal one."""
+    axes = rotation_matrix(gaussians.rotation)
+    return [mi.Vector3f(axes[0, i], axes[1, i], axes[2, i]) / gaussians.scale[i] for i in range(3)]
+
+
+def _rows(gaussians: Gaussians) -> list[Any]:
+    """The numbers of a record."""
+    whitening = [value for row in _whitening(gaussians) for value in row]
+    return [*whitening, *gaussians.mean, dr.log2(gaussians.opacity)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """What `adjoint` adds to.
+
+    Attributes:
+        moments: Float, `MOMENTS` a slot.
+        pulls: Float, three a slot: dL/dmean by way of the direction in which a colour is looked up.
+        sh: Float, dL/d(coefficient), as the last of `Splats.arrays`.
+    """
+
+    moments: Any
+    pulls: Any
+    sh: Any
+
+
+def zero_sums(splats: Splats) -> Sums:
+    """Sums to begin with."""
+    count = len(splats.tree.order)
+    sizes = (MOMENTS * count, 3 * count, len(splats.arrays[-1]))
+    return Sums(*(buffer(size, value=0.0) for size in sizes))
+
+
+def gradients(splats: Splats, sums: Sums) -> tuple[Any, ...]:
+    """Gradient with respect to each of `splats.arrays` from what `adjoint` summed.
+
+    With u = A (x - mean) at the point x of a ray where a Gaussian is densest, A = S^-1 R^T, log alpha is
+    log o - u^T u / 2. That point moves with the Gaussian, but where u^T u is least its motion does not change it: the
+    derivative is A^T u with respect to the mean, and -u u^T A^-T with respect to A. The sums are of u, not of x - mean,
+    since float32 cannot hold the thickness of a disc beside its width.
+    """
+    order, arrays = splats.tree.order, splats.arrays
+    found = tuple(buffer(len(array), value=0.0) for array in arrays)
+    slot = dr.arange(mi.UInt32, len(order))
+    with dr.resume_grad():
+        gaussians = splats.layout.read(arrays, order, splats.terms)
+        dr.enable_grad(gaussians.parts())
+        rows = _whitening(gaussians)
+        inverse = [dr.detach(row) * dr.detach(dr.square(gaussians.scale[i])) for i, row in enumerate(rows)]
+        m = dr.gather(mi.ArrayXf, sums.moments, slot, shape=(MOMENTS, len(order)))
+        product = _LN2 * m[0] * dr.log2(dr.maximum(gaussians.opacity, _LEAST_OPACITY))
+        pull = mi.Vector3f(dr.gather(mi.Vector3f, sums.pulls, slot))
+        for i, row in enumerate(rows):
+            pull += dr.detach(row) * m[1 + i]
+            for j, column in enumerate(inverse):
+                product -= dr.dot(row, column) * m[_SECOND[i][j]]
+        product += dr.dot(mi.Vector3f(gaussians.mean), pull)
+        dr.backward(product)
+        gradient = gaussians.gradient()
+    width = 3 * splats.terms
+    flat = dr.gather(mi.ArrayXf, sums.sh, order, shape=(width, len(order)))
+    gradient.sh[:] = [mi.Color3f(flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]) for k in range(splats.terms)]
+    splats.layout.write(found, order, gradient)
+    dr.eval(found)
+    return found
