@@ -25,6 +25,10 @@ REFUSED: list[tuple[Callable[..., object], dict[str, Any], str]] = [
     (FitConfig, {"lr_means": "a"}, "lr_means: expected a finite number >= 0, got 'a'"),
     (FitConfig, {"lr_sh": float("nan")}, "lr_sh: expected a finite number >= 0, got nan"),
     (FitConfig, {"lr_sh": -1.0}, "lr_sh: expected a finite number >= 0"),
+    (FitConfig, {"lr_sh_final": 0.0}, "lr_sh_final: expected a number > 0, as it decays exponentially, got 0.0"),
+    (FitConfig, {"lr_sh": 0, "lr_sh_final": 0.1}, "lr_sh: expected a number > 0"),
+    (FitConfig, {"lr_means": 0.0}, "lr_means: expected a number > 0"),
+    (FitConfig, {"lr_means_final": 0.0}, "lr_means_final: expected a number > 0"),
     (FitConfig, {"lambda_dssim": None}, "lambda_dssim: expected a finite number"),
     (FitConfig, {"trainable": "texture"}, "trainable: expected some of means"),
     (FitConfig, {"trainable": 3}, "trainable: expected some of means"),
@@ -46,6 +50,10 @@ REFUSED: list[tuple[Callable[..., object], dict[str, Any], str]] = [
 def test_the_wrong_kind_is_refused_in_words(kind: Callable[..., object], values: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidValueError, match=words):
         kind(**values)
+
+
+def test_a_rate_that_stays_as_it_is_may_be_nothing() -> None:
+    assert FitConfig(lr_sh=0.0).lr_sh == 0
 
 
 def test_one_value_stands_for_a_tuple_of_one() -> None:
