@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.dagger.config import DaggerConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.selection.config import Selection
@@ -33,6 +34,13 @@ REFUSED: list[tuple[Callable[..., object], dict[str, Any], str]] = [
     (FitConfig, {"trainable": "texture"}, "trainable: expected some of means"),
     (FitConfig, {"trainable": 3}, "trainable: expected some of means"),
     (FitConfig, {"strategy": "mcmc"}, "strategy: expected the options of a strategy"),
+    (LayersConfig, {"attacks": ("rear",), "lr_sh": 0.0}, "lr_sh: expected a number > 0"),
+    (LayersConfig, {"attacks": ("rear",), "lr_sh_final": 0.0}, "lr_sh_final: expected a number > 0"),
+    (
+        LayersConfig,
+        {"attacks": ("rear",), "making": LayerConfig(gap=(3.0, 4.0))},
+        "gap: expected one number for all, or 1, one for each attack that has layers, got 2 numbers",
+    ),
     (ClassicConfig, {"densify_from": 1.5}, "densify_from: expected a whole number"),
     (ClassicConfig, {"max_gaussians": "many"}, "max_gaussians: expected a whole number"),
     (MCMCConfig, {"noise_lr": float("inf")}, "noise_lr: expected a finite number"),
