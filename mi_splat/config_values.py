@@ -37,6 +37,18 @@ def check_numbers(config: object, least: Mapping[str, int] | None = None, *, ski
         object.__setattr__(config, field.name, read(field.name, value, least=low))
 
 
+def check_decay(name: str, first: float, last: float) -> None:
+    """Raise unless a number can decay exponentially: neither its first nor its last value, NAME_final, is 0.
+
+    Raises:
+        InvalidValueError: One of them is.
+    """
+    for which, value in ((name, first), (f"{name}_final", last)):
+        if not value > 0:
+            expected = "a number > 0, as it decays exponentially"
+            raise InvalidValueError(message(which, expected, value, "1e-9 is next to nothing"))
+
+
 def whole_number(name: str, value: Any, *, least: int | None = None) -> int:
     """A whole number as Python's int.
 

@@ -13,9 +13,8 @@ class ArtifactOptions:
     """Pack a finished result into a folder that others can check: raw rows, cameras, configuration, expected figures.
 
     Takes the folder that `mi-splat cloak`, `dagger`, `dagger-eot`, `dagger-study`, `dagger-eot-study`, `dagger-pairs`
-    or `dagger-transfer` has written. Writes artifact.json, the tables of
-    raw rows, and what the result has of cameras.json, study.toml and splats/ into --out. Nothing is rendered, unless
-    --detections asks for it.
+    or `dagger-transfer` has written. Writes artifact.json, the tables of raw rows, and what the result has of
+    cameras.json, study.toml and splats/ into --out. Nothing is rendered, unless --detections asks for it.
     """
 
     result: Positional[Path]

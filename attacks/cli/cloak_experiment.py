@@ -48,15 +48,15 @@ def run(options: CloakExperimentOptions) -> int:
     """Do one experiment, print what it found, and with --out keep it."""
     limit_threads(1)
     study = read_study(options.study)
-    keeps = options.out is not None and options.experiment != "detection-curve" and options.out.suffix != PNG
-    if options.out is not None and options.experiment != "detection-curve":
+    out = None if options.experiment == "detection-curve" else options.out  # a folder, which it makes itself
+    if out is not None:
         endings = (JSON, PNG) if options.experiment == "transition-limit" else (JSON,)
-        check_new_file(options.out, endings, force=None)
+        check_new_file(out, endings, force=None)
     with progress(options.experiment) as advance:
         found, detectors = _found(options, study, advance)
     document = {**_origin(options, study), "found": found, "detectors": detectors}
-    if options.out is not None and keeps:
-        save_json(document, options.out)
+    if out is not None and out.suffix != PNG:
+        save_json(document, out)
     show_json(document)
     return 0
 

@@ -20,6 +20,9 @@ from attacks.cloak.mesh_scene import MeshScene
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera, View, look_at, project_points
 
+LOWEST_GROUND = 45.0
+"""Elevation from which a side of the object is taken to be looked at, at least, degrees."""
+
 _HEIGHT, _SIZE = 12.0, 768
 """Of the camera above the ground that takes its picture, in lengths of the object; width of the picture, pixels."""
 
@@ -36,7 +39,7 @@ class GroundLook:
     """
 
     mesh_scene: MeshScene
-    lowest: float = 45.0
+    lowest: float = LOWEST_GROUND
     reach: int = 1
 
     @property

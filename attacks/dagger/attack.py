@@ -64,11 +64,7 @@ def attack(
     cameras, detectors = as_cameras(cameras), as_detectors(detector)
     check_scene("scene", scene)
     check_objective(objective)
-    if not callable(render):
-        do = "pass for instance Renderer()"
-        raise InvalidValueError(message("render", "a function of scene and camera", type(render).__name__, do))
-    if not cameras:
-        raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the detector looks from"))
+    _check_views(cameras, render)
     clean_hash = scene_hash(scene)
     if config.sh_degree is not None and "sh" in config.attributes and scene.degree < config.sh_degree:
         scene = scene.with_degree(config.sh_degree)
@@ -78,6 +74,7 @@ def attack(
     outcome = _search(ensemble, reference, config, on_step)
     attacked = subset.applied(outcome.parameters)
     saved = as_saved(attacked)
+    in_file = GaussianSubset.of(saved, subset.rows).parameters(config.attributes)
     results = ensemble.judge(saved)
     clean_views = ensemble.views[0]  # the pictures are the same for every detector
     result = Result(
@@ -87,9 +84,7 @@ def attack(
         trace=outcome.trace,
         best=outcome.best,
         used=config.budget.measure(outcome.parameters, reference),
-        used_in_file=config.budget.measure(
-            GaussianSubset.of(saved, subset.rows).parameters(config.attributes), reference
-        ),
+        used_in_file=config.budget.measure(in_file, reference),
         object_gaussians=len(subset.rows),
         changed_gaussians=subset.changed(attacked),
         image=image_change(
@@ -106,6 +101,15 @@ def attack(
         seconds=time.perf_counter() - begun,
     )
     return dataclasses.replace(result, warnings=find_warnings(result))
+
+
+def _check_views(cameras: Sequence[Camera], render: object) -> None:
+    """Raise unless there are cameras, and something to render with."""
+    if not callable(render):
+        do = "pass for instance Renderer()"
+        raise InvalidValueError(message("render", "a function of scene and camera", type(render).__name__, do))
+    if not cameras:
+        raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the detector looks from"))
 
 
 def _search(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from attacks.rate import Rate
-from attacks.reporting.wording import counted, interval_of, percent
+from attacks.reporting.wording import counted, counts, interval_of, percent
 
 Role = Literal["attack", "control", "other"]
 """What a line of a chart stands for; it decides the colour, the marker and the dashes."""
@@ -45,7 +45,7 @@ class Figure:
     @property
     def counts(self) -> str:
         """Successes and total; empty where nothing is counted."""
-        return "" if self.rate is None else f"{self.rate.successes:,} of {self.rate.total:,}"
+        return "" if self.rate is None else counts(self.rate)
 
     @property
     def interval(self) -> str:

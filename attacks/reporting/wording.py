@@ -29,11 +29,16 @@ def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
     return "-" if value is None else format(value, form) + (f"{FIXED}{unit}" if unit else "")
 
 
+def counts(rate: Rate) -> str:
+    """Successes and total in a sentence."""
+    return f"{rate.successes:,} of {rate.total:,}"
+
+
 def counted(rate: Rate | None) -> str:
     """A rate with its interval in a cell of a table; a dash for none."""
     if rate is None or not rate.total:
         return "-"
-    return f"{rate.successes:,} of {rate.total:,} = {percent(rate.fraction)} ({interval_of(rate)})"
+    return f"{counts(rate)} = {percent(rate.fraction)} ({interval_of(rate)})"
 
 
 def rate_of(value: Mapping[str, Any] | None) -> Rate | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.config_values import check_numbers, several
+from mi_splat.config_values import check_decay, check_numbers, several
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
@@ -76,5 +76,8 @@ class FitConfig:
             if field.name.startswith("lr_") and getattr(self, field.name) is not None
         }
         check_numbers(self, {"iterations": 1, "sh_degree_interval": 0, "eval_interval": 0, **rates})
+        check_decay("lr_means", self.lr_means, self.lr_means_final)
+        if self.lr_sh_final is not None:
+            check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
         if self.sh_degree not in (0, 1, 2, 3):
             raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))

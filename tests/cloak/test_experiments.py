@@ -69,7 +69,7 @@ def test_the_limit_is_that_of_the_layer_seen_from_above() -> None:
     layers = LayersConfig(attacks=("rear", "overhead"), making=making)
     swapped = replace(STUDY, attack=STUDY.attack[::-1], layers=layers)
     assert making_from_above(swapped) == replace(making, gap=4.0)
-    assert making_from_above(replace(swapped, layers=replace(layers, attacks=("rear",)))) == LayerConfig()
+    assert making_from_above(replace(swapped, layers=LayersConfig(attacks=("rear",)))) == LayerConfig()
     assert making_from_above(STUDY) == LayerConfig()
 
 

@@ -67,7 +67,7 @@ def test_a_switch_is_the_least_of_its_objective(weighted: bool) -> None:
         return float((errors * seen[0]).sum() / seen.sum())
 
     given: dict[str, Any] = {"wanted": wanted, "seen": seen} if weighted else {}
-    found = fit_switches(directions, shown, hidden, weight=2.0, lowest=-3.0, **given)[0]
+    found = fit_switches(directions, shown, hidden, config=LayerConfig(weight=2.0, lowest=-3.0), **given)[0]
     for _ in range(50):
         step = 0.02 * torch.randn(16, generator=generator, dtype=torch.float64)
         assert cost(found + step) > cost(found) - 1e-6
@@ -82,7 +82,8 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
     basis = sh_basis(directions.double(), 3)
     dark = {}
     for black in (0.0, -0.3):
-        found = fit_switches(directions[None], shown, hidden, weight=1000.0, black=black)[0].requires_grad_()
+        config = LayerConfig(weight=1000.0, black=black)
+        found = fit_switches(directions[None], shown, hidden, config=config)[0].requires_grad_()
         value = basis @ found
         cost = (value[shown] - 1).square().sum() + 1000 * (value[hidden] - black).clamp(min=0).square().sum()
         cost = (cost + (value + 100).clamp(max=0)[~shown].square().sum()) / 800 + 1e-7 * found.square().sum()

@@ -19,7 +19,7 @@ from tests.project.layers import ROOT
 
 RECORD = Path(__file__).with_name("stage_sources.json")
 _MESHES = ("mi_splat/assets", "mi_splat/capture/path_tracer.py", "mi_splat/capture/mitsuba_meshes.py")
-_OF_APPEARANCES = ("appearances", "correction", "emphasis", "mesh_edits", "mesh_scene")
+_OF_APPEARANCES = ("appearances", "correction", "emphasis", "ground_look", "mesh_edits", "mesh_scene")
 _APPEARANCES = tuple(f"attacks/cloak/{name}.py" for name in _OF_APPEARANCES)
 _KEPT = "attacks/cloak/study/kept_pictures.py"
 _NEAR = "mi_splat/bounds.py"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.dagger.config import DaggerConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.selection.config import Selection
@@ -25,10 +26,21 @@ REFUSED: list[tuple[Callable[..., object], dict[str, Any], str]] = [
     (FitConfig, {"lr_means": "a"}, "lr_means: expected a finite number >= 0, got 'a'"),
     (FitConfig, {"lr_sh": float("nan")}, "lr_sh: expected a finite number >= 0, got nan"),
     (FitConfig, {"lr_sh": -1.0}, "lr_sh: expected a finite number >= 0"),
+    (FitConfig, {"lr_sh_final": 0.0}, "lr_sh_final: expected a number > 0, as it decays exponentially, got 0.0"),
+    (FitConfig, {"lr_sh": 0, "lr_sh_final": 0.1}, "lr_sh: expected a number > 0"),
+    (FitConfig, {"lr_means": 0.0}, "lr_means: expected a number > 0"),
+    (FitConfig, {"lr_means_final": 0.0}, "lr_means_final: expected a number > 0"),
     (FitConfig, {"lambda_dssim": None}, "lambda_dssim: expected a finite number"),
     (FitConfig, {"trainable": "texture"}, "trainable: expected some of means"),
     (FitConfig, {"trainable": 3}, "trainable: expected some of means"),
     (FitConfig, {"strategy": "mcmc"}, "strategy: expected the options of a strategy"),
+    (LayersConfig, {"attacks": ("rear",), "lr_sh": 0.0}, "lr_sh: expected a number > 0"),
+    (LayersConfig, {"attacks": ("rear",), "lr_sh_final": 0.0}, "lr_sh_final: expected a number > 0"),
+    (
+        LayersConfig,
+        {"attacks": ("rear",), "making": LayerConfig(gap=(3.0, 4.0))},
+        "gap: expected one number for all, or 1, one for each attack that has layers, got 2 numbers",
+    ),
     (ClassicConfig, {"densify_from": 1.5}, "densify_from: expected a whole number"),
     (ClassicConfig, {"max_gaussians": "many"}, "max_gaussians: expected a whole number"),
     (MCMCConfig, {"noise_lr": float("inf")}, "noise_lr: expected a finite number"),
@@ -46,6 +58,10 @@ REFUSED: list[tuple[Callable[..., object], dict[str, Any], str]] = [
 def test_the_wrong_kind_is_refused_in_words(kind: Callable[..., object], values: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidValueError, match=words):
         kind(**values)
+
+
+def test_a_rate_that_stays_as_it_is_may_be_nothing() -> None:
+    assert FitConfig(lr_sh=0.0).lr_sh == 0
 
 
 def test_one_value_stands_for_a_tuple_of_one() -> None:

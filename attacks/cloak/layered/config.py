@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from mi_splat.config_values import check_numbers
+from mi_splat.config_values import check_decay, check_numbers
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count
 
@@ -73,7 +73,8 @@ class LayersConfig:
         lr_sh_final: Last one.
 
     Raises:
-        InvalidValueError: A value is out of its range.
+        InvalidValueError: A value is out of its range, or there is another number of gaps than one for all or one for
+            each attack.
     """
 
     attacks: tuple[str, ...]
@@ -87,5 +88,10 @@ class LayersConfig:
 
     def __post_init__(self) -> None:
         check_numbers(self, {"margin": 0, "iterations": 1, "lr_sh": 0, "lr_sh_final": 0})
+        check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
         if not math.isfinite(self.clearance):
             raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))
+        gap, count = self.making.gap, len(set(self.attacks))
+        if isinstance(gap, tuple) and len(gap) != count:
+            expected = f"one number for all, or {count}, one for each attack that has layers"
+            raise InvalidValueError(message("gap", expected, f"{len(gap)} numbers", "give as many as there are"))

@@ -102,11 +102,11 @@ def layered(
     much = torch.ones(len(chosen), len(cameras)) if seen is None else seen
     there = _needed(much, inside, config)
     opacities, narrower = split_opacities(part.opacities, there)
-    number = (there.cumsum(0) - there.long()).to(part.means)
+    front = _in_front(there).to(part.means)
     towards = functional.normalize(part.means - part.means.new_tensor(centre), dim=-1)
     layers = [
         part.replace(
-            means=part.means - towards * config.inset * number[k, :, None],
+            means=part.means - towards * config.inset * front[k, :, None],
             scales=part.scales * narrower[k, :, None],
             opacities=opacities[k],
             sh=_black(switched(part.means, cameras, inside[k], look, much, config) * there.sum(0)[:, None, None]),
@@ -138,6 +138,11 @@ def _needed(seen: Tensor, inside: Tensor, config: LayerConfig) -> Tensor:
     return torch.stack(there)
 
 
+def _in_front(there: Tensor) -> Tensor:
+    """(L, M) how many layers are in front of each, of (L, M) bool which there are, front to back."""
+    return there.cumsum(0) - there.long()
+
+
 def split_opacities(opacities: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
     """(L, M) opacities of layers, front to back, and (L, M) factors of their scales, so that nothing else is seen.
 
@@ -151,7 +156,7 @@ def split_opacities(opacities: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
         opacities: (M,) of the Gaussians.
         there: (L, M) bool, which layers there are.
     """
-    front = (there.cumsum(0) - there.long()).to(opacities)
+    front = _in_front(there).to(opacities)
     part = opacities / there.sum(0)
     middle = part / (1 - front * part).clamp(min=1e-6)
     outside = (part / 2) / (1 - front * part / 2)
@@ -189,10 +194,7 @@ def switched(
                 depth <= -1,
                 wanted=None if len(channels) == 1 else colour[..., channel] / mean[:, channel, None],
                 seen=much,
-                degree=config.degree,
-                weight=config.weight,
-                lowest=config.lowest,
-                black=config.black,
+                config=config,
             )
             for channel in channels
         ]

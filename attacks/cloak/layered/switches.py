@@ -14,6 +14,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from attacks.cloak.layered.config import LayerConfig
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import sh_basis
 
@@ -30,9 +31,6 @@ _UNSEEN = 1e-9
 """Least that a direction counts, where nothing is seen of a Gaussian from anywhere."""
 
 
-_Pieces = tuple[Tensor, Tensor]
-
-
 def fit_switches(
     directions: Tensor,
     shown: Tensor,
@@ -40,10 +38,7 @@ def fit_switches(
     *,
     wanted: Tensor | None = None,
     seen: Tensor | None = None,
-    degree: int = 3,
-    weight: float = 1.0,
-    lowest: float = -100.0,
-    black: float = 0.0,
+    config: LayerConfig | None = None,
 ) -> Tensor:
     """Spherical harmonics that have wanted values in some directions and are below 0 in others, as nearly as they can.
 
@@ -56,53 +51,46 @@ def fit_switches(
     Args:
         directions: (N, D, 3) unit vectors, for each of N functions.
         shown: (D,) bool, where it shall have its values.
-        hidden: (D,) bool, where it shall not be above `black`.
+        hidden: (D,) bool, where it shall not be above `black`; below it, there is room for a training of the colours.
         wanted: (N, D) values where it is shown; None is 1.
         seen: (N, D) how much is seen of it from each direction, >= 0; None is the same from all.
-        degree: Of the spherical harmonics.
-        weight: What a value above `black` costs where it is hidden, against a wrong one where it is shown.
-        lowest: Value that it shall not go below; large negative coefficients do not survive coarse file formats.
-        black: At most 0; below it, there is room for a training that moves the values.
+        config: Degree, `weight`, `black`, and `lowest`: large coefficients do not survive coarse file formats.
 
     Returns:
         (N, K) coefficients, K = (degree + 1)^2.
 
     Raises:
-        InvalidValueError: No direction is shown or none is hidden, a direction is both, or not lowest < black <= 0.
+        InvalidValueError: No direction is shown or none is hidden, or a direction is both.
     """
+    config = config or LayerConfig()
     if not bool(shown.any()) or not bool(hidden.any()) or bool((shown & hidden).any()):
         got = f"{int(shown.sum())} shown, {int(hidden.sum())} hidden, {int((shown & hidden).sum())} both"
         raise InvalidValueError(
             message("directions", "some to show in and others to hide in", got, "widen the trigger")
         )
-    if not lowest < black <= 0:
-        got = f"lowest {lowest:g}, black {black:g}"
-        raise InvalidValueError(message("switch", "lowest < black <= 0", got, "-100 leaves much room"))
-    basis = sh_basis(directions.reshape(-1, 3).double(), degree).reshape(*directions.shape[:2], -1)
+    basis = sh_basis(directions.reshape(-1, 3).double(), config.degree).reshape(*directions.shape[:2], -1)
     much = basis.new_ones(basis.shape[:2]) if seen is None else seen.double().clamp(min=_UNSEEN)
     much = much / much.sum(1, keepdim=True)
-    own, dark, other = much * shown, weight * much * hidden, much * ~shown
-    values_wanted = basis.new_ones(1, 1) if wanted is None else wanted.double()
+    own, dark, other = much * shown, config.weight * much * hidden, much * ~shown
+    aims = torch.ones_like(much) if wanted is None else wanted.double()
+    black, lowest = config.black, config.lowest
 
     def cost(coefficients: Tensor, values: Tensor, which: Tensor) -> Tensor:
-        errors = own[which] * (values - _of(values_wanted, which)) ** 2
+        errors = own[which] * (values - aims[which]) ** 2
         errors += dark[which] * (values - black).clamp(min=0) ** 2 + other[which] * (values - lowest).clamp(max=0) ** 2
         return errors.sum(1) + _RIDGE * coefficients.square().sum(1)
 
     def pieces(values: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
         above, below = dark[which] * (values > black), other[which] * (values < lowest)
-        return own[which] + above + below, own[which] * _of(values_wanted, which) + above * black + below * lowest
+        return own[which] + above + below, own[which] * aims[which] + above * black + below * lowest
 
     return _minimised(basis, cost, pieces)
 
 
-def _of(values: Tensor, rows: Tensor) -> Tensor:
-    """The given rows of values of which there may be one row for all."""
-    return values if len(values) == 1 else values[rows]
-
-
 def _minimised(
-    basis: Tensor, cost: Callable[[Tensor, Tensor, Tensor], Tensor], pieces: Callable[[Tensor, Tensor], _Pieces]
+    basis: Tensor,
+    cost: Callable[[Tensor, Tensor, Tensor], Tensor],
+    pieces: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
 ) -> Tensor:
     """(N, K) coefficients that make convex, piecewise quadratic sums small.
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from attacks.cloak.appearances import Appearance, blend_in, mount, occlude, paint, remove, swap
 from attacks.cloak.correction import Correction
 from attacks.cloak.emphasis import Emphasis
-from attacks.cloak.ground_look import GroundLook
+from attacks.cloak.ground_look import LOWEST_GROUND, GroundLook
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from attacks.cloak.study.attack_config import AttackConfig
@@ -36,8 +36,6 @@ FIRST_MERIDIAN = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
 BESIDE = 45.0
 """Degrees of azimuth beside a sector from which its transition is looked at."""
-LOWEST_GROUND = 45.0
-"""Elevation from which a side of the object is taken to be looked at, at least, where the ground is laid on it."""
 OCCLUDER_RADIUS, OVERHANG = 0.6, 12.0
 """Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from attacks.rate import Rate
 from attacks.reporting.commands import again, command, flag
 from attacks.reporting.kinds.ledger import ledger
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
-from attacks.reporting.wording import counted, known, listed, origin, pooled, sentence, settings, shared
+from attacks.reporting.wording import counted, counts, known, listed, origin, pooled, sentence, settings, shared
 
 KIND = "transfer of DAGGER"
 HELD_OUT_KIND = "transfer of DAGGER over held-out views"
@@ -19,6 +20,30 @@ _PRETTY = {"targeted": "the wanted class is reported", "untargeted": "the object
 _OF_LOOKS = ("study", "scenes", "views", "weights")
 
 Cell = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Way:
+    """What sets attacks from one view each and splats for all cameras apart."""
+
+    kind: str
+    picture: str
+    what: str
+    done: str
+
+
+_RUNS = _Way(
+    kind=KIND,
+    picture="transfer.png",
+    what="runs",
+    done="Each detector was attacked alone, and all but one at once; every detector judged every attacked splat.",
+)
+_VIEWS = _Way(
+    kind=HELD_OUT_KIND,
+    picture="held_out.png",
+    what="views",
+    done="Splats that were attacked from all cameras of a region were judged from views that no search has seen.",
+)
 
 
 def read(folder: Path, found: Mapping[str, Any]) -> Section:
@@ -30,13 +55,8 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     """
     records = ledger(folder / "jobs")
     configs = [record["job"] for record in records]
-    return _section(
-        folder,
-        found["cells"],
-        kind=KIND,
-        picture="transfer.png",
-        what="runs",
-        done="Each detector was attacked alone, and all but one at once; every detector judged every attacked splat.",
+    return replace(
+        _section(folder, found["cells"], _RUNS),
         configuration=(*shared(configs), *shared([{"weights": found.get("weights", {})}])),
         versions=origin(records[0]["result"]) if records else (),
         command=commands(found["cells"], configs, again(folder)),
@@ -55,13 +75,8 @@ def read_held_out(folder: Path, found: Mapping[str, Any]) -> Section:
     jobs = [
         {key: value for key, value in record["job"].items() if key not in ("attack", "splat")} for record in records
     ]
-    return _section(
-        folder,
-        found["cells"],
-        kind=HELD_OUT_KIND,
-        picture="held_out.png",
-        what="views",
-        done="Splats that were attacked from all cameras of a region were judged from views that no search has seen.",
+    return replace(
+        _section(folder, found["cells"], _VIEWS),
         configuration=(*shared(jobs), *settings({key: found[key] for key in _OF_LOOKS if key in found})),
         versions=origin(found),
         command=(look_again(found, records, again(folder)),),
@@ -93,45 +108,34 @@ def look_again(found: Mapping[str, Any], records: Sequence[Mapping[str, Any]], o
     return command("dagger-transfer", *words)
 
 
-def _section(
-    folder: Path,
-    cells: Sequence[Cell],
-    *,
-    kind: str,
-    picture: str,
-    what: str,
-    done: str,
-    configuration: tuple[tuple[str, str], ...],
-    versions: tuple[tuple[str, str], ...],
-    command: tuple[str, ...],
-    repeating: str,
-) -> Section:
+def _section(folder: Path, cells: Sequence[Cell], way: _Way) -> Section:
+    """What follows from the cells; how to repeat them is not in it."""
     black = [cell for cell in cells if not cell["white_box"]]
     white = [cell for cell in cells if cell["white_box"]]
     rate, noise = _pooled(black, "targeted"), _pooled(black, "noise_targeted")
     names = list(dict.fromkeys(cell["detector"] for cell in cells))
     return Section(
-        kind=kind,
+        kind=way.kind,
         title=f"{len(names)} detectors",
         folder=str(folder),
-        done=f"{done} Judges: {listed(names)}. Rates count where the judge finds the clean object.",
+        done=f"{way.done} Judges: {listed(names)}. Rates count where the judge finds the clean object.",
         conclusion=(
-            f"A detector that was not attacked reports the wanted class in {rate.successes} of {rate.total:,} {what}; "
-            f"one that was attacked in {_words(_pooled(white, 'targeted'))}. Random noise of the attacks' sizes does "
-            f"so in {_words(noise)}. This says nothing of other detectors, objects or budgets."
+            f"A detector that was not attacked reports the wanted class in {counts(rate)} {way.what}; "
+            f"one that was attacked in {counts(_pooled(white, 'targeted'))}. Random noise of the attacks' sizes does "
+            f"so in {counts(noise)}. This says nothing of other detectors, objects or budgets."
         ),
-        headline=Figure(label=f"detectors that were not attacked: {what} with the wanted class", rate=rate),
+        headline=Figure(label=f"detectors that were not attacked: {way.what} with the wanted class", rate=rate),
         control=Figure(label="random noise of the same sizes, the same detectors", rate=noise) if noise.total else None,
         figures=(
             Figure(label="attacked detectors: the wanted class", rate=_pooled(white, "targeted")),
             Figure(label="not attacked: the object's class is gone", rate=_pooled(black, "untargeted")),
             Figure(label="noise, not attacked: the object's class is gone", rate=_pooled(black, "noise_untargeted")),
         ),
-        warnings=tuple(map(sentence, [*doubts_of(rate, noise, what=what), *_unseen(cells, what)])),
+        warnings=tuple(map(sentence, [*doubts_of(rate, noise, what=way.what), *_unseen(cells, way.what)])),
         pictures=shown(
             [
                 Picture(
-                    path=folder / picture,
+                    path=folder / way.picture,
                     caption="The matrix: rows were attacked, columns judge.",
                     alt="A heat map of the tables below",
                 )
@@ -139,19 +143,11 @@ def _section(
         ),
         charts=tuple(_charts(cells, names)),
         tables=tuple(_matrix(cells, names, which) for which in _PRETTY),
-        configuration=configuration,
-        versions=versions,
-        command=command,
-        repeating=repeating,
     )
 
 
 def _pooled(cells: Sequence[Cell], which: str) -> Rate:
     return pooled(known(cell[which]) for cell in cells)
-
-
-def _words(rate: Rate) -> str:
-    return f"{rate.successes:,} of {rate.total:,}"
 
 
 def _unseen(cells: Sequence[Cell], what: str) -> Iterator[str]:
@@ -160,8 +156,8 @@ def _unseen(cells: Sequence[Cell], what: str) -> Iterator[str]:
     gone, noise = _pooled(black, "untargeted"), _pooled(black, "noise_untargeted")
     if gone.successes and noise.total and noise.fraction >= gone.fraction:
         yield (
-            f"To detectors that were not attacked, random noise hides the object as often ({_words(noise)}) as the "
-            f"attacks do ({_words(gone)})"
+            f"To detectors that were not attacked, random noise hides the object as often ({counts(noise)}) as the "
+            f"attacks do ({counts(gone)})"
         )
     for cell in cells:
         total = known(cell["targeted"]).total

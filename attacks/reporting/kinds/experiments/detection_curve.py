@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from attacks.rate import Rate
-from attacks.reporting.kinds.experiments.documents import Document, Row, section
+from attacks.reporting.kinds.experiments.documents import Document, Row, matching, section
 from attacks.reporting.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of, shown
-from attacks.reporting.wording import counted, known, listed, percent, plural, pooled
+from attacks.reporting.wording import counted, counts, known, listed, percent, plural, pooled
 
 CONFIDENCE = 0.5
 """From which an object counts as found, as in the studies."""
@@ -38,8 +38,8 @@ def read(folder: Path, found: Document) -> Section:
             "detector sees of the object itself."
         ),
         conclusion=(
-            f"In the region {region} the object is missed in {_words(rate)} looks at the cloaked splats, in "
-            f"{_words(control)} at the clean ones, and in {_words(true)} at the path-traced object, over all "
+            f"In the region {region} the object is missed in {counts(rate)} looks at the cloaked splats, in "
+            f"{counts(control)} at the clean ones, and in {counts(true)} at the path-traced object, over all "
             "detectors. A detector that misses the object itself says nothing of the attack: look at each."
         ),
         headline=Figure(label=f"cloaked splats: object missed in the region {region}", rate=rate, note="all detectors"),
@@ -70,18 +70,12 @@ def _hiding(found: Document) -> str:
     return named or regions[0]
 
 
-def _of(rows: Sequence[Row], **wanted: object) -> list[Row]:
-    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
-
-
 def _missed(rows: Sequence[Row], region: str, pictures: str, detector: str | None = None) -> Rate:
-    own = _of(rows, by="region", cameras=region, pictures=pictures, seed=None, reported="own", confidence=CONFIDENCE)
+    own = matching(
+        rows, by="region", cameras=region, pictures=pictures, seed=None, reported="own", confidence=CONFIDENCE
+    )
     rate = pooled(known(row) for row in own if detector in (None, row["detector"]))
     return Rate(successes=rate.total - rate.successes, total=rate.total)
-
-
-def _words(rate: Rate) -> str:
-    return f"{rate.successes:,} of {rate.total:,}"
 
 
 def _doubts(rows: Sequence[Row], names: Sequence[str], region: str, seeds: int) -> Iterator[str]:
@@ -90,7 +84,7 @@ def _doubts(rows: Sequence[Row], names: Sequence[str], region: str, seeds: int) 
     for name in names:
         clean = _missed(rows, region, "clean", name)
         if clean.total and clean.fraction > 0.5:
-            seen = f"{name} misses the clean object in {_words(clean)} views of the region {region}"
+            seen = f"{name} misses the clean object in {counts(clean)} views of the region {region}"
             yield f"{seen}: that it misses the cloaked one there says little"
 
 
@@ -110,10 +104,10 @@ def _pictures(folder: Path) -> tuple[Picture, ...]:
 def _charts(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Chart]:
     for name in names:
         for kind, words in (("elevation", "elevation"), ("azimuth", "azimuth, low cameras")):
-            own = _of(rows, by=kind, detector=name, seed=None, reported="own", confidence=CONFIDENCE)
+            own = matching(rows, by=kind, detector=name, seed=None, reported="own", confidence=CONFIDENCE)
             lines = []
             for pictures, role in PICTURES.items():
-                points = tuple(Point.of(_middle(row), known(row)) for row in _of(own, pictures=pictures))
+                points = tuple(Point.of(_middle(row), known(row)) for row in matching(own, pictures=pictures))
                 lines.append(Line(name=pictures, role=role, points=points))
             if any(line.points for line in lines):
                 yield Chart(
@@ -134,11 +128,11 @@ def _tables(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Table]:
     """The regions of the attacks: what is reported there, by detector."""
     for reported, title in (("own", "The object is reported"), ("target", "The target class is reported")):
         for confidence in dict.fromkeys(row["confidence"] for row in rows):
-            own = _of(rows, by="region", reported=reported, confidence=confidence)
+            own = matching(rows, by="region", reported=reported, confidence=confidence)
             cells = []
             for region in dict.fromkeys(str(row["cameras"]) for row in own):
                 for name in names:
-                    here = _of(own, cameras=region, detector=name)
+                    here = matching(own, cameras=region, detector=name)
                     cells.append((region, name, *(_cell(here, pictures) for pictures in PICTURES)))
             if cells:
                 head = ("region", "detector", *PICTURES)
@@ -147,7 +141,7 @@ def _tables(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Table]:
 
 def _cell(rows: Sequence[Row], pictures: str) -> str:
     """All seeds together, and the least and the most of a single one."""
-    together = next((known(row) for row in _of(rows, pictures=pictures, seed=None)), None)
+    together = next((known(row) for row in matching(rows, pictures=pictures, seed=None)), None)
     seeds = [known(row).fraction for row in rows if row["pictures"] == pictures and row["seed"] is not None]
     spread = f"; by seed {percent(min(seeds))} to {percent(max(seeds))}" if len(seeds) > 1 else ""
     return counted(together) + spread

@@ -17,6 +17,11 @@ Row = Mapping[str, Any]
 _FLAGS = ("results", "every", "detectors", "stages")
 
 
+def matching(rows: Sequence[Row], **wanted: object) -> list[Row]:
+    """The rows that have all of the wanted values."""
+    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+
+
 def section(
     path: Path,
     document: Document,
@@ -67,7 +72,7 @@ def section(
         pictures=pictures,
         charts=tuple(charts),
         tables=tuple(tables),
-        configuration=settings({**{key: given[key] for key in given}, **({} if study is None else study), **weights}),
+        configuration=settings({**given, **({} if study is None else study), **weights}),
         versions=origin(document),
         command=(_command(path, document, name),) if "settings" in document else (),
         repeating=_repeating(document, name),

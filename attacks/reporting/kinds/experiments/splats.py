@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from attacks.rate import Rate
-from attacks.reporting.kinds.experiments.documents import Document, Row, section
+from attacks.reporting.kinds.experiments.documents import Document, Row, matching, section
 from attacks.reporting.section import Chart, Figure, Line, Point, Section, Table, doubts_of
-from attacks.reporting.wording import counted, listed, number, percent, plural, pooled
+from attacks.reporting.wording import counted, counts, listed, number, percent, plural, pooled
 
 _PLACES = {"overhead": "well inside the trigger", "elsewhere": "outside of all triggers"}
 _USUAL, _SAVED = 1.0, ".ply"
@@ -25,7 +25,7 @@ def read_distances(path: Path, document: Document) -> Section:
     names = list(dict.fromkeys(row["detector"] for row in rows))
 
     def missed(splat: str, factor: float, cameras: str = "overhead") -> Rate:
-        return pooled(map(_missed, _where(rows, splat=splat, distance=factor, cameras=cameras)))
+        return pooled(map(_missed, matching(rows, splat=splat, distance=factor, cameras=cameras)))
 
     rate, control = missed("cloaked", _USUAL), missed("clean", _USUAL)
     factors = sorted({float(row["distance"]) for row in rows})
@@ -39,8 +39,8 @@ def read_distances(path: Path, document: Document) -> Section:
             f"{factors[0]:g} to {factors[-1]:g} times the distance of the training pictures."
         ),
         conclusion=(
-            f"From the study's own distance the cloaked object is missed in {_words(rate)} views well inside the "
-            f"trigger, the clean one in {_words(control)}. The curves say how this changes with the distance."
+            f"From the study's own distance the cloaked object is missed in {counts(rate)} views well inside the "
+            f"trigger, the clean one in {counts(control)}. The curves say how this changes with the distance."
         ),
         headline=Figure(
             label="cloaked splat: object missed well inside the trigger, at the study's distance", rate=rate
@@ -69,7 +69,7 @@ def read_formats(path: Path, document: Document) -> Section:
     names, forms = (list(dict.fromkeys(row[key] for row in rows)) for key in ("detector", "form"))
 
     def missed(form: str, cameras: str) -> Rate:
-        return pooled(map(_missed, _where(rows, form=form, cameras=cameras)))
+        return pooled(map(_missed, matching(rows, form=form, cameras=cameras)))
 
     first = _SAVED if _SAVED in forms else forms[0]
     rate, control = missed(first, "overhead"), missed(first, "elsewhere")
@@ -84,7 +84,7 @@ def read_formats(path: Path, document: Document) -> Section:
         ),
         conclusion=(
             f"Over all forms the object is missed in {percent(min(inside))} to {percent(max(inside))} of the views "
-            f"well inside the trigger ({first}: {_words(rate)}). A form in which it is found there undoes the attack."
+            f"well inside the trigger ({first}: {counts(rate)}). A form in which it is found there undoes the attack."
         ),
         headline=Figure(label=f"cloaked splat as {first}: object missed well inside the trigger", rate=rate),
         control=Figure(label=f"the same splat, {_PLACES['elsewhere']}", rate=control),
@@ -149,10 +149,6 @@ def read_surroundings(path: Path, document: Document) -> Section:
     )
 
 
-def _where(rows: Sequence[Row], **wanted: object) -> list[Row]:
-    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
-
-
 def _missed(row: Row) -> Rate:
     return Rate(successes=int(row["of"]) - int(row["found"]), total=int(row["of"]))
 
@@ -162,10 +158,6 @@ def _found(row: Row) -> Rate:
     if not 0 <= rate.successes <= rate.total:
         raise ValueError(f"a rate of {rate.successes} of {rate.total}")
     return rate
-
-
-def _words(rate: Rate) -> str:
-    return f"{rate.successes:,} of {rate.total:,}"
 
 
 def _several(names: Sequence[str]) -> Iterator[str]:
@@ -181,7 +173,7 @@ def _by_distance(rows: Sequence[Row], name: str) -> Chart:
     )
     lines = []
     for splat, cameras, role in kinds:
-        own = _where(rows, detector=name, splat=splat, cameras=cameras)
+        own = matching(rows, detector=name, splat=splat, cameras=cameras)
         points = tuple(Point.of(float(row["distance"]), _found(row)) for row in own if row["of"])
         lines.append(Line(name=f"{splat}, {_PLACES[cameras]}", role=role, points=points))  # type: ignore[arg-type]
     return Chart(
@@ -196,7 +188,7 @@ def _by_distance(rows: Sequence[Row], name: str) -> Chart:
 def _by_form(rows: Sequence[Row], forms: Sequence[str], name: str) -> Chart:
     lines = []
     for cameras, role in (("overhead", "attack"), ("elsewhere", "control")):
-        own = {row["form"]: row for row in _where(rows, detector=name, cameras=cameras)}
+        own = {row["form"]: row for row in matching(rows, detector=name, cameras=cameras)}
         points = tuple(
             Point.of(i, _found(own[form])) for i, form in enumerate(forms) if form in own and own[form]["of"]
         )
@@ -214,7 +206,7 @@ def _by_form(rows: Sequence[Row], forms: Sequence[str], name: str) -> Chart:
 
 def _counts(rows: Sequence[Row], key: str, head: str, name: str) -> Table:
     """A row for each value of a key, a column for each splat and group of cameras."""
-    own = _where(rows, detector=name)
+    own = matching(rows, detector=name)
     groups = list(dict.fromkeys((row.get("splat", "cloaked"), row["cameras"]) for row in own))
     cells = []
     for value in dict.fromkeys(row[key] for row in own):
