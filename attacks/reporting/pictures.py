@@ -23,7 +23,8 @@ def data_address(path: Path) -> tuple[str, int, int]:
     try:
         with Image.open(path) as file:
             picture = file.convert("RGB")
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, ValueError, Image.DecompressionBombError, ImportError) as error:
+        # ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed.
         do = "make the result again"
         raise InvalidValueError(message(str(path), "a picture", str(error), do)) from error
     if max(picture.size) > LONGEST_SIDE:
