@@ -59,17 +59,27 @@ class MixedCache:
     def _surfaces_of(self, shapes: GaussianShapes) -> Any | None:
         if not shapes.others:
             return None
-        held = [value for shape in shapes.others for _, value in mi.traverse(shape)]
-        arrays = [dr.detach(value) for value in held if dr.is_array_v(value)]
-        key = tuple(id(shape) for shape in shapes.others), _key(_flat(arrays))
+        values = [value for shape in shapes.others for _, value in mi.traverse(shape)]
+        values = [getattr(value, "matrix", value) for value in values]
+        arrays = [dr.detach(value) for value in values if dr.is_array_v(value)]
+        plain = tuple(str(value) for value in values if not dr.is_array_v(value))
+        key = tuple(id(shape) for shape in shapes.others), _key(_flat(arrays)), plain
         if self._surfaces is None or self._surfaces[0] != key:
-            parts = {f"surface_{number}": shape for number, shape in enumerate(shapes.others)}
-            self._surfaces = key, (arrays, shapes.others), mi.load_dict({"type": "scene", **parts}, parallel=False)
+            self._surfaces = key, (arrays, shapes.others), _scene_of(shapes.others)
         return self._surfaces[2]
 
     def clear(self) -> None:
         """Drop what was prepared."""
         self._splats = self._surfaces = None
+
+
+def _scene_of(shapes: list[Any]) -> Any:
+    """A Mitsuba scene of shapes that belong to another one, which keep their names there."""
+    names = [shape.id() for shape in shapes]
+    scene = mi.load_dict({"type": "scene", **{f"{n}": shape for n, shape in enumerate(shapes)}}, parallel=False)
+    for shape, name in zip(shapes, names, strict=True):
+        shape.set_id(name)
+    return scene
 
 
 def _flat(arrays: list[Any]) -> list[Any]:
@@ -97,7 +107,7 @@ def check_finite(arrays: tuple[Any, ...]) -> None:
     """
     names = ("data (means, scales, rotations)", "opacities", "sh_coeffs")
     for name, array in zip(names, arrays, strict=True):
-        bad = dr.count(~dr.isfinite(array))[0]
+        bad = dr.count(~dr.isfinite(array))[0] if len(array) else 0
         if bad:
             do = "look at the last update of the parameters: a step may have been too long"
             raise InvalidValueError(message(name, "finite numbers", f"{bad} that are not", do))

@@ -136,6 +136,11 @@ def integrator_class(variant: str) -> Any:
             )
             return found, mi.Bool(True), [alpha] if self.alpha else [], state
 
+        def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:
+            """Camera rays; with alpha, their weight is one number, since Mitsuba's gradient multiplies it to alpha."""
+            ray, weight, place = super().sample_rays(scene, sensor, sampler)
+            return ray, mi.Float(dr.mean(weight)) if self.alpha else weight, place
+
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:

@@ -1,0 +1,179 @@
+"""`splat_ray` among surfaces and lights, against values that can be written down."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import torch
+
+from mi_splat.cameras import Camera
+from mi_splat.plugins.sensor import sensor_dict
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from tests import oracle
+from tests.ray_scenes import GREEN, T, area, constant, diffuse, gaussian, linear, looking, pixel, scene_of, wall
+
+
+def test_one_gaussian_over_a_background() -> None:
+    found = pixel(scene_of(gaussian((0, 0, 0)), integrator={"background": {"type": "rgb", "value": 0.5}}))
+    np.testing.assert_allclose(found, 0.6 * linear(GREEN) + 0.4 * linear(0.5), rtol=1e-4)
+
+
+def test_srgb_values_are_blended_as_in_3dgs() -> None:
+    settings = {"background": {"type": "rgb", "value": 0.5}, "linear": False}
+    found = pixel(scene_of(gaussian((0, 0, 0)), integrator=settings))
+    np.testing.assert_allclose(found, 0.6 * np.array(GREEN) + 0.4 * 0.5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("front_first", [True, False])
+def test_two_overlapping_gaussians_are_blended_by_their_peaks(front_first: bool) -> None:
+    near = gaussian((0.1, 0, -0.2), opacity=0.5, colour=(0.9, 0.1, 0.2))
+    far = gaussian((0, 0.2, 0.1), opacity=0.7)
+    found = pixel(scene_of(*((near, far) if front_first else (far, near)), integrator={"linear": False}))
+    first, second = 0.5 * math.exp(-0.5 * 0.1**2 / 0.25), 0.7 * math.exp(-0.5 * 0.2**2 / 0.25)
+    expected = first * np.array((0.9, 0.1, 0.2)) + (1 - first) * second * np.array(GREEN)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_a_gaussian_before_a_lambertian_wall() -> None:
+    sun = {"type": "directional", "direction": [1, 0, 1], "irradiance": {"type": "rgb", "value": 3.0}}
+    # The sun's ray to the wall's middle passes far from the Gaussian.
+    reflected = 0.5 / math.pi * 3.0 * math.cos(math.pi / 4)
+    black = gaussian((0, 0, 0), colour=(0, 0, 0))
+    np.testing.assert_allclose(pixel(scene_of(black, wall=wall(4.0), sun=sun)), 0.4 * reflected, rtol=1e-3)
+    # A green one is a light, too: the wall shows more than what comes straight to the camera.
+    green = pixel(scene_of(gaussian((0, 0, 0)), wall=wall(4.0), sun=sun), spp=1024)
+    more = green - 0.6 * linear(GREEN) - 0.4 * reflected
+    assert (more > 0).all()
+    assert more.argmax() == 1
+
+
+def test_a_gaussian_is_hidden_by_what_its_peak_lies_behind() -> None:
+    lamp, one = {**wall(1.0), "emitter": area(0.7)}, {"max_depth": 1}
+    before, behind = gaussian((0, 0, 0.9), scale=0.5), gaussian((0, 0, 1.1), scale=0.5)
+    np.testing.assert_allclose(pixel(scene_of(behind, lamp=lamp, integrator=one)), 0.7, rtol=1e-5)
+    found = pixel(scene_of(before, lamp=lamp, integrator=one))
+    np.testing.assert_allclose(found, 0.6 * linear(GREEN) + 0.4 * 0.7, rtol=1e-4)
+
+
+def test_a_gaussian_behind_a_pane() -> None:
+    pane = wall(-2.0, type="thindielectric", int_ior=1.5, ext_ior=1.0)
+    found = pixel(
+        scene_of(gaussian((0, 0, 0)), pane=pane, integrator={"background": {"type": "rgb", "value": 0}}), 4096
+    )
+    single = (0.5 / 2.5) ** 2
+    let_through = (1 - single) ** 2 / (1 - single**2)
+    np.testing.assert_allclose(found, let_through * 0.6 * linear(GREEN), rtol=0.02)
+
+
+def test_a_gaussian_in_a_mirror_is_seen_from_behind() -> None:
+    """Before the mirror it hides the camera's view of itself: light passes it twice."""
+    found = pixel(scene_of(gaussian((0, 0, 0), opacity=0.3), mirror=wall(2.0, type="conductor", material="none")))
+    own = 0.3 * linear(GREEN)
+    np.testing.assert_allclose(found, own + 0.7 * own, rtol=1e-4)
+
+
+def test_colours_in_a_mirror_are_those_from_its_side() -> None:
+    splat = gaussian((0, 0, 0), opacity=0.5)
+    sh = torch.zeros(1, 4, 3)
+    sh[:, :1] = splat.sh
+    sh[:, 2] = 0.5  # brighter in direction +z
+    splat = GaussianScene(splat.means, splat.scales, splat.rotations, splat.opacities, sh)
+    found = pixel(scene_of(splat, mirror=wall(2.0, type="conductor", material="none")))
+    ahead = oracle.sh_colour(sh.numpy().astype(np.float64), np.array([[0.0, 0.0, 1.0]]))[0]
+    back = oracle.sh_colour(sh.numpy().astype(np.float64), np.array([[0.0, 0.0, -1.0]]))[0]
+    np.testing.assert_allclose(found, 0.5 * linear(ahead) + 0.5 * 0.5 * linear(back), rtol=1e-4)
+
+
+@pytest.mark.parametrize("emitter", ["directional", "point"])
+def test_a_shadow_lets_one_minus_alpha_through(emitter: str) -> None:
+    light = {
+        "directional": {"type": "directional", "direction": [1, 0, 1], "irradiance": {"type": "rgb", "value": 3.0}},
+        "point": {"type": "point", "position": [-4, 0, 0], "intensity": {"type": "rgb", "value": 3.0}},
+    }[emitter]
+    parts: dict[str, Any] = {"wall": wall(4.0), "light": light, "integrator": {"max_depth": 2}}
+    bright = pixel(scene_of(**parts))
+    # On the light's way to the wall's middle, (-2, 0, 2), and 0.1 beside it; outside of the camera's ray.
+    shade = gaussian((-2, 0.1, 2), scale=0.25, opacity=0.8, colour=(0, 0, 0))
+    alpha = 0.8 * math.exp(-0.5 * (0.1 / 0.25) ** 2)
+    np.testing.assert_allclose(pixel(scene_of(shade, **parts)), (1 - alpha) * bright, rtol=1e-4)
+    place = (-6, 0, -2) if emitter == "point" else (2, 0, 6)
+    beyond = gaussian(place, scale=0.25, opacity=0.8, colour=(0, 0, 0))
+    np.testing.assert_allclose(pixel(scene_of(beyond, **parts)), bright, rtol=1e-5)
+
+
+def test_a_furnace_stays_as_bright_as_its_walls() -> None:
+    """A white sphere and a Gaussian of the environment's radiance, in that environment: nothing can be seen."""
+    level = 0.8
+    srgb = float(1.055 * level ** (1 / 2.4) - 0.055)
+    ghost = gaussian((0.4, 0.3, -1.2), scale=0.4, opacity=0.9, colour=(srgb, srgb, srgb))
+    parts = {"sensor": looking(size=12), "sky": constant(level), "ball": {"type": "sphere", "bsdf": diffuse(1.0)}}
+    loaded = scene_of(ghost, integrator={"max_depth": -1, "rr_depth": 1000}, **parts)
+    picture = np.array(mi.render(loaded, spp=256))
+    np.testing.assert_allclose(picture.mean(), level, rtol=2e-3)
+    np.testing.assert_allclose(picture, level, rtol=0.15)
+
+
+def test_without_splats_it_is_the_path_tracer() -> None:
+    parts = {"sensor": looking(size=16), "sky": constant(0.3), "floor": wall(2.0, **diffuse(0.4))}
+    parts |= {
+        "ball": {"type": "sphere", "bsdf": {"type": "dielectric"}},
+        "lamp": {
+            "type": "sphere",
+            "center": [2, 2, -1],
+            "radius": 0.3,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 9.0}},
+        },
+    }
+    found = np.array(mi.render(scene_of(**parts), spp=1024))
+    expected = np.array(
+        mi.render(mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 6}, **parts}), spp=1024)
+    )
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.02)
+    assert np.abs(found - expected).mean() < 0.05 * expected.mean()
+
+
+def test_alone_it_is_the_renderers_picture() -> None:
+    """Rays through random points of pixels, on average, against rays through their centres."""
+    splat = oracle.random_scene(40, degree=2, seed=3)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[2, 3] = -6.0
+    view = Camera(to_world=pose, focal=60.0, width=24, height=20)
+    loaded = scene_of(splat, sensor=sensor_dict(view), integrator={"linear": False, "alpha": True})
+    found = np.array(mi.render(loaded, spp=64))
+    expected = Renderer(RenderSettings(method="ray", alpha=True, near=0.01))(splat, view).numpy()
+    assert found.shape == expected.shape
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.03
+
+
+SENSORS: dict[str, dict[str, Any]] = {
+    "thinlens": {"type": "thinlens", "fov": 30.0, "aperture_radius": 0.1, "focus_distance": 5.0},
+    "orthographic": {"type": "orthographic"},
+    "perspective": {"type": "perspective", "fov": 30.0},
+}
+
+
+@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("sampler", ["independent", "stratified"])
+def test_any_sensor_sampler_and_filter(name: str, sampler: str) -> None:
+    film = {"type": "hdrfilm", "width": 9, "height": 9, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
+    place = T().look_at(origin=[0, 0, -5], target=[0, 0, 0], up=[0, 1, 0])
+    sensor = {**SENSORS[name], "to_world": place, "film": film, "sampler": {"type": sampler, "sample_count": 16}}
+    picture = np.array(mi.render(scene_of(gaussian((0, 0, 0), scale=0.3), sensor=sensor)))
+    assert picture[4, 4] == pytest.approx(0.6 * linear(GREEN), rel=0.2)
+    assert picture[0, 0].max() < 0.3 * picture[4, 4].max()
+
+
+def test_a_surface_that_moves_is_seen_where_it_is() -> None:
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 0.7}}
+    loaded = scene_of(gaussian((0, 0, 0)), wall={**wall(1.0), "emitter": glow})
+    with_splat = pixel(loaded)
+    params = mi.traverse(loaded)
+    params["wall.to_world"] = mi.Transform4f(T().translate([0, 0, -1]).rotate([0, 1, 0], 180).scale(50))
+    params.update()
+    np.testing.assert_allclose(pixel(loaded), 0.7, rtol=1e-5)
+    assert not np.allclose(with_splat, 0.7, rtol=0.05)
