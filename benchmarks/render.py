@@ -1,11 +1,13 @@
-"""How fast is `splat_tile`? Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
+"""How fast are `splat_tile` and `splat_ray`? Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
 
     python benchmarks/render.py [--rounds 15] [--json]
 
 The same splat, camera and process for both; each is run three times before it is timed, so that compilation stays
 apart, and the runs are interleaved, since a shared machine changes its speed within minutes. Reported is the median
 over the rounds of the ratio within a round. `volprim_rf_basic` takes one sample a pixel through a box filter; backward
-means the gradient of a random linear function of the picture with respect to every parameter of the splat.
+means the gradient of a random linear function of the picture with respect to every parameter of the splat. `splat_ray`
+takes one sample a pixel, too, through the same random points of pixels: `PSNR` says how near its picture is to that of
+`volprim_rf_basic`. Its tree is built once and not in the times; the last line says what that takes.
 """
 
 from __future__ import annotations
@@ -115,6 +117,7 @@ def measure(count: int, size: int, rounds: int) -> dict[str, Any]:
     ways = {
         "volprim_rf_basic": through_mitsuba(scene, camera, "volprim_rf_basic"),
         "splat_tile": through_mitsuba(scene, camera, "splat_tile"),
+        "splat_ray": through_mitsuba(scene, camera, "splat_ray"),
         "Renderer": through_renderer(scene, camera),
     }
     times: dict[str, list[list[float]]] = {name: [[], []] for name in ways}

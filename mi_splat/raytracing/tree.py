@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from mi_splat.rasterization.frozen import buffer
 
-LEAF = 2
+LEAF = 1
 """Most Gaussians of a leaf."""
 
 NODE = 16
