@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera, as_cameras
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.rasterization.settings import checked_background, checked_near
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.side_outputs import SideOutputs
@@ -90,7 +90,7 @@ class ScreenGradients:
 class _Job:
     """What a render call needs besides tensors; an opaque leaf to `dr.wrap`, which would walk through a dataclass.
 
-    With `side_outputs` a picture has its opacity, and `Picture.depths` follow it as two more outputs.
+    With `side_outputs` a picture has its opacity, and the expected and median depths follow it as two more outputs.
     """
 
     def __init__(self, cameras: Sequence[Camera], renderer: Renderer, *, side_outputs: bool = False) -> None:
@@ -159,7 +159,8 @@ class Renderer:
         if self.settings.method != "tile":
             do = 'use a Renderer(RenderSettings(method="tile"))'
             raise InvalidValueError(message("outputs", 'the method "tile"', f'"{self.settings.method}"', do))
-        return SideOutputs.of(*self._run(scene, _Job([_one(camera)], self, side_outputs=True)))
+        image, depth, median = self._run(scene, _Job([_one(camera)], self, side_outputs=True))
+        return SideOutputs(image=image[..., :3], alpha=image[..., 3], depth=depth, median_depth=median.detach())
 
     def _run(self, scene: GaussianScene, job: _Job) -> list[Tensor]:
         """What the bridge makes of a checked scene."""
@@ -175,7 +176,20 @@ class Renderer:
         tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
-        return list(_bridge(self.variant)(*tensors, job))
+        try:
+            return list(_bridge(self.variant)(*tensors, job))
+        except RuntimeError as error:
+            own = _own(error)
+            if own is None:
+                raise
+            raise own from None
+
+
+def _own(error: BaseException | None) -> MiSplatError | None:
+    """The error of this library that Dr.Jit wrapped in others, if there is one."""
+    while error is not None and not isinstance(error, MiSplatError):
+        error = error.__cause__
+    return error
 
 
 def _one(camera: Camera) -> Camera:
@@ -238,7 +252,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 size = camera.width, camera.height
                 results.append(develop(picture, size, alpha=job.alpha, linear=job.settings.linear))
                 if isinstance(picture, Picture):
-                    results += [mi.TensorXf(depth, size[::-1]) for depth in picture.depths]
+                    results += [mi.TensorXf(depth, size[::-1]) for depth in picture.depths[:2]]
             return results
 
         def backward(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 
@@ -25,17 +24,3 @@ class SideOutputs:
     alpha: Tensor
     depth: Tensor
     median_depth: Tensor
-
-    @classmethod
-    def of(cls, picture: Tensor, weighted_depth: Tensor, median_depth: Tensor) -> SideOutputs:
-        """From what the rasteriser adds up.
-
-        Args:
-            picture: (H, W, 4) colour and opacity.
-            weighted_depth: (H, W) sum(w_i z_i).
-            median_depth: (H, W).
-        """
-        alpha = picture[..., 3]
-        seen = alpha > 0
-        depth = torch.where(seen, weighted_depth / torch.where(seen, alpha, 1.0), 0.0)
-        return cls(image=picture[..., :3], alpha=alpha, depth=depth, median_depth=median_depth.detach())

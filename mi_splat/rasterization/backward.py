@@ -28,10 +28,11 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
 
     Args:
         buffers: The finished picture.
-        grad_picture: Row-major dL/dcolour (3 a pixel) and, if these outputs are used, dL/dopacity and dL/d(sum of
-            weight times depth) (1 a pixel).
+        grad_picture: Row-major dL/dcolour (3 a pixel) and, if these outputs are used, dL/dopacity and dL/d(expected
+            depth) (1 a pixel).
         grad_tiles: Buffers for the same in tile order. The first has 4 floats a pixel: dL/dcolour, and the sum over
-            everything that reached the pixel, background included, of its weight times dL/dweight.
+            everything that reached the pixel, background included, of its weight times dL/dweight. The third has 2:
+            dL/d(expected depth) over the sum of weights, and the expected depth.
     """
     width, _ = width_and_height(buffers.size)
     pixel = buffers.pixels
@@ -44,9 +45,9 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
         weighted += grad_opacity * dr.gather(mi.Float, buffers.opacity, pixel)
         dr.scatter(grad_tiles[1], grad_opacity, where)
     if len(grad_picture) > 2:
-        grad_depth = dr.gather(mi.Float, grad_picture[2], pixel)
-        weighted += grad_depth * dr.gather(mi.Float, buffers.depths[0], pixel)
-        dr.scatter(grad_tiles[2], grad_depth, where)
+        expected, total = (dr.gather(mi.Float, buffers.depths[k], pixel) for k in (0, 2))
+        slope = dr.select(total > 0, dr.gather(mi.Float, grad_picture[2], pixel) / total, 0.0)
+        dr.scatter(grad_tiles[2], mi.ArrayXf([slope, expected]), where)
     dr.scatter(grad_tiles[0], mi.ArrayXf([*grad_colour, weighted]), where)
     dr.eval(grad_tiles)
 
@@ -75,8 +76,10 @@ def blend_backward(
     v = dr.gather(mi.ArrayXf, grad_tiles[0], tile, shape=(4 * n, dr.width(tile)))
     grad_colour = [v[4 * p + channel] for channel in range(3) for p in range(n)]
     weighted = [v[4 * p + 3] for p in range(n)]
-    grads = [list(dr.gather(mi.ArrayXf, grad, tile, shape=(n, dr.width(tile)))) for grad in grad_tiles[1:]]
-    grad_opacity, grad_depth = [*grads, [], []][:2]
+    with_opacity, with_depth = len(grad_tiles) > 1, len(grad_tiles) > 2
+    grad_opacity = list(dr.gather(mi.ArrayXf, grad_tiles[1], tile, shape=(n, dr.width(tile)))) if with_opacity else []
+    both = list(dr.gather(mi.ArrayXf, grad_tiles[2], tile, shape=(2 * n, dr.width(tile)))) if with_depth else []
+    grad_depth = list(zip(both[::2], both[1::2], strict=True))
     blending.blend_tile_backward(
         records,
         pairs,

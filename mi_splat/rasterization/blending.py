@@ -83,13 +83,13 @@ def blend_tile(
 
     Returns:
         A list of 3 x 16 colours (channel-major) without background, a list of 16 transmittances, and, where the records
-        have depths, a list of 16 sums of weight times depth and 16 median depths (0 where there is none).
+        have depths, a list of 16 median depths (0 where there is none), 16 sums of weights, 16 of weight times depth.
     """
     start = (
         mi.UInt32(pair_range[0]),
         [mi.Float(1) for _ in _PIXELS],
         [mi.Float(0) for _ in range(3 * TILE * TILE)],
-        [mi.Float(0) for _ in range(2 * TILE * TILE if len(records) > 2 else 0)],
+        [mi.Float(0) for _ in range(3 * TILE * TILE if len(records) > 2 else 0)],
     )
 
     def body(pair: Any, transmittances: list[Any], colours: list[Any], depths: list[Any]) -> tuple[Any, ...]:
@@ -103,8 +103,10 @@ def blend_tile(
                 summed[k] = dr.fma(weight, record.colour[c], summed[k])
             if measured:
                 halved = (transmittances[p] > 0.5) & (left <= 0.5)
-                measured[p] = dr.fma(weight, record.depth, measured[p])
-                measured[TILE * TILE + p] = dr.select(halved, record.depth, measured[TILE * TILE + p])
+                total, summed_depth = TILE * TILE + p, 2 * TILE * TILE + p
+                measured[p] = dr.select(halved, record.depth, measured[p])
+                measured[total] = measured[total] + weight
+                measured[summed_depth] = dr.fma(weight, record.depth, measured[summed_depth])
         return pair + 1, behind, summed, measured
 
     _, transmittances, colours, depths = dr.while_loop(
@@ -121,23 +123,24 @@ def blend_tile_backward(
     pairs: tuple[Any, Any],
     pair_range: tuple[Any, Any],
     corner: tuple[Any, Any],
-    pixels: tuple[list[Any], list[Any], list[Any], list[Any]],
+    pixels: tuple[list[Any], list[Any], list[tuple[Any, Any]], list[Any]],
     moments: tuple[Any, ...],
 ) -> None:
     """Walk every tile's list again and store each pair's share of the gradient in the pair's own row.
 
     For h = alpha dL/dalpha at a pixel and (dx, dy) from the Gaussian's centre, a row holds the sums over the tile of
-    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour (and, with depths, of weight times dL/d(sum of
-    weight times depth)); no two lanes write to one row, so the result does not depend on the order of execution.
+    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour (and, with depths, of dL/d(expected depth)
+    times weight over the sum of weights); no two lanes write to one row, so the result does not depend on the order of
+    execution. An expected depth D moves with weight w_i by (z_i - D) over that sum; the sum of w_i (z_i - D) is 0.
 
     Args:
         records: The Gaussians' records.
         pairs: For each pair in tile order: its Gaussian, and its row (its place before the sort by tile).
         pair_range: First and one-past-last pair of the lane's tile.
         corner: `first_pixel` of the lane's tile.
-        pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), dL/d(sum of weight times depth) (16, or
-            empty), and the sum over everything that reaches the pixel of weight times dL/dweight, background included
-            (16).
+        pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), dL/d(expected depth) over the sum of
+            weights with the expected depth (16 pairs, or empty), and the sum over everything that reaches the pixel of
+            weight times dL/dweight, background included (16).
         moments: Two buffers, of 8 floats a row and of 1; with gradients of depth a third, of 1.
     """
     grad_colour, grad_opacity, grad_depth, weighted = pixels
@@ -161,8 +164,9 @@ def blend_tile_backward(
                 if grad_opacity:
                     gain = gain + grad_opacity[p]
                 if grad_depth:
-                    gain = dr.fma(record.depth, grad_depth[p], gain)
-                    depth_sum = dr.fma(weight, grad_depth[p], depth_sum)
+                    slope, expected = grad_depth[p]
+                    gain = dr.fma(record.depth - expected, slope, gain)
+                    depth_sum = dr.fma(weight, slope, depth_sum)
                 rest = dr.fma(-weight, gain, remaining[p])
                 # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha); zero where clamped, skipped or stopped
                 h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))

@@ -121,8 +121,8 @@ def blend_tiles(
         rows: UInt32, row of each pair in tile order.
         total: UInt64, number of pairs.
         buffers: The picture; filled.
-        canvas: Buffers that hold tile after tile: colour and transmittance, 4 floats a pixel; and the two depths, 2
-            floats a pixel, if they are wanted.
+        canvas: Buffers that hold tile after tile: colour and transmittance, 4 floats a pixel; and, if depths are
+            wanted, what `blend_tile` returns of them, 3 floats a pixel.
 
     Returns:
         UInt32 Gaussian of each pair in tile order, and first and one-past-last pair of each tile.
@@ -140,7 +140,7 @@ def blend_tiles(
     values = [v for p in range(n) for v in (colours[p], colours[n + p], colours[2 * n + p], transmittances[p])]
     dr.scatter(canvas[0], mi.ArrayXf(values), tile)
     if depths:
-        dr.scatter(canvas[1], mi.ArrayXf([v for p in range(n) for v in (depths[p], depths[n + p])]), tile)
+        dr.scatter(canvas[1], mi.ArrayXf([depths[k * n + p] for p in range(n) for k in range(3)]), tile)
     dr.eval(canvas)
 
     pixel = buffers.pixels
@@ -150,8 +150,9 @@ def blend_tiles(
     dr.scatter(buffers.colour, mi.ArrayXf(rgb), pixel)
     dr.scatter(buffers.opacity, 1.0 - value[3], pixel)
     if depths:
-        both = dr.gather(mi.ArrayXf, canvas[1], where, shape=(2, dr.width(where)))
-        for array, depth in zip(buffers.depths, both, strict=True):
-            dr.scatter(array, depth, pixel)
+        median, total, summed = dr.gather(mi.ArrayXf, canvas[1], where, shape=(3, dr.width(where)))
+        expected = dr.select(total > 0, summed / total, 0.0)
+        for array, values in zip(buffers.depths, (expected, median, total), strict=True):
+            dr.scatter(array, values, pixel)
     dr.eval(buffers.colour, buffers.opacity, buffers.depths)
     return gaussians, start, stop

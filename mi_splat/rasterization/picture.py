@@ -24,7 +24,7 @@ class PictureBuffers:
     background: Any  # Float, 3 values
     colour: Any  # Float, row-major, 3 a pixel
     opacity: Any  # Float, row-major
-    depths: tuple[Any, ...]  # Floats, row-major: sum of weight times depth, and median depth; or nothing
+    depths: tuple[Any, ...]  # nothing, or Floats, row-major: expected depth, median depth, sum of weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,10 @@ class Picture:
     Attributes:
         colour: Float, height x width x 3 values, row-major, background blended in.
         opacity: Float, height x width values of 1 - transmittance.
-        depths: If they were asked for, two Floats of height x width values: the sum of weight times camera-space depth,
-            and the depth of the Gaussian at which the transmittance falls to one half or below (0 where none does).
+        depths: If they were asked for, three Floats of height x width values: the mean of the Gaussians' camera-space
+            depths by their weights (0 where there is none), the depth of the Gaussian at which the transmittance falls
+            to one half or below (0 where none does), and the sum of weights. That is the opacity again, with a small
+            relative error where 1 - transmittance has a large one.
         layout: What lies where in `arrays`.
         arrays: The Gaussians, as the stages read them.
         state: The stages' results, or None where nothing is visible.
@@ -75,7 +77,7 @@ def new_buffers(
         background=mi.Float(background),
         colour=buffer(3 * pixels),
         opacity=buffer(pixels, value=0.0),
-        depths=tuple(buffer(pixels, value=0.0) for _ in range(2 if depths else 0)),
+        depths=tuple(buffer(pixels, value=0.0) for _ in range(3 if depths else 0)),
     )
 
 

@@ -71,7 +71,7 @@ def rasterize(
     run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
     rows = dr.argsort(pairs[0])
     pixels = TILE * TILE * len(buffers.tiles)
-    canvas = tuple(buffer(width * pixels) for width in ((4, 2) if depths else (4,)))
+    canvas = tuple(buffer(width * pixels) for width in ((4, 3) if depths else (4,)))
     gaussians, start, stop = run(forward.blend_tiles, records, pairs, rows, total, buffers, canvas)
     state = BackwardState(
         buffers=buffers,
@@ -117,7 +117,7 @@ def rasterize_backward(
         return gradients
     grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity, grad_depth) if grad is not None)
     pixels_of_tiles = TILE * TILE * len(state.buffers.tiles)
-    grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1, 1)[: len(grad_picture)])
+    grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1, 2)[: len(grad_picture)])
     pairs = len(state.pairs[0])
     moments = (buffer(RECORD * pairs), *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)))
     terms, rows = sh_terms(arrays), (state.depth_order, *state.row_ranges)
