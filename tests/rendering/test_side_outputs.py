@@ -13,11 +13,13 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.attributes import Attribute
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
 from mi_splat.scene_files import SplatScene, read_scene
 from mi_splat.scene_writing import write_scene
+from mi_splat.sh import colour_to_dc
 from tests import oracle
 from tests.rendering.test_plugins import dict_scene
 from tests.rendering.test_rasterization import BACKGROUND, GRADIENT_ERROR, PICTURE_ERROR, camera, smooth_scene
@@ -135,6 +137,35 @@ def test_depth_alone_has_its_gradient() -> None:
         scene, found, lambda moved: float(oracle.depths(moved, view)[0].sum()), names=("means", "opacities", "scales")
     )
     assert not found["sh"].any()
+
+
+def depth_by_colour(scene: GaussianScene, view: Camera) -> Tensor:
+    """Expected depth by way of a picture whose colour is the depth."""
+    z = scene.means @ view.to_camera[2, :3].float() + view.to_camera[2, 3].float()
+    sh = colour_to_dc(z[:, None, None].expand(-1, 1, 3))
+    picture = Renderer(RenderSettings(alpha=True))(scene.replace(sh=sh), view)
+    seen = picture[..., 3] > 0
+    return torch.where(seen, picture[..., 0] / torch.where(seen, picture[..., 3], 1.0), 0.0)
+
+
+def depth_by_outputs(scene: GaussianScene, view: Camera) -> Tensor:
+    return Renderer().outputs(scene, view).depth
+
+
+def test_sizes_may_change_in_any_order() -> None:
+    """Frozen stages that guess a length fail at the next size."""
+    rng = np.random.default_rng(0)
+    for trial in range(8):
+        count = int(rng.choice([1, 3, 16, 48, 100, 400]))
+        width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
+        scene, view = smooth_scene(count, int(rng.integers(0, 3)), seed=trial), camera(width, height)
+        factors, found = torch.from_numpy(rng.normal(size=(height, width))).float(), []
+        for depth in (depth_by_outputs, depth_by_colour):
+            leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+            values = depth(GaussianScene(*leaves), view)
+            found.append((values.detach(), *torch.autograd.grad((values * factors).sum(), leaves[:4])))
+        for ours, theirs in zip(*found, strict=True):
+            torch.testing.assert_close(ours, theirs, rtol=0, atol=2e-3 * float(theirs.abs().max()) + 1e-4)
 
 
 def test_a_ray_tracer_has_no_side_outputs() -> None:
