@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from mi_splat.scene_files import read_scene
     from mi_splat.selection.config import Selection
     from mi_splat.selection.select import select
+    from mi_splat.selection.visibility import contributions, object_maps
+    from mi_splat.side_outputs import SideOutputs
     from mi_splat.training.initialization import from_points
     from mi_splat.training.loop import FitConfig, fit
 
@@ -34,7 +36,9 @@ __all__ = [
     "Renderer",
     "ScreenGradients",
     "Selection",
+    "SideOutputs",
     "View",
+    "contributions",
     "fit",
     "from_points",
     "hemisphere",
@@ -42,6 +46,7 @@ __all__ = [
     "load_splat",
     "look_at",
     "near_plane",
+    "object_maps",
     "read_scene",
     "save_splat",
     "select",
@@ -61,6 +66,8 @@ __getattr__, __dir__ = _lazy.attach(
         "mi_splat.scene_files": ("read_scene",),
         "mi_splat.selection.config": ("Selection",),
         "mi_splat.selection.select": ("select",),
+        "mi_splat.selection.visibility": ("contributions", "object_maps"),
+        "mi_splat.side_outputs": ("SideOutputs",),
         "mi_splat.training.initialization": ("from_points",),
         "mi_splat.training.loop": ("FitConfig", "fit"),
     },

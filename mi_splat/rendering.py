@@ -13,9 +13,10 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera, as_cameras
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.rasterization.settings import checked_background, checked_near
 from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.side_outputs import SideOutputs
 
 Method = Literal["tile", "ray"]
 """How a picture is made: "tile" as 3DGS does (`splat_tile`), "ray" by ray tracing (`splat_ray`)."""
@@ -35,11 +36,13 @@ class RenderSettings:
             place of along the ray.
         alpha: Append opacity (1 - transmittance) as a fourth channel.
         linear: Return linear values instead of sRGB.
+        antialiased: For "tile": opacities take the 2D filter of Mip-Splatting (Yu et al. 2024) into account, as in the
+            mode of gsplat of this name, so that small Gaussians do not swell. Off is the picture of 3DGS.
         variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb"; the current one (or LLVM) if empty.
 
     Raises:
-        InvalidValueError: There is no such method, a number is not finite, `near` is not positive, or the background
-            has not three channels.
+        InvalidValueError: There is no such method, a number is not finite, `near` is not positive, the background has
+            not three channels, or "ray" is asked for a filter on the screen.
     """
 
     method: Method = "tile"
@@ -48,6 +51,7 @@ class RenderSettings:
     colour_to_mean: bool = False
     alpha: bool = False
     linear: bool = False
+    antialiased: bool = False
     variant: str = ""
 
     def __post_init__(self) -> None:
@@ -56,6 +60,9 @@ class RenderSettings:
             raise InvalidValueError(message("method", expected, self.method, "choose one of them"))
         checked_background(self.background)
         checked_near(self.near)
+        if self.antialiased and self.method == "ray":
+            do = 'leave antialiased out, or use the method "tile"'
+            raise InvalidValueError(message("antialiased", 'the method "tile"', '"ray", which projects nothing', do))
 
 
 class ScreenGradients:
@@ -81,14 +88,17 @@ class ScreenGradients:
 
 
 class _Job:
-    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`."""
+    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`, which would walk through a dataclass.
 
-    def __init__(
-        self, cameras: Sequence[Camera], settings: RenderSettings, screen_gradients: ScreenGradients | None
-    ) -> None:
+    With `side_outputs` a picture has its opacity, and the expected and median depths follow it as two more outputs.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], renderer: Renderer, *, side_outputs: bool = False) -> None:
         self.cameras = tuple(cameras)
-        self.settings = settings
-        self.screen_gradients = screen_gradients
+        self.settings = renderer.settings
+        self.screen_gradients = renderer.screen_gradients
+        self.side_outputs = side_outputs
+        self.alpha = side_outputs or self.settings.alpha
 
 
 class Renderer:
@@ -129,16 +139,31 @@ class Renderer:
         Raises:
             InvalidValueError: The scene's tensors are not on the device of the variant, or something else was passed.
         """
-        if not isinstance(camera, Camera):
-            got = f"{type(camera).__name__}"
-            raise InvalidValueError(message("camera", "one Camera", got, "call batch(scene, cameras) for several"))
-        return self.batch(scene, [camera])[0]
+        return self.batch(scene, [_one(camera)])[0]
 
     def batch(self, scene: GaussianScene, cameras: Camera | Sequence[Camera]) -> list[Tensor]:
         """Render one picture per camera in one differentiable call; sizes may differ."""
         cameras = as_cameras(cameras)
-        if not cameras:
-            return []
+        return self._run(scene, _Job(cameras, self)) if cameras else []
+
+    def outputs(self, scene: GaussianScene, camera: Camera) -> SideOutputs:
+        """Render one picture with its depths; differentiable like `__call__`, the median apart.
+
+        Args:
+            scene: N Gaussians; N may be 0.
+            camera: The camera.
+
+        Raises:
+            InvalidValueError: As in `__call__`, or the method is "ray", whose Gaussians have no one depth.
+        """
+        if self.settings.method != "tile":
+            do = 'use a Renderer(RenderSettings(method="tile"))'
+            raise InvalidValueError(message("outputs", 'the method "tile"', f'"{self.settings.method}"', do))
+        image, depth, median = self._run(scene, _Job([_one(camera)], self, side_outputs=True))
+        return SideOutputs(image=image[..., :3], alpha=image[..., 3], depth=depth, median_depth=median.detach())
+
+    def _run(self, scene: GaussianScene, job: _Job) -> list[Tensor]:
+        """What the bridge makes of a checked scene."""
         check_scene("scene", scene)
         variant.use(self.variant)
         device = "cuda" if self.variant.startswith("cuda") else "cpu"
@@ -151,7 +176,28 @@ class Renderer:
         tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
-        return list(_bridge(self.variant)(*tensors, _Job(cameras, self.settings, self.screen_gradients)))
+        try:
+            return list(_bridge(self.variant)(*tensors, job))
+        except RuntimeError as error:
+            own = _own(error)
+            if own is None:
+                raise
+            raise own from None
+
+
+def _own(error: BaseException | None) -> MiSplatError | None:
+    """The error of this library that Dr.Jit wrapped in others, if there is one."""
+    while error is not None and not isinstance(error, MiSplatError):
+        error = error.__cause__
+    return error
+
+
+def _one(camera: Camera) -> Camera:
+    """The camera, if it is one."""
+    if not isinstance(camera, Camera):
+        got = f"{type(camera).__name__}"
+        raise InvalidValueError(message("camera", "one Camera", got, "call batch(scene, cameras) for several"))
+    return camera
 
 
 @functools.cache
@@ -170,9 +216,14 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
     def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
         settings = job.settings
-        cameras = [pinhole.from_camera(camera, near=settings.near) for camera in job.cameras]
+        cameras = [
+            pinhole.from_camera(camera, near=settings.near, antialiased=settings.antialiased) for camera in job.cameras
+        ]
         if settings.method == "tile":
-            return [rasterize(layouts.TENSORS, arrays, camera, settings.background) for camera in cameras]
+            depths = job.side_outputs
+            return [
+                rasterize(layouts.TENSORS, arrays, camera, settings.background, depths=depths) for camera in cameras
+            ]
         splats = prepare(layouts.TENSORS, arrays)
         return [raytrace(splats, camera, settings.background, to_mean=settings.colour_to_mean) for camera in cameras]
 
@@ -180,7 +231,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
         """A renderer as one node of Dr.Jit's AD graph."""
 
         def eval(self, means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
-            """One image per camera.
+            """One image per camera, followed by its two depths if the job has side outputs.
 
             Args:
                 means: TensorXf (N, 3), world units.
@@ -196,19 +247,25 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             arrays = tuple(aligned(mi.Float(dr.detach(t.array))) for t in tensors)
             self.job = job
             self.pictures = make_pictures(arrays, job)
-            settings = job.settings
-            return [
-                develop(picture, (camera.width, camera.height), alpha=settings.alpha, linear=settings.linear)
-                for camera, picture in zip(job.cameras, self.pictures, strict=True)
-            ]
+            results = []
+            for camera, picture in zip(job.cameras, self.pictures, strict=True):
+                size = camera.width, camera.height
+                results.append(develop(picture, size, alpha=job.alpha, linear=job.settings.linear))
+                if isinstance(picture, Picture):
+                    results += [mi.TensorXf(depth, size[::-1]) for depth in picture.depths[:2]]
+            return results
 
         def backward(self) -> None:
             totals: list[Any] | None = None
-            settings, screen_gradients, count = self.job.settings, self.job.screen_gradients, self.shapes[0][0]
+            job, screen_gradients, count = self.job, self.job.screen_gradients, self.shapes[0][0]
+            outputs = self.grad_out()
+            outputs_of_each = len(outputs) // len(self.pictures)
             if screen_gradients is not None:
                 screen_gradients._begin(count)
-            for camera, picture, grad_image in zip(self.job.cameras, self.pictures, self.grad_out(), strict=True):
-                grad_picture = develop_backward(picture, grad_image, alpha=settings.alpha, linear=settings.linear)
+            for number, (camera, picture) in enumerate(zip(job.cameras, self.pictures, strict=True)):
+                grad_image, *grad_depths = outputs[number * outputs_of_each :][:outputs_of_each]
+                grad_picture = develop_backward(picture, grad_image, alpha=job.alpha, linear=job.settings.linear)
+                grad_picture += tuple(mi.Float(dr.detach(grad.array)) for grad in grad_depths[:1])  # not the median's
                 screen = None if screen_gradients is None else buffer(3 * count, value=0.0)
                 if isinstance(picture, RayPicture):
                     gradients = raytrace_backward(picture, *grad_picture)

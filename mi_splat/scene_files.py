@@ -92,6 +92,7 @@ def _settings_of(integrator: Any, near: float) -> RenderSettings:
         near=integrator.near if integrator.near_is_set else near,
         alpha=integrator.alpha,
         linear=integrator.linear,
+        antialiased=integrator.antialiased,
     )
 
 

@@ -58,6 +58,8 @@ def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:
     integrator = ElementTree.SubElement(root, "integrator", type="splat_tile")
     ElementTree.SubElement(integrator, "float", name="near", value=repr(settings.near))
     ElementTree.SubElement(integrator, "rgb", name="background", value=", ".join(map(repr, settings.background)))
+    if settings.antialiased:
+        ElementTree.SubElement(integrator, "boolean", name="antialiased", value="true")
 
 
 def _sensor(root: ElementTree.Element, name: str, camera: Camera) -> None:

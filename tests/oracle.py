@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -49,24 +50,17 @@ def quaternion_matrix(q: Array) -> Array:
     )
 
 
-def render(
-    scene: GaussianScene,
-    camera: Camera,
-    *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    near: float = 0.2,
-) -> tuple[Array, Array]:
-    """The picture (H, W, 3) and its opacity (H, W)."""
-    means, scales, rotations, opacities, sh = (t.detach().numpy().astype(np.float64) for t in scene.tensors())
+def blend(
+    scene: GaussianScene, camera: Camera, *, near: float = 0.2, antialiased: bool = False
+) -> Iterator[tuple[int, float, Array, Array]]:
+    """Gaussians, nearest first: number, depth, weights (H, W), and the transmittance behind it (H, W)."""
+    means, scales, rotations, opacities, _ = (t.detach().numpy().astype(np.float64) for t in scene.tensors())
     pose = camera.to_camera.numpy()
     height, width = camera.height, camera.width
-    picture, left = np.zeros((height, width, 3)), np.ones((height, width))
-    stopped = np.zeros((height, width), dtype=bool)
+    left, stopped = np.ones((height, width)), np.zeros((height, width), dtype=bool)
     local = means @ pose[:3, :3].T + pose[:3, 3]
     # Ranked by the float32 depths that any renderer of float32 splats has: equal depths keep the file's order.
     order = np.argsort(local[:, 2].astype(np.float32), kind="stable")
-    directions = means - camera.position.numpy()
-    colours = sh_colour(sh, directions / np.linalg.norm(directions, axis=1, keepdims=True)) if len(means) else None
     ys, xs = np.mgrid[0:height, 0:width] + 0.5
     limit = 1.3 * 0.5 * np.array([width / camera.fx, height / camera.fy])
     for i in order:
@@ -77,19 +71,51 @@ def render(
         tx, ty = np.clip(tangent, -limit, limit)
         jacobian = np.array([[camera.fx / z, 0, -camera.fx * tx / z], [0, camera.fy / z, -camera.fy * ty / z]])
         factor = jacobian @ pose[:3, :3] @ quaternion_matrix(rotations[i]) @ np.diag(scales[i])
-        conic = np.linalg.inv(factor @ factor.T + 0.3 * np.eye(2))
+        blurred = factor @ factor.T + 0.3 * np.eye(2)
+        conic = np.linalg.inv(blurred)
+        opacity = opacities[i]
+        if antialiased:
+            opacity *= np.sqrt(max(0.0, np.linalg.det(factor @ factor.T)) / np.linalg.det(blurred))
         dx = xs - (camera.fx * tangent[0] + camera.cx)
         dy = ys - (camera.fy * tangent[1] + camera.cy)
         power = -0.5 * (conic[0, 0] * dx * dx + 2 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy)
-        alpha = np.minimum(0.99, opacities[i] * np.exp(power))
+        alpha = np.minimum(0.99, opacity * np.exp(power))
         behind = left * (1 - alpha)
         contributes = (alpha >= 1 / 255) & ~stopped
         stopped |= contributes & (behind < 1e-4)
         contributes &= ~stopped
-        assert colours is not None
-        picture += np.where(contributes, alpha * left, 0.0)[..., None] * colours[i]
+        weights = np.where(contributes, alpha * left, 0.0)
         left = np.where(contributes, behind, left)
+        yield int(i), float(z), weights, left
+
+
+def render(
+    scene: GaussianScene,
+    camera: Camera,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    near: float = 0.2,
+    antialiased: bool = False,
+) -> tuple[Array, Array]:
+    """The picture (H, W, 3) and its opacity (H, W)."""
+    picture, left = np.zeros((camera.height, camera.width, 3)), np.ones((camera.height, camera.width))
+    directions = scene.means.detach().numpy().astype(np.float64) - camera.position.numpy()
+    sh = scene.sh.detach().numpy().astype(np.float64)
+    colours = sh_colour(sh, directions / np.linalg.norm(directions, axis=1, keepdims=True)) if len(scene) else None
+    for i, _, weights, behind in blend(scene, camera, near=near, antialiased=antialiased):
+        assert colours is not None
+        picture += weights[..., None] * colours[i]
+        left = behind
     return picture + left[..., None] * np.asarray(background), 1 - left
+
+
+def depths(scene: GaussianScene, camera: Camera, *, near: float = 0.2) -> tuple[Array, Array]:
+    """Expected and median depth (H, W); 0 where there is none."""
+    total, summed, median = (np.zeros((camera.height, camera.width)) for _ in range(3))
+    for _, z, weights, left in blend(scene, camera, near=near):
+        total, summed = total + weights, summed + z * weights
+        median = np.where((median == 0) & (left <= 0.5), z, median)
+    return np.where(total > 0, summed / np.where(total > 0, total, 1), 0), median
 
 
 def random_scene(count: int, *, degree: int, seed: int, dtype: Any = np.float32) -> GaussianScene:

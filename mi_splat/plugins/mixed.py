@@ -8,9 +8,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
-from mi_splat.rasterization.layouts import ELLIPSOIDS
+from mi_splat.rasterization.layouts import ELLIPSOIDS, check_finite
 from mi_splat.raytracing.splats import Splats, prepare
 
 
@@ -52,7 +51,7 @@ class MixedCache:
         key = _key(held)
         if self._splats is None or self._splats[0] != key:
             arrays = shapes.joined()
-            check_finite(arrays)
+            check_finite(ELLIPSOIDS, arrays)
             self._splats = key, held, prepare(ELLIPSOIDS, arrays)
         return self._splats[2]
 
@@ -97,17 +96,3 @@ def _flat(arrays: list[Any]) -> list[Any]:
 
 def _key(arrays: list[Any]) -> tuple[int, ...]:
     return tuple(array.index for array in arrays)
-
-
-def check_finite(arrays: tuple[Any, ...]) -> None:
-    """Refuse Gaussians with a number that is not finite.
-
-    Raises:
-        InvalidValueError: There is one.
-    """
-    names = ("data (means, scales, rotations)", "opacities", "sh_coeffs")
-    for name, array in zip(names, arrays, strict=True):
-        bad = dr.count(~dr.isfinite(array))[0] if len(array) else 0
-        if bad:
-            do = "look at the last update of the parameters: a step may have been too long"
-            raise InvalidValueError(message(name, "finite numbers", f"{bad} that are not", do))

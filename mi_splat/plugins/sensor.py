@@ -65,8 +65,13 @@ def _flat(arrays: list[Any]) -> list[Any]:
     return [*(matrix[i, j] for i in range(4) for j in range(4)), *others]
 
 
-def pinhole(sensor: Any, *, near: float) -> Pinhole:
+def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:
     """The kernels' camera for a perspective sensor; a crop window shows the same pixels as the whole film would.
+
+    Args:
+        sensor: A perspective sensor.
+        near: As in `Pinhole`.
+        antialiased: As in `Pinhole`.
 
     Raises:
         InvalidValueError: The sensor is not a perspective one.
@@ -80,6 +85,7 @@ def pinhole(sensor: Any, *, near: float) -> Pinhole:
         size=(int(crop[0]), int(crop[1])),
         field=(0.5 * width / focal, 0.5 * height / focal),
         near=near,
+        antialiased=antialiased,
     )
 
 

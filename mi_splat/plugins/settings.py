@@ -63,6 +63,7 @@ TILE_SETTINGS = {
     "near": Setting(0.2, _near, lambda value: mi.Float(value)),
     "alpha": Setting(False, lambda value: _switch("alpha", value), lambda value: mi.Bool(value)),
     "linear": Setting(False, lambda value: _switch("linear", value), lambda value: mi.Bool(value)),
+    "antialiased": Setting(False, lambda value: _switch("antialiased", value), lambda value: mi.Bool(value)),
 }
 """Those of `splat_tile` by name; the table in `tile` says what each means."""
 

@@ -1,19 +1,25 @@
 """The integrator `splat_tile`: the picture that 3DGS trainers optimise, from every `gaussians` shape of a scene.
 
-==========  =======  =========  ======================================================================================
-parameter   type     default    meaning
-==========  =======  =========  ======================================================================================
-background  rgb      0, 0, 0    sRGB colour behind the splat
-near        float    (below)    Gaussians whose mean has a smaller camera-space depth are culled, world units
-alpha       boolean  false      append opacity (1 - transmittance) as a fourth channel
-linear      boolean  false      linear instead of sRGB values (mi.Bitmap and mi.util.write_bitmap expect linear ones)
-==========  =======  =========  ======================================================================================
+===========  =======  =========  =====================================================================================
+parameter    type     default    meaning
+===========  =======  =========  =====================================================================================
+background   rgb      0, 0, 0    sRGB colour behind the splat
+near         float    (below)    Gaussians whose mean has a smaller camera-space depth are culled, world units
+alpha        boolean  false      append opacity (1 - transmittance) as a fourth channel
+linear       boolean  false      linear instead of sRGB values (mi.Bitmap and mi.util.write_bitmap expect linear ones)
+antialiased  boolean  false      opacities take the 2D filter of Mip-Splatting into account, see below
+===========  =======  =========  =====================================================================================
 
-All four can be changed, as attributes of the integrator or through `mi.traverse`, where they are called
+All five can be changed, as attributes of the integrator or through `mi.traverse`, where they are called
 `<id of the integrator>.near` and so on ("integrator" without an id); the next picture is made with the new value.
 
 Without a value, near is set at the first picture to what suits the scene's size and its sensors: the 0.2 of 3DGS, or
 less for small scenes (`mi_splat.near_plane`). Set it to 0.2 where the picture must equal that of the reference.
+
+3DGS widens every Gaussian on the screen by 0.3 px^2, which makes small ones heavier: far away, or in a small picture,
+thin parts swell. With `antialiased` an opacity is multiplied by sqrt(det(S) / det(S + 0.3 I)), S the 2D covariance in
+px^2, and a Gaussian weighs as much as without the widening. It is the mode that gsplat calls "antialiased"; a splat
+looks right in the mode that it was trained in.
 
 One deterministic sample at every pixel centre: sampler, sample count, seed and reconstruction filter have no influence.
 Differentiable with respect to `data`, `opacities` and `sh_coeffs` in reverse mode.
@@ -61,6 +67,7 @@ def integrator_class(variant: str) -> Any:
         near = setting_property("near")
         alpha = setting_property("alpha")
         linear = setting_property("linear")
+        antialiased = setting_property("antialiased")
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
@@ -90,9 +97,10 @@ def integrator_class(variant: str) -> Any:
         def _camera_of(self, sensor: Any) -> Pinhole:
             """The camera of a sensor; the last one is cached, since a gradient is asked for right after its picture."""
             identity, held = sensors.identity(sensor)
-            key = identity, self.near
+            key = identity, self.near, self.antialiased
             if self._camera is None or self._camera[0] != key:
-                self._camera = key, held, sensors.pinhole(sensor, near=self.near)
+                pinhole = sensors.pinhole(sensor, near=self.near, antialiased=self.antialiased)
+                self._camera = key, held, pinhole
             return self._camera[2]
 
         def _picture(self, shapes: GaussianShapes, sensor: Any) -> CachedPicture:

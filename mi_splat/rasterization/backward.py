@@ -17,7 +17,7 @@ from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.picture import PictureBuffers, tile_columns, tiled_index, width_and_height
-from mi_splat.rasterization.pinhole import KernelCamera
+from mi_splat.rasterization.pinhole import KernelCamera, StageCamera
 from mi_splat.rasterization.projection import Gaussians, Splat, project
 
 _LN2 = math.log(2.0)
@@ -28,9 +28,11 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
 
     Args:
         buffers: The finished picture.
-        grad_picture: Row-major dL/dcolour (3 a pixel) and, if that output is used, dL/dopacity (1 a pixel).
+        grad_picture: Row-major dL/dcolour (3 a pixel) and, if these outputs are used, dL/dopacity and dL/d(expected
+            depth) (1 a pixel).
         grad_tiles: Buffers for the same in tile order. The first has 4 floats a pixel: dL/dcolour, and the sum over
-            everything that reached the pixel, background included, of its weight times dL/dweight.
+            everything that reached the pixel, background included, of its weight times dL/dweight. The third has 2:
+            dL/d(expected depth) over the sum of weights, and the expected depth.
     """
     width, _ = width_and_height(buffers.size)
     pixel = buffers.pixels
@@ -42,17 +44,21 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
         grad_opacity = dr.gather(mi.Float, grad_picture[1], pixel)
         weighted += grad_opacity * dr.gather(mi.Float, buffers.opacity, pixel)
         dr.scatter(grad_tiles[1], grad_opacity, where)
+    if len(grad_picture) > 2:
+        expected, total = (dr.gather(mi.Float, buffers.depths[k], pixel) for k in (0, 2))
+        slope = dr.select(total > 0, dr.gather(mi.Float, grad_picture[2], pixel) / total, 0.0)
+        dr.scatter(grad_tiles[2], mi.ArrayXf([slope, expected]), where)
     dr.scatter(grad_tiles[0], mi.ArrayXf([*grad_colour, weighted]), where)
     dr.eval(grad_tiles)
 
 
 def blend_backward(
-    records: tuple[Any, Any],
+    records: tuple[Any, ...],
     pairs: tuple[Any, Any],
     pair_ranges: tuple[Any, Any],
     buffers: PictureBuffers,
     grad_tiles: tuple[Any, ...],
-    moments: tuple[Any, Any],
+    moments: tuple[Any, ...],
 ) -> None:
     """Stage 6: each pair's moments of the gradient, in the pair's own row.
 
@@ -62,7 +68,7 @@ def blend_backward(
         pair_ranges: First and one-past-last pair of each tile.
         buffers: The picture; only its size and tiles are read.
         grad_tiles: What stage 5 wrote.
-        moments: Two buffers, of 8 floats a row and of 1; filled.
+        moments: Two buffers, of 8 floats a row and of 1, and with gradients of depth a third, of 1; filled.
     """
     width, _ = width_and_height(buffers.size)
     tile = buffers.tiles
@@ -70,14 +76,16 @@ def blend_backward(
     v = dr.gather(mi.ArrayXf, grad_tiles[0], tile, shape=(4 * n, dr.width(tile)))
     grad_colour = [v[4 * p + channel] for channel in range(3) for p in range(n)]
     weighted = [v[4 * p + 3] for p in range(n)]
-    with_opacity = len(grad_tiles) > 1
+    with_opacity, with_depth = len(grad_tiles) > 1, len(grad_tiles) > 2
     grad_opacity = list(dr.gather(mi.ArrayXf, grad_tiles[1], tile, shape=(n, dr.width(tile)))) if with_opacity else []
+    both = list(dr.gather(mi.ArrayXf, grad_tiles[2], tile, shape=(2 * n, dr.width(tile)))) if with_depth else []
+    grad_depth = list(zip(both[::2], both[1::2], strict=True))
     blending.blend_tile_backward(
         records,
         pairs,
         pair_ranges,
         blending.first_pixel(mi.Int32(tile), tile_columns(width)),
-        (grad_colour, grad_opacity, weighted),
+        (grad_colour, grad_opacity, grad_depth, weighted),
         moments,
     )
     dr.eval(moments)
@@ -87,9 +95,9 @@ def project_backward(
     layout: Layout,
     terms: int,
     arrays: tuple[Any, ...],
-    camera_numbers: Any,
+    stage_camera: StageCamera,
     rows: tuple[Any, Any, Any],
-    moments: tuple[Any, Any],
+    moments: tuple[Any, ...],
     gradients: tuple[Any, ...],
     screen: Any | None,
 ) -> None:
@@ -99,7 +107,7 @@ def project_backward(
         layout: What lies where in `arrays` and `gradients`.
         terms: SH coefficients a Gaussian and channel.
         arrays: The Gaussians.
-        camera_numbers: `Pinhole.numbers`.
+        stage_camera: The camera.
         rows: Gaussians in depth order, and their first and one-past-last rows.
         moments: What stage 6 wrote.
         gradients: Buffers like `arrays`; filled.
@@ -108,31 +116,34 @@ def project_backward(
     """
     index, first, last = rows
     visible = last > first
-    camera = pinhole.unpack(camera_numbers)
+    camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     gaussians = _with_invisible_ones_harmless(layout.read(arrays, index, terms), visible, camera)
     dr.enable_grad(gaussians.parts())
-    splat, _, _ = project(gaussians, camera)
-    grad_splat = _splat_gradient(splat, _sum_rows(first, last, moments))
+    splat, _, depth = project(gaussians, camera)
+    sums = _sum_rows(first, last, moments)
+    grad_splat = _splat_gradient(splat, sums)
     if screen is not None:
         touching = dr.select(visible, mi.Float(1), mi.Float(0))
         dr.scatter(screen, mi.ArrayXf([grad_splat[0], grad_splat[1], touching]), index)
     product = mi.Float(0)  # its derivative by the Gaussians is the vector-Jacobian product that we are after
     for component, grad_component in zip(splat.components(), grad_splat, strict=True):
         product += component * grad_component
+    if len(moments) > 2:
+        product += depth * sums[RECORD + 1]
     dr.backward(product)
     layout.write(gradients, index, gaussians.gradient())
     dr.eval(gradients, screen)
 
 
-def _sum_rows(first: Any, last: Any, moments: tuple[Any, Any]) -> list[Any]:
-    """Add the rows of each Gaussian in their fixed order: nine Floats a lane."""
+def _sum_rows(first: Any, last: Any, moments: tuple[Any, ...]) -> list[Any]:
+    """Add the rows of each Gaussian in their fixed order: nine Floats a lane, ten with gradients of depth."""
 
     def body(row: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
         m = dr.gather(mi.ArrayXf, moments[0], row, shape=(RECORD, dr.width(row)))
-        ninth = dr.gather(mi.Float, moments[1], row)
-        return row + 1, [s + v for s, v in zip(sums, [*m, ninth], strict=True)]
+        others = [dr.gather(mi.Float, single, row) for single in moments[1:]]
+        return row + 1, [s + v for s, v in zip(sums, [*m, *others], strict=True)]
 
-    zeros = [mi.Float(0) for _ in range(RECORD + 1)]
+    zeros = [mi.Float(0) for _ in range(RECORD + len(moments) - 1)]
     _, sums = dr.while_loop((mi.UInt32(first), zeros), lambda row, _: row < last, body, label="sum of moments")
     return list(sums)
 

@@ -22,13 +22,17 @@ _PIXELS = range(TILE * TILE)
 
 
 class Record:
-    """The nine numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre."""
+    """The numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre.
 
-    def __init__(self, records: tuple[Any, Any], index: Any, corner: tuple[Any, Any]) -> None:
+    Nine, and the depth where the records have a third array.
+    """
+
+    def __init__(self, records: tuple[Any, ...], index: Any, corner: tuple[Any, Any]) -> None:
         v = dr.gather(mi.ArrayXf, records[0], index, shape=(RECORD, dr.width(index)))
         self.x, self.y = corner[0] - v[0], corner[1] - v[1]
         self.u0, self.u1, self.v1, self.level = v[2], v[3], v[4], v[5]
         self.colour = (v[6], v[7], dr.gather(mi.Float, records[1], index))
+        self.depth = dr.gather(mi.Float, records[2], index) if len(records) > 2 else None
 
     def alphas(self) -> list[Any]:
         """Unclamped alpha at every pixel of the tile, 0 where it is below 1/255."""
@@ -67,8 +71,8 @@ def any_open(transmittances: list[Any]) -> Any:
 
 
 def blend_tile(
-    records: tuple[Any, Any], gaussians: Any, pair_range: tuple[Any, Any], corner: tuple[Any, Any]
-) -> tuple[Any, Any]:
+    records: tuple[Any, ...], gaussians: Any, pair_range: tuple[Any, Any], corner: tuple[Any, Any]
+) -> tuple[Any, Any, Any]:
     """Blend every tile.
 
     Args:
@@ -78,64 +82,74 @@ def blend_tile(
         corner: `first_pixel` of the lane's tile.
 
     Returns:
-        A list of 3 x 16 colours (channel-major) without background, and a list of 16 transmittances.
+        A list of 3 x 16 colours (channel-major) without background, a list of 16 transmittances, and, where the records
+        have depths, a list of 16 median depths (0 where there is none), 16 sums of weights, 16 of weight times depth.
     """
     start = (
         mi.UInt32(pair_range[0]),
         [mi.Float(1) for _ in _PIXELS],
         [mi.Float(0) for _ in range(3 * TILE * TILE)],
+        [mi.Float(0) for _ in range(3 * TILE * TILE if len(records) > 2 else 0)],
     )
 
-    def body(pair: Any, transmittances: list[Any], colours: list[Any]) -> tuple[Any, list[Any], list[Any]]:
+    def body(pair: Any, transmittances: list[Any], colours: list[Any], depths: list[Any]) -> tuple[Any, ...]:
         record = Record(records, dr.gather(mi.UInt32, gaussians, pair), corner)
-        behind, summed = [], list(colours)
+        behind, summed, measured = [], list(colours), list(depths)
         for p, alpha in enumerate(record.alphas()):
             weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
             behind.append(left)
             for c in range(3):
                 k = c * TILE * TILE + p
                 summed[k] = dr.fma(weight, record.colour[c], summed[k])
-        return pair + 1, behind, summed
+            if measured:
+                halved = (transmittances[p] > 0.5) & (left <= 0.5)
+                total, summed_depth = TILE * TILE + p, 2 * TILE * TILE + p
+                measured[p] = dr.select(halved, record.depth, measured[p])
+                measured[total] = measured[total] + weight
+                measured[summed_depth] = dr.fma(weight, record.depth, measured[summed_depth])
+        return pair + 1, behind, summed, measured
 
-    _, transmittances, colours = dr.while_loop(
+    _, transmittances, colours, depths = dr.while_loop(
         start,
-        lambda pair, transmittances, _: (pair < pair_range[1]) & any_open(transmittances),
+        lambda pair, transmittances, *_: (pair < pair_range[1]) & any_open(transmittances),
         body,
         label="blend",
     )
-    return colours, [dr.abs(t) for t in transmittances]
+    return colours, [dr.abs(t) for t in transmittances], depths
 
 
 def blend_tile_backward(
-    records: tuple[Any, Any],
+    records: tuple[Any, ...],
     pairs: tuple[Any, Any],
     pair_range: tuple[Any, Any],
     corner: tuple[Any, Any],
-    pixels: tuple[list[Any], list[Any], list[Any]],
-    moments: tuple[Any, Any],
+    pixels: tuple[list[Any], list[Any], list[tuple[Any, Any]], list[Any]],
+    moments: tuple[Any, ...],
 ) -> None:
     """Walk every tile's list again and store each pair's share of the gradient in the pair's own row.
 
     For h = alpha dL/dalpha at a pixel and (dx, dy) from the Gaussian's centre, a row holds the sums over the tile of
-    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour; no two lanes write to one row, so the
-    result does not depend on the order of execution.
+    h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour (and, with depths, of dL/d(expected depth)
+    times weight over the sum of weights); no two lanes write to one row, so the result does not depend on the order of
+    execution. An expected depth D moves with weight w_i by (z_i - D) over that sum; the sum of w_i (z_i - D) is 0.
 
     Args:
         records: The Gaussians' records.
         pairs: For each pair in tile order: its Gaussian, and its row (its place before the sort by tile).
         pair_range: First and one-past-last pair of the lane's tile.
         corner: `first_pixel` of the lane's tile.
-        pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), and the sum over everything that
-            reaches the pixel of weight times dL/dweight, background included (16).
-        moments: Two buffers, of 8 floats a row and of 1.
+        pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), dL/d(expected depth) over the sum of
+            weights with the expected depth (16 pairs, or empty), and the sum over everything that reaches the pixel of
+            weight times dL/dweight, background included (16).
+        moments: Two buffers, of 8 floats a row and of 1; with gradients of depth a third, of 1.
     """
-    grad_colour, grad_opacity, weighted = pixels
+    grad_colour, grad_opacity, grad_depth, weighted = pixels
     start = (mi.UInt32(pair_range[0]), [mi.Float(1) for _ in _PIXELS], list(weighted))
     n = TILE * TILE
 
     def body(pair: Any, transmittances: list[Any], remaining: list[Any]) -> tuple[Any, list[Any], list[Any]]:
         record = Record(records, dr.gather(mi.UInt32, pairs[0], pair), corner)
-        behind, left, colour_sums = [], [], [mi.Float(0)] * 3
+        behind, left, colour_sums, depth_sum = [], [], [mi.Float(0)] * 3, mi.Float(0)
         rows = []
         alphas = record.alphas()
         for row in range(TILE):
@@ -149,6 +163,10 @@ def blend_tile_backward(
                 gain = dr.fma(record.colour[2], grad_colour[2 * n + p], gain)
                 if grad_opacity:
                     gain = gain + grad_opacity[p]
+                if grad_depth:
+                    slope, expected = grad_depth[p]
+                    gain = dr.fma(record.depth - expected, slope, gain)
+                    depth_sum = dr.fma(weight, slope, depth_sum)
                 rest = dr.fma(-weight, gain, remaining[p])
                 # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha); zero where clamped, skipped or stopped
                 h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))
@@ -167,6 +185,8 @@ def blend_tile_backward(
         index = dr.gather(mi.UInt32, pairs[1], pair)
         dr.scatter(moments[0], mi.ArrayXf([*s, colour_sums[0], colour_sums[1]]), index)
         dr.scatter(moments[1], colour_sums[2], index)
+        if grad_depth:
+            dr.scatter(moments[2], depth_sum, index)
         return pair + 1, behind, left
 
     reached, _, _ = dr.while_loop(
@@ -179,7 +199,8 @@ def blend_tile_backward(
     def clear(pair: Any) -> tuple[Any]:
         index = dr.gather(mi.UInt32, pairs[1], pair)
         dr.scatter(moments[0], mi.ArrayXf([mi.Float(0)] * RECORD), index)
-        dr.scatter(moments[1], mi.Float(0), index)
+        for single in moments[1:]:
+            dr.scatter(single, mi.Float(0), index)
         return (pair + 1,)
 
     dr.while_loop((reached,), lambda pair: pair < pair_range[1], clear, label="hidden pairs")

@@ -16,10 +16,17 @@ from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.picture import PictureBuffers, tile_columns, tiled_index, width_and_height
+from mi_splat.rasterization.pinhole import StageCamera
 from mi_splat.rasterization.projection import Splat, project
 
 NO_TILE = 0xFFFFFFFF
 """Sorts behind every tile and every depth."""
+
+BROKEN = 0xFFFFFFFF
+"""In place of a number of tiles: a number of the Gaussian is not finite."""
+
+BROKEN_ROWS = 1 << 40
+"""What such a Gaussian counts for among the rows: more than memory has, so that one number tells the host both."""
 
 
 def project_gaussians(
@@ -28,8 +35,8 @@ def project_gaussians(
     arrays: tuple[Any, ...],
     index: Any,
     buffers: PictureBuffers,
-    camera_numbers: Any,
-    records: tuple[Any, Any],
+    stage_camera: StageCamera,
+    records: tuple[Any, ...],
 ) -> tuple[Any, Any]:
     """Stage 1: project every Gaussian and count the tiles that it touches.
 
@@ -39,14 +46,17 @@ def project_gaussians(
         arrays: The Gaussians.
         index: UInt32, number of the lane's Gaussian: 0, 1, 2, ...
         buffers: The picture; only its size is read.
-        camera_numbers: `Pinhole.numbers`.
-        records: Two buffers, of 8 floats a Gaussian and of 1, to be filled with its record.
+        stage_camera: The camera.
+        records: Two buffers, of 8 floats a Gaussian and of 1, to be filled with its record; a third of 1 takes its
+            camera-space depth.
 
     Returns:
-        UInt32 keys that sort the Gaussians by depth, those without a tile last, and the UInt32 number of tiles of each.
+        UInt32 keys that sort the Gaussians by depth, those without a tile last, and the UInt32 number of tiles of each,
+        or `BROKEN` in its place where a number of the Gaussian is not finite.
     """
-    camera = pinhole.unpack(camera_numbers)
-    splat, extent, depth = project(layout.read(arrays, index, terms), camera)
+    camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
+    gaussians = layout.read(arrays, index, terms)
+    splat, extent, depth = project(gaussians, camera)
     visible = (depth >= camera.near) & (extent.x >= 0.0)
     visible &= dr.isfinite(splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y)
     width, height = width_and_height(buffers.size)
@@ -54,15 +64,29 @@ def project_gaussians(
     components = splat.components()
     dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), index)
     dr.scatter(records[1], components[RECORD], index)
+    if len(records) > 2:
+        dr.scatter(records[2], depth, index)
     # Depths that count are positive, and positive floats sort like their bits.
-    return dr.select(count > 0, dr.reinterpret_array(mi.UInt32, depth), NO_TILE), count
+    key = dr.select(count > 0, dr.reinterpret_array(mi.UInt32, depth), NO_TILE)
+    return key, dr.select(gaussians.finite(), count, BROKEN)
 
 
 def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
-    """Stage 2: first and one-past-last row of the Gaussians in depth order, and the number of rows in all."""
+    """Stage 2: which rows each Gaussian gets.
+
+    Args:
+        count: What stage 1 returned.
+        depth_order: UInt32, Gaussians from near to far.
+
+    Returns:
+        UInt32 first and one-past-last row of the Gaussians in depth order, and one UInt64: the number of rows in all,
+        plus `BROKEN_ROWS` for each Gaussian that is `BROKEN`.
+    """
     counts = dr.gather(mi.UInt32, count, depth_order)
+    broken = counts == BROKEN
+    counts = dr.select(broken, 0, counts)
     first = dr.prefix_sum(counts)
-    return first, first + counts, dr.sum(counts)
+    return first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
 
 
 def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: tuple[Any, Any]) -> None:
@@ -82,12 +106,12 @@ def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any
 
 
 def blend_tiles(
-    records: tuple[Any, Any],
+    records: tuple[Any, ...],
     pairs: tuple[Any, Any],
     rows: Any,
     total: Any,
     buffers: PictureBuffers,
-    canvas: Any,
+    canvas: tuple[Any, ...],
 ) -> tuple[Any, Any, Any]:
     """Stage 4: blend every tile, then lay the tiles out as a row-major picture over the background.
 
@@ -95,9 +119,10 @@ def blend_tiles(
         records: The Gaussians' records.
         pairs: Tiles and Gaussians, as `write_pairs` left them.
         rows: UInt32, row of each pair in tile order.
-        total: UInt32, number of pairs.
+        total: UInt64, number of pairs.
         buffers: The picture; filled.
-        canvas: Buffer of colour and transmittance, 4 floats a pixel, tile after tile.
+        canvas: Buffers that hold tile after tile: colour and transmittance, 4 floats a pixel; and, if depths are
+            wanted, what `blend_tile` returns of them, 3 floats a pixel.
 
     Returns:
         UInt32 Gaussian of each pair in tile order, and first and one-past-last pair of each tile.
@@ -110,17 +135,24 @@ def blend_tiles(
     dr.eval(start, stop)
     width, _ = width_and_height(buffers.size)
     corner = blending.first_pixel(mi.Int32(tile), tile_columns(width))
-    colours, transmittances = blending.blend_tile(records, gaussians, (start, stop), corner)
+    colours, transmittances, depths = blending.blend_tile(records, gaussians, (start, stop), corner)
     n = TILE * TILE
     values = [v for p in range(n) for v in (colours[p], colours[n + p], colours[2 * n + p], transmittances[p])]
-    dr.scatter(canvas, mi.ArrayXf(values), tile)
+    dr.scatter(canvas[0], mi.ArrayXf(values), tile)
+    if depths:
+        dr.scatter(canvas[1], mi.ArrayXf([depths[k * n + p] for p in range(n) for k in range(3)]), tile)
     dr.eval(canvas)
 
     pixel = buffers.pixels
     where = tiled_index(mi.Int32(pixel), width)
-    value = dr.gather(mi.ArrayXf, canvas, where, shape=(4, dr.width(where)))
+    value = dr.gather(mi.ArrayXf, canvas[0], where, shape=(4, dr.width(where)))
     rgb = [dr.fma(value[3], dr.gather(mi.Float, buffers.background, mi.UInt32(c)), value[c]) for c in range(3)]
     dr.scatter(buffers.colour, mi.ArrayXf(rgb), pixel)
     dr.scatter(buffers.opacity, 1.0 - value[3], pixel)
-    dr.eval(buffers.colour, buffers.opacity)
+    if depths:
+        median, total, summed = dr.gather(mi.ArrayXf, canvas[1], where, shape=(3, dr.width(where)))
+        expected = dr.select(total > 0, summed / total, 0.0)
+        for array, values in zip(buffers.depths, (expected, median, total), strict=True):
+            dr.scatter(array, values, pixel)
+    dr.eval(buffers.colour, buffers.opacity, buffers.depths)
     return gaussians, start, stop

@@ -9,6 +9,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mi_splat.attributes import ATTRIBUTES
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.rasterization.projection import Gaussians
 
 
@@ -17,10 +19,12 @@ class Layout:
     """How to read rows of Gaussians from flat Float arrays, and how to write rows of a gradient into such arrays.
 
     Attributes:
+        names: Of the arrays, for messages.
         read: (arrays, UInt32 rows, number of SH terms) -> Gaussians.
         write: (arrays, UInt32 rows, Gaussians that hold the gradient) -> None.
     """
 
+    names: tuple[str, ...]
     read: Callable[[tuple[Any, ...], Any, int], Gaussians]
     write: Callable[[tuple[Any, ...], Any, Gaussians], None]
 
@@ -77,8 +81,21 @@ def _write_ellipsoids(arrays: tuple[Any, ...], index: Any, gradient: Gaussians) 
     dr.scatter(sh, _flat(gradient.sh), index)
 
 
-TENSORS = Layout(_read_tensors, _write_tensors)
+TENSORS = Layout(ATTRIBUTES, _read_tensors, _write_tensors)
 """means (3N), scales (3N), rotations (4N, wxyz), opacities (N), sh (3KN)."""
 
-ELLIPSOIDS = Layout(_read_ellipsoids, _write_ellipsoids)
+ELLIPSOIDS = Layout(("data (means, scales, rotations)", "opacities", "sh_coeffs"), _read_ellipsoids, _write_ellipsoids)
 """data (10N: centre, scale, quaternion xyzw), opacities (N), sh_coeffs (3KN)."""
+
+
+def check_finite(layout: Layout, arrays: tuple[Any, ...]) -> None:
+    """Refuse Gaussians with a number that is not finite.
+
+    Raises:
+        InvalidValueError: There is one.
+    """
+    for name, array in zip(layout.names, arrays, strict=True):
+        bad = dr.count(~dr.isfinite(array))[0] if len(array) else 0
+        if bad:
+            do = "look at the last update of the parameters: a step may have been too long"
+            raise InvalidValueError(message(name, "finite numbers", f"{bad} that are not", do))

@@ -11,6 +11,7 @@ import mitsuba as mi
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import buffer, numbers
 from mi_splat.rasterization.layouts import Layout
+from mi_splat.rasterization.pinhole import StageCamera
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
@@ -23,6 +24,7 @@ class PictureBuffers:
     background: Any  # Float, 3 values
     colour: Any  # Float, row-major, 3 a pixel
     opacity: Any  # Float, row-major
+    depths: tuple[Any, ...]  # nothing, or Floats, row-major: expected depth, median depth, sum of weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +32,8 @@ class BackwardState:
     """What the backward pass needs of the forward pass; pairs and rows are explained in README.md."""
 
     buffers: PictureBuffers
-    camera: Any  # `Pinhole.numbers`
-    records: tuple[Any, Any]
+    camera: StageCamera
+    records: tuple[Any, ...]
     depth_order: Any  # UInt32, Gaussians from near to far
     row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian, in depth order
     pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
@@ -45,6 +47,10 @@ class Picture:
     Attributes:
         colour: Float, height x width x 3 values, row-major, background blended in.
         opacity: Float, height x width values of 1 - transmittance.
+        depths: If they were asked for, three Floats of height x width values: the mean of the Gaussians' camera-space
+            depths by their weights (0 where there is none), the depth of the Gaussian at which the transmittance falls
+            to one half or below (0 where none does), and the sum of weights. That is the opacity again, with a small
+            relative error where 1 - transmittance has a large one.
         layout: What lies where in `arrays`.
         arrays: The Gaussians, as the stages read them.
         state: The stages' results, or None where nothing is visible.
@@ -52,13 +58,16 @@ class Picture:
 
     colour: Any
     opacity: Any
+    depths: tuple[Any, ...]
     layout: Layout
     arrays: tuple[Any, ...]
     state: BackwardState | None
 
 
-def new_buffers(size: tuple[int, int], background: tuple[float, float, float]) -> PictureBuffers:
-    """Buffers for a picture of (width, height) pixels."""
+def new_buffers(
+    size: tuple[int, int], background: tuple[float, float, float], *, depths: bool = False
+) -> PictureBuffers:
+    """Buffers for a picture of (width, height) pixels, and for its depths."""
     width, height = size
     pixels = width * height
     return PictureBuffers(
@@ -68,6 +77,7 @@ def new_buffers(size: tuple[int, int], background: tuple[float, float, float]) -
         background=mi.Float(background),
         colour=buffer(3 * pixels),
         opacity=buffer(pixels, value=0.0),
+        depths=tuple(buffer(pixels, value=0.0) for _ in range(3 if depths else 0)),
     )
 
 

@@ -27,6 +27,7 @@ class Pinhole:
         size: (width, height) in pixels of the picture that is made.
         field: (tan(fov_x / 2), tan(fov_y / 2)) of the uncropped picture.
         near: Means with a smaller camera-space depth are culled, world units.
+        antialiased: Whether a Gaussian keeps its weight under the low-pass filter, see `projection.project`.
     """
 
     to_camera: NDArray[np.float64]
@@ -35,6 +36,7 @@ class Pinhole:
     size: tuple[int, int]
     field: tuple[float, float]
     near: float
+    antialiased: bool = False
 
     def numbers(self) -> Any:
         """The 22 floats of `KernelCamera` as one array of the current variant, made anew."""
@@ -56,7 +58,20 @@ class Pinhole:
 
     def key(self) -> tuple[Any, ...]:
         """Equal for two cameras that make the same picture."""
-        return self.to_camera.tobytes(), self.focal, self.principal, self.size, self.field, self.near
+        numbers = self.to_camera.tobytes(), self.focal, self.principal, self.size, self.field, self.near
+        return *numbers, self.antialiased
+
+    def for_stages(self) -> StageCamera:
+        """The same as the frozen stages take it."""
+        return StageCamera(self.numbers(), self.antialiased)
+
+
+@dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
+class StageCamera:
+    """A camera as an argument of a frozen stage: its numbers may change, and its switch makes another recording."""
+
+    numbers: Any  # `Pinhole.numbers`
+    antialiased: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,9 +85,10 @@ class KernelCamera:
     principal: Any  # Point2f
     guard: Any  # Vector2f, bound of |x/z| and |y/z| in the Jacobian
     near: Any  # Float
+    antialiased: bool = False
 
 
-def unpack(numbers: Any) -> KernelCamera:
+def unpack(numbers: Any, *, antialiased: bool = False) -> KernelCamera:
     """Read a `KernelCamera` out of the array that `Pinhole.numbers` made."""
     v = [dr.gather(mi.Float, numbers, mi.UInt32(i)) for i in range(22)]
     return KernelCamera(
@@ -83,11 +99,12 @@ def unpack(numbers: Any) -> KernelCamera:
         principal=mi.Point2f(*v[17:19]),
         guard=mi.Vector2f(*v[19:21]),
         near=v[21],
+        antialiased=antialiased,
     )
 
 
-def from_camera(camera: Camera, *, near: float) -> Pinhole:
-    """The kernels' camera for one of ours."""
+def from_camera(camera: Camera, *, near: float, antialiased: bool = False) -> Pinhole:
+    """The kernels' camera for one of ours; the settings are those of `Pinhole`."""
     return Pinhole(
         to_camera=camera.to_camera.numpy(),
         focal=(camera.fx, camera.fy),
@@ -95,4 +112,5 @@ def from_camera(camera: Camera, *, near: float) -> Pinhole:
         size=(camera.width, camera.height),
         field=(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy),
         near=near,
+        antialiased=antialiased,
     )

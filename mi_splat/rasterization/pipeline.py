@@ -16,7 +16,7 @@ from mi_splat.rasterization import backward, forward
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.frozen import aligned, buffer, numbers, run
-from mi_splat.rasterization.layouts import Layout
+from mi_splat.rasterization.layouts import Layout, check_finite
 from mi_splat.rasterization.picture import BackwardState, Picture, PictureBuffers, new_buffers, sh_terms
 from mi_splat.rasterization.pinhole import Pinhole
 
@@ -25,7 +25,12 @@ MAX_PAIRS = 1 << 28
 
 
 def rasterize(
-    layout: Layout, arrays: tuple[Any, ...], camera: Pinhole, background: tuple[float, float, float]
+    layout: Layout,
+    arrays: tuple[Any, ...],
+    camera: Pinhole,
+    background: tuple[float, float, float],
+    *,
+    depths: bool = False,
 ) -> Picture:
     """Render Gaussians to a picture.
 
@@ -34,24 +39,28 @@ def rasterize(
         arrays: Flat Float arrays, detached; the last holds SH, the one before it has one opacity a Gaussian.
         camera: The camera.
         background: sRGB colour behind everything.
+        depths: Fill `Picture.depths`, too.
 
     Raises:
+        InvalidValueError: A number of a Gaussian is not finite.
         MiSplatError: The picture needs more than MAX_PAIRS (tile, Gaussian) pairs.
     """
     arrays = tuple(aligned(array) for array in arrays)
-    buffers = new_buffers(camera.size, background)
+    buffers = new_buffers(camera.size, background, depths=depths)
     count = len(arrays[-2])
     if count == 0:
         return _nothing_visible(buffers, layout, arrays)
-    camera_numbers = camera.numbers()
-    records = (buffer(RECORD * count), buffer(count))
+    stage_camera = camera.for_stages()
+    records = (buffer(RECORD * count), *(buffer(count) for _ in range(2 if depths else 1)))
     index = numbers(mi.variant(), count)
     terms = sh_terms(arrays)
-    depth_key, touched = run(forward.project_gaussians, layout, terms, arrays, index, buffers, camera_numbers, records)
+    depth_key, touched = run(forward.project_gaussians, layout, terms, arrays, index, buffers, stage_camera, records)
     # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
     depth_order = dr.argsort(depth_key)
     first, last, total = run(forward.allot_rows, touched, depth_order)
-    number = int(total[0])
+    number = int(total[0])  # the one time that the host waits for the kernels
+    if number >= forward.BROKEN_ROWS:
+        check_finite(layout, arrays)
     if number == 0:
         return _nothing_visible(buffers, layout, arrays)
     if number > MAX_PAIRS:
@@ -61,27 +70,33 @@ def rasterize(
     pairs = (buffer(number, mi.UInt32, forward.NO_TILE), buffer(number, mi.UInt32, 0))
     run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
     rows = dr.argsort(pairs[0])
-    canvas = buffer(4 * TILE * TILE * len(buffers.tiles))
+    pixels = TILE * TILE * len(buffers.tiles)
+    canvas = tuple(buffer(width * pixels) for width in ((4, 3) if depths else (4,)))
     gaussians, start, stop = run(forward.blend_tiles, records, pairs, rows, total, buffers, canvas)
     state = BackwardState(
         buffers=buffers,
-        camera=camera_numbers,
+        camera=stage_camera,
         records=records,
         depth_order=depth_order,
         row_ranges=(first, last),
         pairs=(gaussians, rows),
         pair_ranges=(start, stop),
     )
-    return Picture(buffers.colour, buffers.opacity, layout, arrays, state)
+    return Picture(buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state)
 
 
 def _nothing_visible(buffers: PictureBuffers, layout: Layout, arrays: tuple[Any, ...]) -> Picture:
     colour = dr.tile(buffers.background, len(buffers.opacity))
-    return Picture(colour, buffers.opacity, layout, arrays, None)
+    return Picture(colour, buffers.opacity, buffers.depths, layout, arrays, None)
 
 
 def rasterize_backward(
-    picture: Picture, grad_colour: Any, grad_opacity: Any | None = None, *, screen: Any | None = None
+    picture: Picture,
+    grad_colour: Any,
+    grad_opacity: Any | None = None,
+    grad_depth: Any | None = None,
+    *,
+    screen: Any | None = None,
 ) -> tuple[Any, ...]:
     """Gradient of a scalar L with respect to the Gaussians, from its gradient with respect to the picture.
 
@@ -89,6 +104,7 @@ def rasterize_backward(
         picture: What the forward call returned.
         grad_colour: Float, dL/d(picture.colour).
         grad_opacity: Float, dL/d(picture.opacity), if that output is used.
+        grad_depth: Float, dL/d(picture.depths[0]), if that output is used; `grad_opacity` has to be given, too.
         screen: Float of three zeros a Gaussian (see `buffer`), to be filled with dL/d(centre on the screen) in pixels
             and 1 where the Gaussian touches a tile.
 
@@ -99,11 +115,11 @@ def rasterize_backward(
     gradients = tuple(buffer(len(array), value=0.0) for array in arrays)
     if state is None:
         return gradients
-    grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity) if grad is not None)
+    grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity, grad_depth) if grad is not None)
     pixels_of_tiles = TILE * TILE * len(state.buffers.tiles)
-    grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1)[: len(grad_picture)])
+    grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1, 2)[: len(grad_picture)])
     pairs = len(state.pairs[0])
-    moments = (buffer(RECORD * pairs), buffer(pairs))
+    moments = (buffer(RECORD * pairs), *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)))
     terms, rows = sh_terms(arrays), (state.depth_order, *state.row_ranges)
     run(backward.gradient_to_tiles, state.buffers, grad_picture, grad_tiles)
     run(backward.blend_backward, state.records, state.pairs, state.pair_ranges, state.buffers, grad_tiles, moments)

@@ -37,6 +37,14 @@ class Gaussians:
         """All arrays in one list."""
         return [self.mean, self.scale, *self.rotation, self.opacity, *self.sh]
 
+    def finite(self) -> Any:
+        """Bool, whether all numbers are finite. By their bits: not every backend's maximum passes a NaN on."""
+        largest = mi.UInt32(0)
+        for part in self.parts():
+            for value in part if dr.depth_v(part) > 1 else [part]:
+                largest = dr.maximum(largest, dr.reinterpret_array(mi.UInt32, value) & 0x7FFFFFFF)
+        return largest < 0x7F800000
+
     def gradient(self) -> Gaussians:
         """The gradients that a backward pass left in the arrays, in the same form."""
         return Gaussians(
@@ -60,7 +68,7 @@ class Splat:
     u0: Any
     u1: Any
     v1: Any
-    level: Any  # log2 of the opacity
+    level: Any  # log2 of the opacity (of the filtered Gaussian, if `antialiased`)
     colour: Any  # Color3f, >= 0
 
     def components(self) -> list[Any]:
@@ -92,6 +100,12 @@ def colour(gaussians: Gaussians, camera: KernelCamera) -> Any:
 def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any]:
     """Project every Gaussian.
 
+    The blur of 0.3 px^2 makes small Gaussians heavier than they are: with S for the 2D covariance, the sum of a
+    Gaussian's weights over the picture grows by sqrt(det(S + 0.3 I) / det(S)). With `camera.antialiased` its opacity is
+    divided by that, so that the blur is a low-pass filter that keeps the sum: the 2D filter of Mip-Splatting (Yu et al.
+    2024, eq. 10), in the form that gsplat calls "antialiased", with the blur of 0.3 and no floor under the factor (the
+    3DGS reference has one of 0.005; the code of Mip-Splatting blurs by 0.1). alpha is clamped at 0.99 after that.
+
     Returns:
         The splats, the half-widths (Vector2f, px) of the box outside of which alpha < 1/255 (negative where there is no
         such box), and the camera-space depths. Lanes with depth < near carry no meaning.
@@ -116,14 +130,18 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
     n0, n1 = dr.squared_norm(v0), dr.squared_norm(v1)
     xx, yy, xy = n0 + BLUR, n1 + BLUR, dr.dot(v0, v1)
     # Lagrange's identity: no cancellation between xx yy and xy^2 for long thin splats.
-    determinant = dr.squared_norm(dr.cross(v0, v1)) + BLUR * (n0 + n1 + BLUR)
+    area = dr.squared_norm(dr.cross(v0, v1))
+    determinant = area + BLUR * (n0 + n1 + BLUR)
     u0 = dr.sqrt(_HALF_LOG2_E * yy / determinant)
+    level = dr.log2(gaussians.opacity)
+    if camera.antialiased:
+        level += 0.5 * dr.log2(area / determinant)
     splat = Splat(
         centre=centre,
         u0=u0,
         u1=-u0 * xy / yy,
         v1=dr.sqrt(_HALF_LOG2_E / yy),
-        level=dr.log2(gaussians.opacity),
+        level=level,
         colour=colour(gaussians, camera),
     )
     reach = dr.detach((splat.level - CUTOFF) / _HALF_LOG2_E)  # squared Mahalanobis radius where alpha = 1/255

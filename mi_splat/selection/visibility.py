@@ -1,17 +1,148 @@
-"""What of a picture an object makes up, and which Gaussians make a pixel; exact for any renderer."""
+"""What of a picture each Gaussian and each object makes up; exact for any renderer, by changing colours.
+
+A picture is linear in the colours: a pixel is the sum over Gaussians of weight times colour, w_i = alpha_i T_i with T_i
+what those in front let through. So weights are what a picture of other colours shows, or its derivative by colours.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
+Box = tuple[int, int, int, int]
+"""Pixels of a picture: x0, y0, x1, y1 from the upper left corner, x1 and y1 no longer among them."""
+
 _EMPTY_PIXEL = 0.05
 """A pixel of which Gaussians make up less shows nothing."""
+
+_LEAST_ALPHA = 1 / 255
+"""The smallest opacity above 0 that a pixel has: fainter Gaussians contribute nothing."""
+
+
+def contributions(
+    scene: GaussianScene,
+    cameras: Camera | Sequence[Camera],
+    *,
+    render: RenderFn,
+    rows: Tensor | None = None,
+    boxes: Sequence[Box] | None = None,
+) -> Tensor:
+    """(M, D) pixels that each of M Gaussians makes up in the pictures of D cameras: the sum of its weights over pixels.
+
+    Exact: the derivative of a picture's sum by a Gaussian's colour, taken at grey, where no colour is clamped. What is
+    hidden by others counts nothing, and over all Gaussians the sum is that of the pictures' opacity. It takes a picture
+    of SH degree 0 and its gradient for each camera.
+
+    Args:
+        scene: N Gaussians.
+        cameras: One, or D of them.
+        render: A renderer that is differentiable in the SH coefficients and gives sRGB.
+        rows: (M,) indices or (N,) bool, those that are asked for; None is all.
+        boxes: For each camera the pixels that count; None is all of them. A pixel x, y is the box x, y, x + 1, y + 1.
+
+    Returns:
+        Without a gradient.
+
+    Raises:
+        InvalidValueError: There is not one box a camera, or a box is empty or not inside its picture.
+    """
+    cameras = as_cameras(cameras)
+    if boxes is not None and len(boxes) != len(cameras):
+        raise InvalidValueError(message("boxes", f"{len(cameras)}, one a camera", len(boxes), "pass one for each"))
+    rows = torch.arange(len(scene)) if rows is None else rows
+    geometry = scene.detach().tensors()[:4]
+    grey = torch.zeros_like(scene.sh[:, :1])
+    if not len(scene):
+        return grey.new_zeros(0, len(cameras))
+    step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
+    weights = [grey.new_zeros(len(grey[rows]), 0)]
+    for number, camera in enumerate(cameras):
+        x0, y0, x1, y1 = (0, 0, camera.width, camera.height) if boxes is None else _checked(boxes[number], camera)
+        sh = grey.clone().requires_grad_()
+        with torch.enable_grad():
+            picture = render(GaussianScene.unchecked(*geometry, sh), camera)
+            (gradient,) = torch.autograd.grad(picture[y0:y1, x0:x1, :3].sum(), sh)
+        weights.append((gradient[rows, 0].mean(-1) * step)[:, None])
+    return torch.cat(weights, 1)
+
+
+def _checked(box: Box, camera: Camera) -> Box:
+    """The box, if it has pixels and all of them are in the picture."""
+    x0, y0, x1, y1 = box
+    if not (0 <= x0 < x1 <= camera.width and 0 <= y0 < y1 <= camera.height):
+        expected = f"x0 < x1 and y0 < y1 inside {camera.width} x {camera.height}"
+        raise InvalidValueError(message("box", expected, box, "count pixels from the upper left corner"))
+    return box
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectMaps:
+    """What K objects of a scene make up of each pixel.
+
+    Attributes:
+        weights: (H, W, K) sum of the weights of each object's Gaussians; together they are the picture's opacity, less
+            what Gaussians of no object make up. Differentiable in all of the scene but its colours.
+        ids: (H, W) int64, number of the object with the largest weight, the first of equal ones; -1 where Gaussians of
+            no object make up more than any object, or nothing is.
+    """
+
+    weights: Tensor
+    ids: Tensor
+
+
+def object_maps(
+    scene: GaussianScene, objects: Iterable[Tensor | slice], camera: Camera, *, render: RenderFn
+) -> ObjectMaps:
+    """Which object each pixel shows, and how much of it: K / 3 + 1 pictures of SH degree 0.
+
+    Args:
+        scene: N Gaussians.
+        objects: The Gaussians of each object: (N,) bool, row numbers, or a slice. `SplatScene.objects.values()` are
+            those of a scene file; one mask alone is an object before everything else.
+        camera: Where from.
+        render: The renderer; gives sRGB.
+
+    Raises:
+        InvalidValueError: There is no object, or a Gaussian belongs to two.
+    """
+    objects = list(objects)
+    owners, count = _owners(len(scene), objects).to(scene.means.device), len(objects)
+    groups = count + int((owners < 0).any())
+    owners = torch.where(owners < 0, count, owners)
+    colours = torch.nn.functional.one_hot(owners, 3 * -(-groups // 3)).to(scene.means).reshape(len(scene), -1, 3)
+    black = _painted(scene, torch.zeros_like(colours[:, 0]), camera, render)
+    pictures = [_painted(scene, colours[:, k], camera, render) - black for k in range(colours.shape[1])]
+    weights = torch.cat(pictures, -1)[..., :groups]
+    ids = weights.detach().argmax(-1)
+    nothing = (ids >= count) | (weights.detach().sum(-1) < 0.5 * _LEAST_ALPHA)
+    return ObjectMaps(weights=weights[..., :count], ids=torch.where(nothing, -1, ids))
+
+
+def _owners(count: int, objects: list[Tensor | slice]) -> Tensor:
+    """(N,) int64 number of the object that each Gaussian belongs to, -1 for none."""
+    if not objects:
+        raise InvalidValueError(message("objects", "at least one", "none", "pass the rows of each object"))
+    owners = torch.full((count,), -1)
+    for number, rows in enumerate(objects):
+        taken = int((owners[rows] >= 0).sum())
+        if taken:
+            got = f"{taken} of object {number} that belong to one before it"
+            raise InvalidValueError(message("objects", "Gaussians of one object each", got, "take them out of one"))
+        owners[rows] = number
+    return owners
+
+
+def _painted(scene: GaussianScene, colours: Tensor, camera: Camera, render: RenderFn) -> Tensor:
+    """(H, W, 3) picture of a scene whose Gaussians have other colours, (N, 3), the same from everywhere."""
+    return render(GaussianScene.unchecked(*scene.tensors()[:4], colour_to_dc(colours)[:, None]), camera)[..., :3]
 
 
 def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, render: RenderFn) -> Tensor:
@@ -26,23 +157,15 @@ def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, re
         camera: Where from.
         render: The renderer.
     """
-    black = torch.zeros_like(scene.sh)
-    black[:, 0] = colour_to_dc(black.new_zeros(3))
-    white = black.clone()
-    white[rows, 0] = colour_to_dc(black.new_ones(3))
+    white = torch.zeros_like(scene.means)
+    white[rows] = 1
     with torch.no_grad():
-        pictures = [
-            render(GaussianScene.unchecked(scene.means, scene.scales, scene.rotations, scene.opacities, sh), camera)
-            for sh in (white, black)
-        ]
+        pictures = [_painted(scene, colours, camera, render) for colours in (white, torch.zeros_like(white))]
     return (pictures[0] - pictures[1]).mean(-1).clamp(0, 1)
 
 
 def pixel_weights(scene: GaussianScene, camera: Camera, pixel: tuple[int, int], render: RenderFn) -> Tensor:
     """(N,) how much of a pixel each Gaussian makes up; their sum is what the background leaves.
-
-    A pixel is the sum of weights times colours, so its derivative by a Gaussian's colour is the weight. It is taken at
-    grey, where no colour is clamped.
 
     Args:
         scene: The scene.
@@ -57,12 +180,7 @@ def pixel_weights(scene: GaussianScene, camera: Camera, pixel: tuple[int, int], 
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         expected = f"a pixel of {camera.width} x {camera.height}"
         raise InvalidValueError(message("click", expected, f"{x},{y}", "count pixels from the upper left corner"))
-    grey = colour_to_dc(scene.sh.new_full((len(scene), 1, 3), 0.5)).requires_grad_(True)
-    with torch.enable_grad():
-        picture = render(GaussianScene.unchecked(*scene.detach().tensors()[:4], grey), camera)
-        (gradient,) = torch.autograd.grad(picture[y, x, 0], grey)
-    one = colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0))
-    weights: Tensor = gradient[:, 0, 0] * one.to(gradient)
+    weights = contributions(scene, camera, render=render, boxes=[(x, y, x + 1, y + 1)])[:, 0]
     if float(weights.sum()) < _EMPTY_PIXEL:
         got = f"one of which Gaussians make up {float(weights.sum()):.1%}"
         raise InvalidValueError(message(f"click {x},{y}", "a pixel that shows something", got, "click on the object"))

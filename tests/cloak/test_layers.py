@@ -13,13 +13,13 @@ from torch.nn import functional
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.layered.layers import depths, layered, seen_colours, split_opacities, switched
 from attacks.cloak.layered.switches import chebyshev_width, fit_switches
-from attacks.cloak.layered.visibility import contributions
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
+from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
 CENTRE = (0.0, 0.0, 0.0)
@@ -213,7 +213,7 @@ def test_contributions_are_what_a_colour_changes_in_a_picture() -> None:
     scene, render = ball(), Renderer()
     camera = orbit(CENTRE, count=1, elevation=30.0, **LENS)[0]
     rows = torch.tensor([0, 7, 39])
-    found = contributions(scene, rows, [camera], render=render)
+    found = contributions(scene, camera, render=render, rows=rows)
     with torch.no_grad():
         before = render(scene, camera)
         for number, row in enumerate(rows.tolist()):

@@ -39,7 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "objects": ("mi_splat.assets",),
     "rasterization": ("mi_splat.rasterization",),
     "Mitsuba": ("mi_splat.llvm", "mi_splat.mitsuba_log", "mi_splat.plugins", "mi_splat.variant"),
-    "rendering": ("mi_splat.rendering", "mi_splat.scene_files", "mi_splat.scene_writing"),
+    "rendering": ("mi_splat.rendering", "mi_splat.side_outputs", "mi_splat.scene_files", "mi_splat.scene_writing"),
     "training": ("mi_splat.training",),
     "capture": ("mi_splat.capture",),
     "viewer": ("mi_splat.viewer",),

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.layered.layers import depths, layered, seen_colours
-from attacks.cloak.layered.visibility import contributions
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
@@ -18,6 +17,7 @@ from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.masks import box_mask
+from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
 DIRECTIONS = 400
@@ -71,7 +71,7 @@ def layer_object(
     looks = [part.sh]
     for depth in inside[1:]:
         showing = [view for view, keep in zip(views, (decided & (depth > 0)).tolist(), strict=True) if keep]
-        seen = contributions(clean, rows, [view.camera for view in showing], render=render)
+        seen = contributions(clean, [view.camera for view in showing], render=render, rows=rows)
         looks.append(colour_to_dc(seen_colours(part.means, showing, seen, benign))[:, None])
     cameras = hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target))  # type: ignore[arg-type]
     scene = layered(
@@ -81,7 +81,7 @@ def layer_object(
         looks,
         cameras=cameras,
         centre=centre,
-        seen=contributions(clean, rows, cameras, render=render),
+        seen=contributions(clean, cameras, render=render, rows=rows),
         config=making,
     )
     trained = torch.arange(len(scene)) >= len(clean)

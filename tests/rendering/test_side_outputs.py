@@ -1,0 +1,270 @@
+"""Depths and the anti-aliased filter of the rasteriser against the float64 oracle; numbers that are not finite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat import variant
+from mi_splat.attributes import Attribute
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
+from mi_splat.scene_files import SplatScene, read_scene
+from mi_splat.scene_writing import write_scene
+from mi_splat.sh import colour_to_dc
+from tests import oracle
+from tests.rendering.test_plugins import dict_scene
+from tests.rendering.test_rasterization import BACKGROUND, GRADIENT_ERROR, PICTURE_ERROR, camera, smooth_scene
+from tests.rendering.test_specification import VIEW, blobs
+
+variant.use()
+
+import mitsuba as mi  # noqa: E402
+
+from mi_splat.plugins import sensor as sensors  # noqa: E402
+
+DEPTH_ERROR = 4e-6
+"""Largest relative difference of an expected depth from the oracle's; 1.4e-6 was the largest measured."""
+
+ANTIALIASED = Renderer(RenderSettings(antialiased=True, background=BACKGROUND))
+
+Value = Callable[[GaussianScene], float]
+
+
+def gradients(scene: GaussianScene, loss: Callable[[GaussianScene], Tensor]) -> dict[str, Tensor]:
+    """Of a loss by each tensor of the scene."""
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+    loss(GaussianScene(*leaves)).backward()  # type: ignore[no-untyped-call]
+    return {
+        name: torch.zeros(0) if leaf.grad is None else leaf.grad for name, leaf in zip(ATTRIBUTES, leaves, strict=True)
+    }
+
+
+def agree(
+    scene: GaussianScene, found: dict[str, Tensor], value: Value, *, names: Sequence[Attribute] = ATTRIBUTES
+) -> None:
+    """Hold the largest entries of a gradient to central differences of the oracle."""
+    for name in names:
+        gradient = found[name].flatten()
+        for entry in gradient.abs().argsort(descending=True)[:4].tolist():
+            ends = []
+            for step in (1e-6, -1e-6):
+                tensors = {k: t.double().clone() for k, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+                tensors[name].view(-1)[entry] += step
+                ends.append(value(GaussianScene.unchecked(*tensors.values())))
+            assert float(gradient[entry]) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=GRADIENT_ERROR), name
+
+
+# ------------------------------------------------------------------------------------------------------------ depths
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "distance"),
+    [(300, (64, 50), 3.0), (400, (61, 43), 0.4), (20, (7, 3), 1.3), (1, (16, 16), 3.0), (300, (1, 1), 3.0)],
+)
+def test_depths_are_the_oracles(count: int, size: tuple[int, int], distance: float) -> None:
+    scene, view = oracle.random_scene(count, degree=1, seed=count), camera(*size, distance=distance)
+    found = Renderer(RenderSettings(background=BACKGROUND)).outputs(scene, view)
+    depth, median = oracle.depths(scene, view)
+    np.testing.assert_allclose(found.depth.numpy(), depth, rtol=DEPTH_ERROR, atol=0)
+    np.testing.assert_allclose(found.median_depth.numpy(), median, rtol=1e-6, atol=0)
+    assert not found.depth[found.alpha == 0].any()
+    assert torch.equal(found.median_depth > 0, found.alpha >= 0.5)
+
+
+@pytest.mark.parametrize("settings", [{}, {"alpha": True, "linear": True}, {"antialiased": True}])
+def test_the_image_is_the_picture_to_the_bit(settings: dict[str, Any]) -> None:
+    scene, view = oracle.random_scene(200, degree=2, seed=3), camera(45, 31)
+    render = Renderer(RenderSettings(**settings))
+    found, picture = render.outputs(scene, view), render(scene, view)
+    assert torch.equal(found.image, picture[..., :3])
+    if render.settings.alpha:
+        assert torch.equal(found.alpha, picture[..., 3])
+
+
+def test_the_depths_of_two_gaussians_follow_by_hand() -> None:
+    found = Renderer().outputs(blobs([1.0, 3.0], [0.4, 0.75], scale=50.0), VIEW)
+    assert float(found.depth[4, 4]) == pytest.approx((0.4 * 1 + 0.6 * 0.75 * 3) / 0.85, rel=1e-5)
+    assert float(found.median_depth[4, 4]) == 3.0  # 0.6 is left behind the first
+    assert float(Renderer().outputs(blobs([2.0], [0.5], scale=50.0), VIEW).median_depth[4, 4]) == 2.0
+    assert float(Renderer().outputs(blobs([2.0], [0.49]), VIEW).median_depth.max()) == 0.0
+
+
+def test_nothing_visible_has_no_depth() -> None:
+    scene = oracle.random_scene(30, degree=0, seed=0)
+    means = (scene.means + 1e4).requires_grad_(True)
+    for case in (scene.replace(means=means), scene.select(slice(0, 0))):
+        found = Renderer().outputs(case, camera(9, 5))
+        assert not torch.cat([found.alpha, found.depth, found.median_depth]).any()
+        if len(case):
+            found.depth.sum().backward()  # type: ignore[no-untyped-call]
+    assert means.grad is not None
+    assert not means.grad.any()
+
+
+def test_depth_has_its_gradient_beside_those_of_image_and_alpha() -> None:
+    scene, view = smooth_scene(25, 1, seed=11), camera(37, 29)
+    rng = np.random.default_rng(0)
+    on_image, on_alpha, on_depth = rng.normal(size=(29, 37, 3)), rng.normal(size=(29, 37)), rng.normal(size=(29, 37))
+    render = Renderer(RenderSettings(background=BACKGROUND))
+
+    def loss(scene: GaussianScene) -> Tensor:
+        found = render.outputs(scene, view)
+        assert not found.median_depth.requires_grad
+        pairs = ((found.image, on_image), (found.alpha, on_alpha), (found.depth, on_depth))
+        return torch.stack([(output * torch.from_numpy(factors).float()).sum() for output, factors in pairs]).sum()
+
+    def value(scene: GaussianScene) -> float:
+        image, alpha = oracle.render(scene, view, background=BACKGROUND)
+        depth, _ = oracle.depths(scene, view)
+        return float((image * on_image).sum() + (alpha * on_alpha).sum() + (depth * on_depth).sum())
+
+    agree(scene, gradients(scene, loss), value)
+
+
+def test_depth_alone_has_its_gradient() -> None:
+    scene, view = smooth_scene(12, 0, seed=2), camera(20, 16)
+    found = gradients(scene, lambda moved: Renderer().outputs(moved, view).depth.sum())
+    agree(
+        scene, found, lambda moved: float(oracle.depths(moved, view)[0].sum()), names=("means", "opacities", "scales")
+    )
+    assert not found["sh"].any()
+
+
+def depth_by_colour(scene: GaussianScene, view: Camera) -> Tensor:
+    """Expected depth by way of a picture whose colour is the depth."""
+    z = scene.means @ view.to_camera[2, :3].float() + view.to_camera[2, 3].float()
+    sh = colour_to_dc(z[:, None, None].expand(-1, 1, 3))
+    picture = Renderer(RenderSettings(alpha=True))(scene.replace(sh=sh), view)
+    seen = picture[..., 3] > 0
+    return torch.where(seen, picture[..., 0] / torch.where(seen, picture[..., 3], 1.0), 0.0)
+
+
+def depth_by_outputs(scene: GaussianScene, view: Camera) -> Tensor:
+    return Renderer().outputs(scene, view).depth
+
+
+def test_sizes_may_change_in_any_order() -> None:
+    """Frozen stages that guess a length fail at the next size."""
+    rng = np.random.default_rng(0)
+    for trial in range(8):
+        count = int(rng.choice([1, 3, 16, 48, 100, 400]))
+        width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
+        scene, view = smooth_scene(count, int(rng.integers(0, 3)), seed=trial), camera(width, height)
+        factors, found = torch.from_numpy(rng.normal(size=(height, width))).float(), []
+        for depth in (depth_by_outputs, depth_by_colour):
+            leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+            values = depth(GaussianScene(*leaves), view)
+            found.append((values.detach(), *torch.autograd.grad((values * factors).sum(), leaves[:4])))
+        for ours, theirs in zip(*found, strict=True):
+            torch.testing.assert_close(ours, theirs, rtol=0, atol=2e-3 * float(theirs.abs().max()) + 1e-4)
+
+
+def test_a_ray_tracer_has_no_side_outputs() -> None:
+    with pytest.raises(InvalidValueError, match='outputs: expected the method "tile", got "ray"'):
+        Renderer(RenderSettings(method="ray")).outputs(blobs([1.0], [0.5]), VIEW)
+    with pytest.raises(InvalidValueError, match="one Camera"):
+        Renderer().outputs(blobs([1.0], [0.5]), [VIEW])  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------------------------------------------- antialiased
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "distance"), [(300, (64, 50), 3.0), (300, (12, 9), 6.0), (400, (61, 43), 0.4)]
+)
+def test_antialiased_picture_is_the_oracles(count: int, size: tuple[int, int], distance: float) -> None:
+    scene, view = oracle.random_scene(count, degree=1, seed=count), camera(*size, distance=distance)
+    reference, _ = oracle.render(scene, view, background=BACKGROUND, antialiased=True)
+    assert np.abs(ANTIALIASED(scene, view).numpy() - reference).max() <= PICTURE_ERROR
+    assert np.abs(oracle.render(scene, view, background=BACKGROUND)[0] - reference).max() > 0.01
+
+
+def test_antialiased_gradient_is_the_finite_difference() -> None:
+    scene, view = smooth_scene(25, 1, seed=11), camera(25, 19)
+    factors = np.random.default_rng(0).normal(size=(19, 25, 3))
+    found = gradients(scene, lambda moved: (ANTIALIASED(moved, view) * torch.from_numpy(factors).float()).sum())
+    settings: dict[str, Any] = {"background": BACKGROUND, "antialiased": True}
+    agree(scene, found, lambda moved: float((oracle.render(moved, view, **settings)[0] * factors).sum()))
+
+
+def test_antialiased_keeps_what_a_small_gaussian_weighs() -> None:
+    """The sum of its weights is that of the Gaussian without the blur, 2 pi o s^2 with s in pixels."""
+    small = blobs([2.0], [0.8], scale=0.05)  # 8 px / 2 * 0.05 = 0.2 px
+    sharp, plain = (Renderer(RenderSettings(antialiased=on)).outputs(small, VIEW) for on in (True, False))
+    assert float(sharp.alpha[4, 4]) == pytest.approx(0.8 * 0.04 / 0.34, rel=1e-4)
+    assert float(sharp.alpha.sum()) == pytest.approx(2 * np.pi * 0.8 * 0.04, rel=0.1)
+    assert float(plain.alpha.sum()) > 7 * float(sharp.alpha.sum())
+    point = blobs([2.0], [0.8], scale=1e-20).replace(opacities=torch.tensor([0.8], requires_grad=True))
+    picture = ANTIALIASED(point, VIEW)
+    picture.sum().backward()  # type: ignore[no-untyped-call]
+    assert torch.equal(picture.detach(), torch.tensor(BACKGROUND).expand(8, 8, 3))
+
+
+def test_rays_know_no_filter_on_the_screen() -> None:
+    with pytest.raises(InvalidValueError, match='antialiased: expected the method "tile"'):
+        RenderSettings(method="ray", antialiased=True)
+
+
+def test_antialiased_in_a_scene_and_its_file(tmp_path: Path) -> None:
+    scene = oracle.random_scene(60, degree=1, seed=4)
+    loaded = dict_scene(scene, antialiased=True)
+    view = sensors.camera(loaded.sensors()[0])
+    settings = RenderSettings(antialiased=True)
+    np.testing.assert_allclose(mi.render(loaded).numpy(), Renderer(settings)(scene, view).numpy(), atol=2e-6)
+    mi.traverse(loaded).update({"integrator.antialiased": False})
+    np.testing.assert_allclose(mi.render(loaded).numpy(), Renderer()(scene, view).numpy(), atol=2e-6)
+    with pytest.raises(InvalidValueError, match="antialiased: expected true or false"):
+        loaded.integrator().antialiased = 2
+    values = SplatScene(scene=scene, objects={"car": slice(0, 60)}, cameras={"front": view}, settings=settings)
+    write_scene(values, scene, tmp_path / "scene.xml")
+    assert read_scene(tmp_path / "scene.xml").settings == settings
+
+
+# -------------------------------------------------------------------------------------------------------- not finite
+
+
+@pytest.mark.parametrize(("key", "entry"), [("data", 17), ("data", 13), ("opacities", 2), ("sh_coeffs", 40)])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_numbers_that_are_not_finite_are_refused_by_name(key: str, entry: int, value: float) -> None:
+    loaded = dict_scene(oracle.random_scene(60, degree=1, seed=4))
+    before = mi.render(loaded).numpy()
+    params = mi.traverse(loaded)
+    numbers = params[f"splat.{key}"].numpy().copy()
+    broken = numbers.copy()
+    broken[[entry, entry + 20]] = value
+    params.update({f"splat.{key}": mi.Float(broken)})
+    with pytest.raises(
+        InvalidValueError, match=rf"{key}.*: expected finite numbers, got 2 that are not; look at the last"
+    ):
+        loaded.integrator().render(loaded)
+    with pytest.raises(RuntimeError):  # Dr.Jit's, from ours
+        mi.render(loaded, params)
+    params.update({f"splat.{key}": mi.Float(numbers)})
+    assert np.array_equal(mi.render(loaded).numpy(), before)
+
+
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_a_renderer_refuses_them_too_even_out_of_sight(name: Attribute) -> None:
+    scene = merge(blobs([2.0], [0.5]), blobs([-5.0], [0.5]))
+    tensors = {key: tensor.clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+    tensors[name][1] = float("nan")
+    with pytest.raises(
+        InvalidValueError, match=f"{name}: expected finite numbers, got {tensors[name][1].numel()} that"
+    ):
+        Renderer()(GaussianScene.unchecked(*tensors.values()), VIEW)
+
+
+def test_the_largest_numbers_are_finite() -> None:
+    scene = blobs([2.0, 3.0], [0.5, 0.5])
+    scales = scene.scales.clone()
+    scales[0] = torch.finfo(torch.float32).max
+    assert torch.equal(Renderer()(scene.replace(scales=scales), VIEW), Renderer()(blobs([3.0], [0.5]), VIEW))
