@@ -29,8 +29,8 @@ class SplatScene:
         scene: All its Gaussians, shape after shape in file order.
         objects: Rows of each `gaussians` shape, by its id.
         cameras: One per sensor, by its id.
-        settings: Those of its `splat_tile` integrator, or the defaults where it has another one. Where the file states
-            no near plane, it is that of `near_plane` for the scene and its cameras.
+        settings: Those of its `splat_tile` or `splat_ray` integrator, or the defaults where it has another one. Where
+            the file states no near plane, it is that of `near_plane` for the scene and its cameras.
     """
 
     scene: GaussianScene
@@ -85,6 +85,15 @@ def read_scene(path: str | Path) -> SplatScene:
 
 def _settings_of(integrator: Any, near: float) -> RenderSettings:
     """Those of a scene's integrator; `near` where the file states none."""
+    if type(integrator).__name__ == "SplatRay":
+        return RenderSettings(
+            method="ray",
+            background=integrator.background,
+            near=near,
+            colour_to_mean=integrator.colour_to_mean,
+            alpha=integrator.alpha,
+            linear=integrator.linear,
+        )
     if type(integrator).__name__ != "SplatTile":
         return RenderSettings(near=near)
     return RenderSettings(

@@ -55,9 +55,14 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
 
 
 def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:
-    integrator = ElementTree.SubElement(root, "integrator", type="splat_tile")
-    ElementTree.SubElement(integrator, "float", name="near", value=repr(settings.near))
+    integrator = ElementTree.SubElement(root, "integrator", type=f"splat_{settings.method}")
+    if settings.method == "tile":
+        ElementTree.SubElement(integrator, "float", name="near", value=repr(settings.near))
     ElementTree.SubElement(integrator, "rgb", name="background", value=", ".join(map(repr, settings.background)))
+    if settings.method == "ray":
+        for name in ("colour_to_mean", "linear"):
+            value = str(getattr(settings, name)).lower()
+            ElementTree.SubElement(integrator, "boolean", name=name, value=value)
     if settings.antialiased:
         ElementTree.SubElement(integrator, "boolean", name="antialiased", value="true")
 

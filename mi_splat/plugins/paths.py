@@ -9,98 +9,24 @@ multiplied by it, too. Surfaces are path traced with next-event estimation and m
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
 
 from mi_splat.plugins.mixed import Mixed
-from mi_splat.rasterization.colour import linear_derivative, linear_value
-from mi_splat.raytracing import adjoint, segments
-from mi_splat.raytracing.peaks import Stretch
-from mi_splat.raytracing.splats import Sums
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PathSettings:
-    """What paths depend on besides the scene.
-
-    Attributes:
-        background: Color3f, radiance of what lies behind everything, where there is no environment emitter.
-        linear: Whether light adds up in linear values; else in sRGB values, as 3DGS does.
-        to_mean: Whether a Gaussian's colour is looked up towards its mean instead of along the ray.
-        max_depth: Longest path, in vertices; 1 sees emitters, backgrounds and splats only.
-        rr_depth: Vertices after which paths end at random.
-        hide_emitters: Whether the camera does not see the environment.
-    """
-
-    background: Any
-    linear: bool
-    to_mean: bool
-    max_depth: int
-    rr_depth: int
-    hide_emitters: bool
-
-
-@dataclass(slots=True, eq=False)
-class Adjoint:
-    """What a replay needs: dL/dradiance, dL/dalpha of the camera's ray, and the sums that it adds to."""
-
-    radiance: Any
-    alpha: Any
-    sums: Sums
-
-
-def layer(colour: Any, transmittance: Any, *, linear: bool) -> Any:
-    """Radiance of a stretch of splats: its colour is that of a layer with alpha = 1 - transmittance, made linear.
-
-    Args:
-        colour: Color3f, sRGB, multiplied by alpha.
-        transmittance: Float.
-        linear: See `PathSettings`.
-    """
-    if not linear:
-        return mi.Color3f(colour)
-    alpha = 1.0 - transmittance
-    return dr.select(alpha > 0.0, alpha * linear_value(colour / alpha), 0.0)
-
-
-def layer_backward(colour: Any, transmittance: Any, gradient: Any, *, linear: bool) -> tuple[Any, Any]:
-    """dL/dcolour (Color3f) and dL/dtransmittance (Float) from dL/dradiance.
-
-    Args:
-        colour: As `layer` was given it.
-        transmittance: As `layer` was given it.
-        gradient: Color3f.
-        linear: See `PathSettings`.
-    """
-    if not linear:
-        return mi.Color3f(gradient), mi.Float(0.0)
-    alpha = 1.0 - transmittance
-    own = colour / alpha
-    slope = linear_derivative(own)
-    grad_alpha = dr.dot(gradient, linear_value(own) - slope * own)
-    there = alpha > 0.0
-    return dr.select(there, gradient * slope, 0.0), dr.select(there, -grad_alpha, 0.0)
-
-
-def _stretch(ray: Any, far: Any) -> Stretch:
-    return Stretch(mi.Point3f(ray.o), mi.Vector3f(ray.d), mi.Float(0.0), mi.Float(far))
-
-
-def _seen(mixed: Mixed, ray: Any, far: Any, active: Any, settings: PathSettings) -> tuple[Any, Any]:
-    """Colour and transmittance of the splats on a ray up to a distance."""
-    if mixed.splats is None:
-        return mi.Color3f(0.0), mi.Float(1.0)
-    return segments.blend(mixed.splats, _stretch(ray, far), active, to_mean=settings.to_mean)
-
-
-def _through(mixed: Mixed, ray: Any, active: Any) -> Any:
-    """Transmittance of the splats on a shadow ray."""
-    if mixed.splats is None:
-        return mi.Float(1.0)
-    return segments.transmittance(mixed.splats, _stretch(ray, ray.maxt), active)
+from mi_splat.plugins.stretches import (
+    Adjoint,
+    PathSettings,
+    layer,
+    layer_backward,
+    let_through,
+    replay_shadow,
+    replay_stretch,
+    seen_on,
+    stretch_of,
+)
+from mi_splat.raytracing import adjoint
 
 
 def _mis_weight(pdf: Any, other: Any) -> Any:
@@ -138,7 +64,7 @@ def radiance(
     else:
         hit = mixed.surfaces.ray_intersect_preliminary(ray, coherent=True)
         far = dr.minimum(dr.select(hit.is_valid(), hit.t, math.inf), ray.maxt)
-    first = _seen(mixed, ray, far, mi.Bool(True), settings) if total is None else total[1:]
+    first = seen_on(mixed, ray, far, mi.Bool(True), settings) if total is None else total[1:]
     solid = mi.Bool(False) if hit is None else hit.is_valid()
     found = mi.Spectrum(0.0) if total is None else mi.Spectrum(total[0])
     if hit is None:
@@ -188,7 +114,7 @@ def _alone(
         grad_through += dr.dot(gradient.radiance, behind) - gradient.alpha
         adjoint.blend_backward(
             mixed.splats,
-            _stretch(ray, far),
+            stretch_of(ray, far),
             mi.Bool(True),
             first,
             (grad_colour, grad_through),
@@ -243,7 +169,7 @@ def _paths(
         own = throughput * layer(colour, through, linear=settings.linear)
         found = found - own if dr.hint(replay, mode="scalar") else found + own
         if dr.hint(replay, mode="scalar"):
-            _replay_stretch(mixed, ray, si, (colour, through), (throughput, found, depth), active, settings, gradient)
+            replay_stretch(mixed, ray, si, (colour, through), (throughput, found, depth), active, settings, gradient)
         throughput = throughput * through
 
         # ------------- Emission of what the ray ends at ---------------
@@ -262,13 +188,13 @@ def _paths(
         lit &= sample.pdf != 0.0
         shadow = si.spawn_ray_to(sample.p)
         lit &= ~surfaces.ray_test(shadow, lit)
-        shade = _through(mixed, shadow, lit)
+        shade = let_through(mixed, shadow, lit)
         wo = si.to_local(sample.d)
         value, pdf = bsdf.eval_pdf(context, si, wo, lit)
         weight = dr.select(sample.delta, 1.0, _mis_weight(sample.pdf, pdf))
         direct = dr.select(lit, throughput * weight * value * power * shade, 0.0)
         if dr.hint(replay, mode="scalar"):
-            _replay_shadow(mixed, shadow, shade, dr.dot(cast(Any, gradient).radiance, direct), lit, gradient)
+            replay_shadow(mixed, shadow, shade, dr.dot(cast(Any, gradient).radiance, direct), lit, gradient)
         arrived = emitted + direct
         found = found - arrived if dr.hint(replay, mode="scalar") else found + arrived
 
@@ -288,64 +214,8 @@ def _paths(
 
         hit = surfaces.ray_intersect_preliminary(ray, active=going)
         far = dr.select(hit.is_valid(), hit.t, math.inf)
-        colour, through = _seen(mixed, ray, far, going, settings)
+        colour, through = seen_on(mixed, ray, far, going, settings)
         depth[si.is_valid()] += 1
         active = going
 
     return found
-
-
-def _replay_stretch(
-    mixed: Mixed,
-    ray: Any,
-    si: Any,
-    seen: tuple[Any, Any],
-    path: tuple[Any, Any, Any],
-    active: Any,
-    settings: PathSettings,
-    gradient: Any,
-) -> None:
-    """Add what the splats on a stretch of a path get.
-
-    Args:
-        mixed: The scene.
-        ray: The stretch.
-        si: The surface that it ends at.
-        seen: Colour and transmittance of the splats on it.
-        path: Throughput before them, all radiance that comes from behind them, and the vertex's number.
-        active: Bool.
-        settings: What else counts.
-        gradient: Of the radiance.
-    """
-    if mixed.splats is None:
-        return
-    throughput, behind, depth = path
-    grad_colour, grad_through = layer_backward(*seen, gradient.radiance * throughput, linear=settings.linear)
-    grad_through += dr.select(seen[1] > 0.0, dr.dot(gradient.radiance, behind) / seen[1], 0.0)
-    grad_through -= dr.select((depth == 0) & ~si.is_valid(), gradient.alpha, 0.0)
-    far = dr.select(si.is_valid(), si.t, math.inf)
-    adjoint.blend_backward(
-        mixed.splats,
-        _stretch(ray, dr.minimum(far, ray.maxt)),
-        active,
-        seen,
-        (grad_colour, grad_through),
-        gradient.sums,
-        to_mean=settings.to_mean,
-    )
-
-
-def _replay_shadow(mixed: Mixed, shadow: Any, shade: Any, product: Any, active: Any, gradient: Any) -> None:
-    """Add what the splats on a shadow ray get.
-
-    Args:
-        mixed: The scene.
-        shadow: The ray.
-        shade: Its transmittance.
-        product: dL/dtransmittance times it.
-        active: Bool.
-        gradient: Of the radiance.
-    """
-    if mixed.splats is not None:
-        own = dr.select(shade > 0.0, product / shade, 0.0)
-        adjoint.transmittance_backward(mixed.splats, _stretch(shadow, shadow.maxt), active, shade, own, gradient.sums)

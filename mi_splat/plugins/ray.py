@@ -40,8 +40,9 @@ import mitsuba as mi
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.mixed import Mixed, MixedCache
-from mi_splat.plugins.paths import Adjoint, PathSettings, radiance
+from mi_splat.plugins.paths import radiance
 from mi_splat.plugins.settings import RAY_SETTINGS, SettingValues, name_integrator, setting_property
+from mi_splat.plugins.stretches import Adjoint, PathSettings
 from mi_splat.rasterization.colour import linear_value
 from mi_splat.raytracing.splats import gradients, zero_sums
 

@@ -38,6 +38,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
     "objects": ("mi_splat.assets",),
     "rasterization": ("mi_splat.rasterization",),
+    "ray tracing": ("mi_splat.raytracing",),
     "Mitsuba": ("mi_splat.llvm", "mi_splat.mitsuba_log", "mi_splat.plugins", "mi_splat.variant"),
     "rendering": ("mi_splat.rendering", "mi_splat.side_outputs", "mi_splat.scene_files", "mi_splat.scene_writing"),
     "training": ("mi_splat.training",),

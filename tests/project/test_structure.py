@@ -24,6 +24,7 @@ LONGEST_MODULE = 300
 
 RENDERERS = (
     "mi_splat.rasterization",
+    "mi_splat.raytracing",
     "mi_splat.plugins",
     "mi_splat.mitsuba_log",
     "mi_splat.variant",
@@ -64,7 +65,7 @@ def test_the_diagram_is_today_s() -> None:
 def test_training_sees_renderers_as_functions() -> None:
     below = {place(other) for name, other in edges("mi_splat") if name.startswith("mi_splat.training")}
     titles = list(LAYERS)
-    assert not {titles[here[0]] for here in below if here} & {"rasterization", "Mitsuba", "rendering"}
+    assert not {titles[here[0]] for here in below if here} & {"rasterization", "ray tracing", "Mitsuba", "rendering"}
 
 
 def test_attacks_see_detectors_through_one_interface() -> None:

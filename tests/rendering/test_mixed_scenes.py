@@ -1,0 +1,72 @@
+"""Scene files of `splat_ray`: among meshes they are rendered as they are, alone they are read as values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mi_splat import variant
+from mi_splat.errors import InvalidValueError
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene_files import read_scene
+from mi_splat.scene_writing import write_scene
+from tests.project.layers import ROOT
+
+variant.use()
+
+import mitsuba as mi  # noqa: E402
+
+import mi_splat.plugins  # noqa: E402, F401
+
+MIXED = sorted((ROOT / "scenes" / "mixed").glob("*.xml"))
+
+
+@pytest.mark.parametrize("path", MIXED, ids=lambda path: str(path.stem))
+def test_every_mixed_scene_renders(path: Path) -> None:
+    loaded = mi.load_file(str(path), size=24, samples=4)
+    for number in range(len(loaded.sensors())):
+        picture = np.array(mi.render(loaded, sensor=number))
+        assert picture.shape == (24, 24, 3)
+        assert np.isfinite(picture).all()
+        assert 0.05 < picture.mean() < 2.0
+
+
+def test_the_sun_of_the_street_can_be_set() -> None:
+    path = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
+    noon, evening = (
+        np.array(mi.render(mi.load_file(path, size=24, samples=16, sun_z=height))).mean() for height in (1.0, 0.05)
+    )
+    assert evening < 0.8 * noon
+
+
+def test_a_scene_of_splats_alone_is_read_with_its_integrator(tmp_path: Path) -> None:
+    splat = ROOT / "scenes" / "car_street_car.ply"
+    xml = (ROOT / "scenes" / "car_street.xml").read_text()
+    xml = xml.replace(
+        '<integrator type="splat_tile"/>',
+        """<integrator type="splat_ray">
+        <boolean name="linear" value="false"/><boolean name="colour_to_mean" value="true"/></integrator>""",
+    )
+    xml = xml.replace("car_street_car.ply", str(splat)).replace("car_street_street.ply", str(splat))
+    (tmp_path / "ray.xml").write_text(xml)
+    loaded = read_scene(tmp_path / "ray.xml")
+    assert (loaded.settings.method, loaded.settings.colour_to_mean, loaded.settings.linear) == ("ray", True, False)
+    write_scene(loaded, loaded.scene, tmp_path / "again.xml")
+    again = read_scene(tmp_path / "again.xml")
+    assert (again.settings.method, again.settings.colour_to_mean, again.settings.linear) == ("ray", True, False)
+
+
+def test_a_mixed_scene_is_no_scene_of_splats() -> None:
+    with pytest.raises(InvalidValueError, match="splat_ray"):
+        read_scene(MIXED[0])
+
+
+def test_the_street_from_both_renderers_shows_the_same_things() -> None:
+    loaded = read_scene(ROOT / "scenes" / "car_street.xml")
+    camera = loaded.cameras["side"]
+    tile = Renderer(loaded.settings)(loaded.scene, camera)
+    ray = Renderer(RenderSettings(method="ray", near=loaded.settings.near))(loaded.scene, camera)
+    error = float((tile - ray).square().mean())
+    assert 24 < -10 * np.log10(error) < 40
