@@ -85,7 +85,15 @@ def stretch_of(ray: Any, far: Any) -> Stretch:
 
 
 def seen_on(mixed: Mixed, ray: Any, far: Any, active: Any, settings: PathSettings) -> tuple[Any, Any]:
-    """Colour and transmittance of the splats on a ray up to a distance."""
+    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of the splats on a ray up to a distance.
+
+    Args:
+        mixed: The scene.
+        ray: One a lane.
+        far: Float, distance, world units.
+        active: Bool; 0 and 1 on idle lanes.
+        settings: Which colour direction.
+    """
     if mixed.splats is None:
         return mi.Color3f(0.0), mi.Float(1.0)
     return segments.blend(mixed.splats, stretch_of(ray, far), active, to_mean=settings.to_mean)
