@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -43,27 +43,51 @@ def read_scene(path: str | Path) -> SplatScene:
     """Read a Mitsuba scene file (XML) whose shapes are splats.
 
     Raises:
-        InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no `gaussians` shape or no sensor.
+        InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no `gaussians` shape or no sensor, or
+            other shapes.
+        SplatFileError: A splat that it names cannot be read.
+    """
+    variant.use()
+    return values_of(load_mitsuba_scene(path), path)
+
+
+def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
+    """A Mitsuba scene from a file; `parameters` are values of its `<default>`s.
+
+    Raises:
+        InvalidValueError: The file is missing, or is not a Mitsuba scene.
         SplatFileError: A splat that it names cannot be read.
     """
     import mitsuba as mi
 
     path = Path(path_name(path))
-    variant.use()
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
     try:
-        loaded = mi.load_file(
-            str(path), parallel=False
-        )  # rare failures were seen with threads; their cause is not known
+        # Not parallel: rare failures were seen with threads; their cause is not known.
+        loaded = mi.load_file(str(path), parallel=False, **parameters)
     except RuntimeError as error:
         raise _reason(error, path) from None
+    if not isinstance(loaded, mi.Scene):
+        raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
+    return loaded
+
+
+def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfaces"] = "nothing") -> SplatScene:
+    """The splats, cameras and settings of a Mitsuba scene as values.
+
+    Args:
+        loaded: The scene.
+        path: Its file, for messages.
+        among: What else it may hold.
+
+    Raises:
+        InvalidValueError: It holds no `gaussians` shape or no sensor, or shapes that it may not hold.
+    """
     from mi_splat.plugins import sensor as sensors
     from mi_splat.plugins.gaussian_shapes import GaussianShapes
 
-    if not isinstance(loaded, mi.Scene):
-        raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
-    shapes = GaussianShapes(loaded)
+    shapes = GaussianShapes(loaded, among=among)
     if not shapes.arrays or not loaded.sensors():
         raise InvalidValueError(
             message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
@@ -74,10 +98,7 @@ def read_scene(path: str | Path) -> SplatScene:
     cameras = {sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()}
     return SplatScene(
         scene=scene,
-        objects={
-            shape.id(): slice(start, end)
-            for shape, start, end in zip(loaded.shapes(), ends[:-1], ends[1:], strict=True)
-        },
+        objects={name: slice(start, end) for name, start, end in zip(shapes.names, ends[:-1], ends[1:], strict=True)},
         cameras=cameras,
         settings=_settings_of(loaded.integrator(), near_plane(scene, tuple(cameras.values()))),
     )

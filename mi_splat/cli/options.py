@@ -23,12 +23,14 @@ from mi_splat.training.strategies import strategy_config, strategy_name, strateg
 class RenderOptions:
     """Render a scene XML or a splat file: a picture, a picture from each of several cameras, or an animation.
 
+    A scene XML with meshes beside splats is path traced by its integrator splat_ray.
+
     A scene XML is seen from its first camera, a bare splat file from an orbit around the middle of its Gaussians, at a
     distance that shows all of them, unless the flags below say something else.
     """
 
     scene: Positional[Path]
-    """Scene XML made of splats, or a splat file of any format that is read."""
+    """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
     out: Path = Path("picture.png")
     """What to write: NAME.png or NAME.jpg; NAME.gif or NAME.mp4 (needs the extra `video`) of several cameras one after
     the other; a folder, or a name with {} for the camera's, for a picture from each."""
@@ -36,8 +38,11 @@ class RenderOptions:
     """Where from."""
     fps: float = 24.0
     """Pictures a second of an animation."""
-    method: Literal["tile"] = "tile"
-    """How it is rendered: tile is the picture of the reference 3DGS rasteriser."""
+    method: Literal["tile", "ray"] | None = None
+    """How splats alone are rendered: tile is the picture of the reference 3DGS rasteriser, ray traces rays; without the
+    flag it is what the scene XML says, or tile."""
+    samples: int = 64
+    """Samples a pixel, for a scene with meshes; the other pictures need one."""
     force: bool = False
     """Replace a folder of pictures that an earlier call has written."""
     json: bool = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mi_splat.cameras import Camera
-from mi_splat.cli.cameras import find_cameras, renderer_of
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
 from mi_splat.cli.console import Advance, progress, show, show_json
 from mi_splat.cli.options import RenderOptions
 from mi_splat.errors import InvalidValueError, message
@@ -20,9 +21,9 @@ from mi_splat.io.documents import file_name, save_json
 from mi_splat.io.folders import check_new_folder, check_not_input, check_writable, new_folder
 from mi_splat.io.images import to_bytes
 from mi_splat.io.pictures import check_animation, is_animation, is_picture, save_animation, save_picture
-from mi_splat.rendering import Renderer
+from mi_splat.mixed_scenes import MixedScene, holds_surfaces
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import open_scene
+from mi_splat.scene_files import SplatScene, open_scene
 
 RECORD = "cameras.json"
 """In a folder of pictures, the camera of each."""
@@ -33,10 +34,12 @@ def run(options: RenderOptions) -> int:
     """Render and save."""
     check_not_input(options.out, options.scene)
     with progress("loading") as advance:
-        loaded = open_scene(options.scene)
+        mixed = _mixed_scene(options)
+        loaded = _opened(options) if mixed is None else mixed.splats
         cameras = find_cameras(loaded, options.view)
         _check_out(options, cameras)
-        render = renderer_of(loaded, options.view, cameras)
+        settings = render_settings(loaded, options.view, cameras)
+        render: RenderFn = renderer_of(loaded, options.view, cameras) if mixed is None else mixed
         begun = time.perf_counter()
         pictures = _pictures(loaded.scene, cameras, render, advance)
         files = _save(pictures, cameras, options)
@@ -50,7 +53,7 @@ def run(options: RenderOptions) -> int:
                 "gaussians": len(loaded.scene),
                 "width": first.width,
                 "height": first.height,
-                "near": render.settings.near,
+                "near": settings.near,
                 "camera_to_world": first.to_world.tolist(),
                 "focal": [first.fx, first.fy],
                 "cameras": [describe(name, camera) for name, camera in cameras.items()],
@@ -63,6 +66,30 @@ def run(options: RenderOptions) -> int:
     took = f"{seconds:.2f} s (the first picture compiles)"
     show(f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}")
     return 0
+
+
+def _mixed_scene(options: RenderOptions) -> MixedScene | None:
+    """The scene, where it holds surfaces beside splats.
+
+    Raises:
+        InvalidValueError: A flag is given that such a scene cannot follow.
+    """
+    if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
+        return None
+    given = {"--method": options.method, "--background": options.view.background, "--near": options.view.near}
+    idle = [flag for flag, value in given.items() if value is not None]
+    if idle:
+        do = "leave it out: the scene file says how it is rendered"
+        raise InvalidValueError(message("scene with meshes", "flags that it can follow", ", ".join(idle), do))
+    return MixedScene(options.scene, samples=options.samples)
+
+
+def _opened(options: RenderOptions) -> SplatScene:
+    """A scene of splats alone, with the method that was asked for."""
+    loaded = open_scene(options.scene)
+    if options.method is None:
+        return loaded
+    return dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, method=options.method))
 
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
@@ -89,7 +116,7 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
 
 
 def _pictures(
-    scene: GaussianScene, cameras: Mapping[str, Camera], render: Renderer, advance: Advance
+    scene: GaussianScene, cameras: Mapping[str, Camera], render: RenderFn, advance: Advance
 ) -> dict[str, NDArray[np.uint8]]:
     """The picture from each camera."""
     found = {}

@@ -25,6 +25,7 @@ class GaussianShapes:
     Attributes:
         arrays: `data`, `opacities` and `sh_coeffs` of each shape, as `mi.traverse` shows them.
         degrees: SH degree of each shape.
+        names: Id of each shape.
         others: All other shapes.
 
     Raises:
@@ -35,6 +36,7 @@ class GaussianShapes:
         self.others = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
         shapes = [shape for shape in scene.shapes() if shape.is_ellipsoids()]
         _check_others(self.others, among)
+        self.names = [str(shape.id()) for shape in shapes]
         self.arrays = [self._arrays_of(shape) for shape in shapes]
         self.degrees = [math.isqrt(len(sh) // (3 * len(opacities))) - 1 for _, opacities, sh in self.arrays]
         for shape, (_, opacities, sh), degree in zip(shapes, self.arrays, self.degrees, strict=True):

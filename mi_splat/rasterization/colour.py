@@ -25,6 +25,11 @@ def linear_value(value: Any) -> Any:
     return dr.select(value <= 0.04045, value / 12.92, dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 2.4))
 
 
+def srgb_value(value: Any) -> Any:
+    """SRGB value of a linear one, the inverse of `linear_value`."""
+    return dr.select(value <= 0.0031308, value * 12.92, 1.055 * dr.power(dr.maximum(value, 0.0), 1 / 2.4) - 0.055)
+
+
 def linear_derivative(value: Any) -> Any:
     """d(linear value) / d(sRGB value)."""
     return dr.select(value <= 0.04045, 1 / 12.92, 2.4 / 1.055 * dr.power((dr.maximum(value, 0.0) + 0.055) / 1.055, 1.4))

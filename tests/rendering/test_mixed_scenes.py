@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
+from attacks.cli import main
 from mi_splat import variant
 from mi_splat.errors import InvalidValueError
+from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene_files import read_scene
+from mi_splat.scene_files import read_scene, resized
 from mi_splat.scene_writing import write_scene
 from tests.project.layers import ROOT
 
@@ -58,6 +64,29 @@ def test_a_scene_of_splats_alone_is_read_with_its_integrator(tmp_path: Path) -> 
     assert (again.settings.method, again.settings.colour_to_mean, again.settings.linear) == ("ray", True, False)
 
 
+def test_another_splat_stands_in_the_place_of_the_files() -> None:
+    street = MixedScene(MIXED[0], samples=8)
+    scene, camera = street.splats.scene, resized(street.splats.cameras["side"], (40, 40))
+    assert list(street.splats.objects) == ["car"]
+    before = street(scene, camera)
+    gone = street(replace(scene, opacities=torch.zeros_like(scene.opacities)), camera)
+    changed = (before - gone).abs().mean(-1)
+    assert changed[22, 20] > 0.1  # on the car
+    assert changed[:8].mean() < 0.1 * changed.mean()  # above it; noise is the same, but for paths that met the car
+    assert torch.equal(street(scene, camera), before)
+    assert before.min() >= 0
+    assert before.max() <= 1
+    with pytest.raises(InvalidValueError, match="Gaussians of degree"):
+        street(scene.select(torch.arange(10)), camera)
+
+
+def test_a_mixed_scene_needs_splat_ray_and_samples(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="splat_ray"):
+        MixedScene(ROOT / "scenes" / "car_street.xml")
+    with pytest.raises(InvalidValueError, match="samples"):
+        MixedScene(MIXED[0], samples=0)
+
+
 def test_a_mixed_scene_is_no_scene_of_splats() -> None:
     with pytest.raises(InvalidValueError, match="splat_ray"):
         read_scene(MIXED[0])
@@ -70,3 +99,25 @@ def test_the_street_from_both_renderers_shows_the_same_things() -> None:
     ray = Renderer(RenderSettings(method="ray", near=loaded.settings.near))(loaded.scene, camera)
     error = float((tile - ray).square().mean())
     assert 24 < -10 * np.log10(error) < 40
+
+
+def test_the_command_renders_a_mixed_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["render", str(MIXED[0]), "--samples", "4", "--size", "24", "20", "--out", str(tmp_path / "street.png")]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians"] == 10075
+    assert load_picture_size(tmp_path / "street.png") == (24, 20)
+    assert main([*words, "--method", "tile"]) != 0
+    assert "leave it out" in capsys.readouterr().err
+
+
+def test_the_command_traces_rays_of_splats_alone(tmp_path: Path) -> None:
+    scene = ROOT / "scenes" / "car_street.xml"
+    for method in ("tile", "ray"):
+        out = str(tmp_path / f"{method}.png")
+        assert main(["render", str(scene), "--method", method, "--size", "48", "48", "--out", out]) == 0
+    assert (tmp_path / "tile.png").read_bytes() != (tmp_path / "ray.png").read_bytes()
+
+
+def load_picture_size(path: Path) -> tuple[int, int]:
+    with Image.open(path) as picture:
+        return picture.size

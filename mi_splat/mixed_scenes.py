@@ -1,0 +1,101 @@
+"""A scene file of splats among surfaces as a renderer: pictures of any splat in the place of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import torch
+from torch import Tensor
+
+from mi_splat import variant
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.scene_files import SplatScene, load_mitsuba_scene, values_of
+
+SPLATS = ("gaussians", "ellipsoids")
+"""Types of shapes that are splats."""
+
+SAMPLES = 64
+"""Samples a pixel where none are asked for."""
+
+
+def holds_surfaces(path: Path) -> bool:
+    """Whether a scene file names shapes that are no splats; False where it cannot be read."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError):
+        return False
+    return any(shape.get("type") not in SPLATS for shape in root.iter("shape"))
+
+
+class MixedScene:
+    """A Mitsuba scene of splats among surfaces; a `RenderFn` whose pictures have no gradient.
+
+    Args:
+        path: An XML scene with the integrator `splat_ray`.
+        samples: A pixel.
+        seed: Of the samples.
+        parameters: Values of the file's `<default>`s, for instance `sun_z=0.25`.
+
+    Attributes:
+        splats: Its Gaussians, objects and cameras.
+
+    Raises:
+        MiSplatError: The file cannot be read, holds no splat or no sensor, or has another integrator.
+    """
+
+    def __init__(self, path: Path, *, samples: int = SAMPLES, seed: int = 0, **parameters: Any) -> None:
+        if samples < 1:
+            raise InvalidValueError(message("samples", "at least 1", samples, "64 are little noise"))
+        variant.use()
+        self._loaded = load_mitsuba_scene(path, **parameters)
+        if type(self._loaded.integrator()).__name__ != "SplatRay":
+            do = 'write <integrator type="splat_ray"/>'
+            raise InvalidValueError(message(str(path), "the integrator splat_ray", "another one", do))
+        self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
+        self.samples, self.seed = samples, seed
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """Render one picture.
+
+        Args:
+            scene: What stands in the place of the file's Gaussians: as many, shape after shape.
+            camera: The camera.
+
+        Returns:
+            (H, W, 3) float32 tensor of sRGB values in [0, 1].
+
+        Raises:
+            InvalidValueError: There is another number of Gaussians, or of SH coefficients than the file has.
+        """
+        import mitsuba as mi
+
+        from mi_splat.plugins.sensor import sensor_dict
+        from mi_splat.rasterization.colour import srgb_value
+
+        self._put(scene)
+        film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "rgb"}
+        sensor = mi.load_dict({**sensor_dict(camera), "film": film})
+        picture = self._loaded.integrator().render(self._loaded, sensor, seed=self.seed, spp=self.samples)
+        values = torch.from_numpy(srgb_value(picture.array).numpy().copy())
+        return values.reshape(camera.height, camera.width, 3).clamp(0.0, 1.0)
+
+    def _put(self, scene: GaussianScene) -> None:
+        """Put Gaussians into the shapes of the file."""
+        import mitsuba as mi
+
+        from mi_splat.plugins.shape import ellipsoid_arrays
+
+        check_scene("scene", scene)
+        if len(scene) != len(self.splats.scene) or scene.sh.shape != self.splats.scene.sh.shape:
+            got = f"{len(scene):,} of degree {scene.degree}"
+            expected = f"{len(self.splats.scene):,} Gaussians of degree {self.splats.scene.degree}"
+            raise InvalidValueError(message("scene", expected, got, "take a changed copy of the file's own"))
+        params = mi.traverse(self._loaded)
+        for name, rows in self.splats.objects.items():
+            for key, value in ellipsoid_arrays(scene.select(torch.arange(len(scene))[rows])).items():
+                params[f"{name}.{key}"] = mi.Float(value.array)
+        params.update()
