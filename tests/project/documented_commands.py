@@ -150,7 +150,7 @@ TINY: dict[str, dict[str, Change]] = {
         "--test": if_there("2"),
     },
     "train": {"--iterations": of_iterations(0.001), "--eval-interval": to("0"), "--sh-degree": to("1")},
-    "render": {"--cameras": fewer_cameras(2)},
+    "render": {"--cameras": fewer_cameras(2), "--samples": if_there("2")},
     "select": {"--cameras": fewer_cameras(2)},
     "detect": {"--cameras": fewer_cameras(1), "--size": to("64", "64")},
     "dagger": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--steps": to("1"), "--noise-draws": to("1")},
