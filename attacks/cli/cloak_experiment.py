@@ -12,6 +12,7 @@ from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.limit_figure import write_limit_figure
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
+from attacks.cloak.experiments.renderers import METHODS, measure_renderers
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
 from attacks.cloak.experiments.view_reports import finished_splats, watch
@@ -24,6 +25,7 @@ from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from mi_splat import provenance
+from mi_splat.comparison.methods import load_methods
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
@@ -37,6 +39,7 @@ _USED = {
     "surroundings": ("results", "every"),
     "distance": _LOOKS,
     "formats": _LOOKS,
+    "renderers": _LOOKS,
     "transition-limit": ("results",),
     "paint-direction": (),
     "detection-curve": (*_LOOKS, "stages"),
@@ -90,13 +93,17 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
         found = _detection_curve(options, study, options.results, advance)
         return found, found["detectors"]
     splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
-    render = Renderer(RenderSettings(background=study.scene.background, near=near_of(study, target_of(study.scene))))
+    settings = RenderSettings(background=study.scene.background, near=near_of(study, target_of(study.scene)))
+    render = Renderer(settings)
     if options.experiment == "surroundings":
         return measure_surroundings(study, splats, render=render, every=options.every), {}
     detectors = _detectors(options, study)
     fingerprints = {detector.name: detector.fingerprint for detector in detectors}
     if options.experiment == "formats":
         rows = measure_formats(study, splats["cloaked"], detectors, render=render, every=options.every)
+    elif options.experiment == "renderers":
+        methods = {name: method.render for name, method in load_methods(METHODS, settings, {}).items()}
+        rows = measure_renderers(study, splats, detectors, methods, every=options.every)
     else:
         rows = measure_distances(study, splats, detectors, render=render, every=options.every)
     return rows, fingerprints

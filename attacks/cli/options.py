@@ -199,13 +199,16 @@ class CloakExperimentOptions:
     """Explain a figure of a CLOAK study.
 
     surroundings: how far the cloaked splat is from the clean one beside the object. distance: from how many cameras the
-    object is found when they stand nearer or farther away. transition-limit: how sharply colour alone can switch.
+    object is found when they stand nearer or farther away. formats and renderers: whether the cloaked splat hides its
+    object after other file formats, and in other renderers. transition-limit: how sharply colour alone can switch.
     paint-direction: from where a painted sign is seen best. detection-curve: from where detectors find the object in
     path-traced pictures, on the clean and on the cloaked splats; writes a table, plots and pictures into --out.
     """
 
     experiment: Positional[
-        Literal["surroundings", "distance", "formats", "transition-limit", "paint-direction", "detection-curve"]
+        Literal[
+            "surroundings", "distance", "formats", "renderers", "transition-limit", "paint-direction", "detection-curve"
+        ]
     ]
     """Which experiment."""
     study: Positional[Path]
@@ -213,9 +216,9 @@ class CloakExperimentOptions:
     results: Path | None = None
     """Folder that `mi-splat cloak` has written for this study; of transition-limit, what is drawn beside the limit."""
     every: int = 4
-    """Use each so manieth of the held-out cameras (surroundings, distance, formats, detection-curve)."""
+    """Use each so manieth of the held-out cameras (surroundings, distance, formats, renderers, detection-curve)."""
     detectors: tuple[str, ...] = ()
-    """Names of detectors in the place of those of the study (distance, formats, detection-curve)."""
+    """Names of detectors in the place of those of the study (distance, formats, renderers, detection-curve)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     stages: Path | None = None

@@ -98,6 +98,7 @@ KINDS = (
             ("surroundings", splats.read_surroundings),
             ("distance", splats.read_distances),
             ("formats", splats.read_formats),
+            ("renderers", splats.read_renderers),
             ("transition-limit", limits.read_transition_limit),
             ("paint-direction", limits.read_paint_direction),
         )

@@ -101,6 +101,11 @@ FORMATS = [
     for form, psnr, inside in ((".ply", None, 1), (".splat", 21.5, 18))
     for cameras, found in (("overhead", inside), ("elsewhere", 20))
 ]
+RENDERERS = [
+    {"renderer": renderer, "splat": splat, "cameras": name, "of": 20, "psnr": psnr, "detector": "one", "found": found}
+    for renderer, psnr, inside in (("tile", None, 1), ("ray", 31.5, 4))
+    for splat, name, found in (("clean", "overhead", 20), ("cloaked", "overhead", inside), ("cloaked", "elsewhere", 20))
+]
 SURROUNDINGS = [
     {"cameras": name, "of": of, "psnr_mean": mean, "psnr_lowest": mean - 1, "psnr_highest": mean + 1}
     for name, of, mean in (("inside the trigger", 12, 31.5), ("elsewhere", 4, 34.0))
@@ -174,6 +179,7 @@ FURTHER: dict[str, Callable[[Path], Path]] = {
     "cloak-experiment surroundings": write_experiment("surroundings", SURROUNDINGS, **GIVEN),
     "cloak-experiment distance": write_experiment("distance", DISTANCES, **GIVEN, detectors=["one"]),
     "cloak-experiment formats": write_experiment("formats", FORMATS, **GIVEN, detectors=[]),
+    "cloak-experiment renderers": write_experiment("renderers", RENDERERS, **GIVEN, detectors=[]),
     "cloak-experiment transition-limit": write_experiment("transition-limit", LIMIT, results="out/study"),
     "cloak-experiment paint-direction": write_experiment("paint-direction", DIRECTIONS),
 }

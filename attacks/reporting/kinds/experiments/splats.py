@@ -99,6 +99,44 @@ def read_formats(path: Path, document: Document) -> Section:
     )
 
 
+def read_renderers(path: Path, document: Document) -> Section:
+    """The section of `cloak-experiment renderers`.
+
+    Args:
+        path: The JSON file.
+        document: What is in it.
+    """
+    rows: Sequence[Row] = document["found"]
+    names, renderers = (list(dict.fromkeys(row[key] for row in rows)) for key in ("detector", "renderer"))
+
+    def missed(renderer: str, splat: str, cameras: str = "overhead") -> Rate:
+        return pooled(map(_missed, matching(rows, renderer=renderer, splat=splat, cameras=cameras)))
+
+    first = renderers[0]
+    rate, control = missed(first, "cloaked"), missed(first, "clean")
+    inside = [missed(renderer, "cloaked").fraction for renderer in renderers]
+    return section(
+        path,
+        document,
+        kind="CLOAK in other renderers",
+        done=f"{listed(names)} looked at pictures of the clean and of the cloaked splat by {listed(renderers)}.",
+        conclusion=(
+            f"Over all renderers the cloaked object is missed in {percent(min(inside))} to {percent(max(inside))} of the "
+            f"views well inside the trigger ({first}, which it was trained with: {counts(rate)})."
+        ),
+        headline=Figure(label=f"cloaked splat by {first}: object missed well inside the trigger", rate=rate),
+        control=Figure(label=f"clean splat by {first}: object missed there", rate=control) if control.total else None,
+        figures=[
+            Figure(label=f"{splat} splat by {renderer}: object missed well inside the trigger", rate=rate)
+            for renderer in renderers[1:]
+            for splat in ("cloaked", "clean")
+            for rate in [missed(renderer, splat)]
+        ],
+        warnings=[*doubts_of(rate, control, what="views"), *_several(names)],
+        tables=[_counts(rows, "renderer", "renderer", name) for name in names],
+    )
+
+
 def read_surroundings(path: Path, document: Document) -> Section:
     """The section of `cloak-experiment surroundings`.
 
