@@ -1,4 +1,7 @@
-"""The rasteriser of the package gsplat as a `RenderFn`; it needs an NVIDIA GPU. Never run by the project's tests."""
+"""The rasteriser of the package gsplat as a `RenderFn`; it needs an NVIDIA GPU.
+
+The project's tests give it a stand-in for the package; on a GPU it was not run.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,7 @@ class GsplatRenderer:
 
     def __init__(self, settings: RenderSettings) -> None:
         self.settings = settings
+        self.device = "cuda"
         if importlib.util.find_spec("gsplat") is None:
             do = "pip install gsplat, or leave it out of --methods"
             raise MiSplatError(message("method gsplat", "the package gsplat", "not installed", do))
@@ -47,8 +51,8 @@ class GsplatRenderer:
             (H, W, 3) float32 tensor. Values above 1 are not clipped.
         """
         check_scene("scene", scene)
-        device = scene.means.device
-        means, scales, rotations, opacities, sh = (tensor.to("cuda", torch.float32) for tensor in scene.tensors())
+        there = {"device": self.device, "dtype": torch.float32}
+        means, scales, rotations, opacities, sh = (tensor.to(**there) for tensor in scene.tensors())
         intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
         pictures, _, _ = self._rasterization(
             means=means,
@@ -56,14 +60,14 @@ class GsplatRenderer:
             scales=scales,
             opacities=opacities,
             colors=sh,
-            viewmats=torch.linalg.inv(camera.to_world)[None].to("cuda", torch.float32),
-            Ks=intrinsics[None].to("cuda"),
+            viewmats=torch.linalg.inv(camera.to_world)[None].to(**there),
+            Ks=intrinsics[None].to(**there),
             width=camera.width,
             height=camera.height,
             near_plane=self.settings.near,
             sh_degree=round(sh.shape[1] ** 0.5) - 1,
-            backgrounds=torch.tensor([self.settings.background], device="cuda"),
+            backgrounds=torch.tensor([self.settings.background], **there),
             rasterize_mode="classic",
         )
-        picture: Tensor = pictures[0].to(device)
+        picture: Tensor = pictures[0].to(scene.means.device)
         return picture

@@ -126,7 +126,7 @@ class GradientAgreement:
     @property
     def cosine(self) -> float | None:
         """Of the angle between them, 1 if they point the same way; None if one is 0 or not finite."""
-        lengths = math.sqrt(self._first) * math.sqrt(self._second)
+        lengths = math.sqrt(self._first * self._second)
         if not (lengths > 0 and math.isfinite(lengths)):
             return None
         return max(-1.0, min(1.0, self._product / lengths))
