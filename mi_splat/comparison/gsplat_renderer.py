@@ -51,7 +51,7 @@ class GsplatRenderer:
             (H, W, 3) float32 tensor. Values above 1 are not clipped.
         """
         check_scene("scene", scene)
-        there = {"device": self.device, "dtype": torch.float32}
+        there: Any = {"device": self.device, "dtype": torch.float32}
         means, scales, rotations, opacities, sh = (tensor.to(**there) for tensor in scene.tensors())
         intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
         pictures, _, _ = self._rasterization(

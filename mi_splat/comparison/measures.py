@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -106,34 +107,43 @@ def gradients(render: RenderFn, scene: GaussianScene, camera: Camera, weights: T
     return {**found, "rotations": found["rotations"] - along * scene.rotations}
 
 
-@dataclass(slots=True)
 class GradientAgreement:
     """How well two gradients of one attribute agree, over all cameras that were added."""
 
-    _product: float = field(default=0.0, init=False)
-    _first: float = field(default=0.0, init=False)
-    _second: float = field(default=0.0, init=False)
-    _gap: float = field(default=0.0, init=False)
+    def __init__(self) -> None:
+        # Of each Gaussian: first . second, first . first, second . second, |first - second|^2.
+        self._sums = torch.zeros(0, 4, dtype=torch.float64)
 
     def add(self, first: Tensor, second: Tensor) -> None:
-        """Take in the gradients of one more picture."""
-        one, other = (gradient.detach().double().flatten() for gradient in (first, second))
-        self._product += float(one @ other)
-        self._first += float(one @ one)
-        self._second += float(other @ other)
-        self._gap += float(((one - other) ** 2).sum())
+        """Take in the gradients, (N, ...) each, of one more picture."""
+        one, other = (gradient.detach().cpu().double().reshape(len(gradient), -1) for gradient in (first, second))
+        products = ((one, other), (one, one), (other, other), (one - other, one - other))
+        sums = torch.stack([(a * b).sum(1) for a, b in products], dim=1)
+        self._sums = self._sums + sums if len(self._sums) else sums
 
     @property
     def cosine(self) -> float | None:
         """Of the angle between them, 1 if they point the same way; None if one is 0 or not finite."""
-        lengths = math.sqrt(self._first * self._second)
-        if not (lengths > 0 and math.isfinite(lengths)):
-            return None
-        return max(-1.0, min(1.0, self._product / lengths))
+        return _cosine(*self._sums.sum(0)[:3].tolist())
+
+    @property
+    def median_cosine(self) -> float | None:
+        """The median of that over the Gaussians to which both give a gradient; None if there is none.
+
+        A few Gaussians with large gradients, needles above all, decide the cosine of the whole; they do not decide it.
+        """
+        each = [_cosine(*row) for row in self._sums[:, :3].tolist()]
+        known = [one for one in each if one is not None]
+        return statistics.median(known) if known else None
 
     @property
     def relative_error(self) -> float | None:
         """Length of the difference over the length of the first; None if that is 0, or something is not finite."""
-        if not (self._first > 0 and math.isfinite(self._first) and math.isfinite(self._gap)):
-            return None
-        return math.sqrt(self._gap / self._first)
+        _, first, _, gap = self._sums.sum(0).tolist()
+        return math.sqrt(gap / first) if first > 0 and math.isfinite(first) and math.isfinite(gap) else None
+
+
+def _cosine(product: float, first: float, second: float) -> float | None:
+    """Of two vectors by their products; None if one is 0 or not finite."""
+    lengths = math.sqrt(first * second)
+    return max(-1.0, min(1.0, product / lengths)) if lengths > 0 and math.isfinite(lengths) else None

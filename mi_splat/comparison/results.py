@@ -37,7 +37,11 @@ def as_dict(found: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
                 "gradients": None
                 if pair.agreement is None
                 else {
-                    attribute: {"cosine": one.cosine, "relative_error": one.relative_error}
+                    attribute: {
+                        "cosine": one.cosine,
+                        "median_cosine": one.median_cosine,
+                        "relative_error": one.relative_error,
+                    }
                     for attribute, one in pair.agreement.items()
                 },
             }

@@ -53,17 +53,27 @@ def agreement(first: list[float], second: list[float]) -> tuple[float | None, fl
 def test_agreement_of_gradients() -> None:
     assert agreement([3.0, 4.0], [3.0, 4.0]) == (1.0, 0.0)
     assert agreement([3.0, 4.0], [-3.0, -4.0]) == (-1.0, 2.0)
-    assert agreement([1.0, 0.0], [0.0, 1.0]) == (0.0, pytest.approx(math.sqrt(2)))
+    cosine, error = agreement([1.0, 0.0], [0.0, 1.0])
+    assert (cosine, error) == (0.0, math.sqrt(2))
     assert agreement([0.0, 0.0], [0.0, 1.0]) == (None, None)
     assert agreement([1.0, 1.0], [math.nan, 1.0]) == (None, None)
+
+
+def test_one_large_gradient_does_not_decide_the_median() -> None:
+    first = torch.tensor([[1e6, 0.0], [1.0, 2.0], [2.0, 1.0], [0.0, 0.0]])
+    second = first * torch.tensor([[-1.0], [1.0], [3.0], [1.0]])
+    found = GradientAgreement()
+    found.add(first, second)
+    assert found.cosine == pytest.approx(-1.0)
+    assert found.median_cosine == pytest.approx(1.0)
 
 
 def test_the_length_of_a_quaternion_has_no_gradient() -> None:
     """Two renderers that differ in whether they normalise quaternions agree."""
 
-    def normalising(scene: GaussianScene, view: Camera) -> Tensor:
+    def normalising(scene: GaussianScene, camera: Camera) -> Tensor:
         unit = scene.rotations / scene.rotations.norm(dim=1, keepdim=True)
-        return blobs(GaussianScene(scene.means, scene.scales, unit, scene.opacities, scene.sh), view)
+        return blobs(GaussianScene(scene.means, scene.scales, unit, scene.opacities, scene.sh), camera)
 
     scene, view = toy_scene()[0], camera(12)
     plain, other = (gradients(render, scene, view, weighting(view, 3)) for render in (blobs, normalising))

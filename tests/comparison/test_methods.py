@@ -29,8 +29,8 @@ CAMERAS = {"left": camera(24, offset=-0.4), "right": camera(24, offset=0.4)}
 QUICK = CompareConfig(rounds=0)
 
 
-def darker(scene: GaussianScene, view: Camera) -> Tensor:
-    return 0.9 * blobs(scene, view)
+def darker(scene: GaussianScene, camera: Camera) -> Tensor:
+    return 0.9 * blobs(scene, camera)
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_the_same_method_twice_is_equal_in_everything() -> None:
     (pair,) = as_dict(found, both)["pairs"]
     assert (pair["mse"], pair["psnr"]) == (0.0, None)
     assert {place: one["psnr"] for place, one in pair["by_camera"].items()} == {"left": None, "right": None}
-    assert list(pair["gradients"].values()) == [{"cosine": 1.0, "relative_error": 0.0}] * 5
+    assert list(pair["gradients"].values()) == [{"cosine": 1.0, "median_cosine": 1.0, "relative_error": 0.0}] * 5
 
 
 def test_what_differs_is_measured_and_what_cannot_be_is_null() -> None:
@@ -156,9 +156,10 @@ def test_what_is_no_picture_is_refused(render: Any, said: str) -> None:
 
 
 def test_numbers_and_numbers_of_things() -> None:
-    for values in ({"rounds": -1}, {"seed": -1}, {"rounds": 1.5}):
+    wrong: tuple[dict[str, Any], ...] = ({"rounds": -1}, {"seed": -1}, {"rounds": 1.5})
+    for values in wrong:
         with pytest.raises(InvalidValueError, match=r"whole number|>= 0"):
-            CompareConfig(**values)  # type: ignore[arg-type]
+            CompareConfig(**values)
     with pytest.raises(InvalidValueError, match="methods: expected 2 or more"):
         compare(SCENE, CAMERAS, {"one": Method(render=blobs)})
     with pytest.raises(InvalidValueError, match="cameras: expected 1 or more"):

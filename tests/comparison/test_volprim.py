@@ -6,6 +6,7 @@ import itertools
 
 import pytest
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import Camera, look_at
 from mi_splat.comparison.compare import CompareConfig, compare
@@ -59,12 +60,13 @@ def test_gradients_of_volprim_are_its_finite_differences(attribute: str) -> None
     weights = weighting(camera, 1)
     gradient = gradients(render, scene, camera, weights)[attribute]
     direction = torch.randn(gradient.shape, generator=torch.Generator().manual_seed(2))
-    step, values = 1e-2, dict(zip(ATTRIBUTES, scene.tensors(), strict=True))
+    values: dict[str, Tensor] = dict(zip(ATTRIBUTES, scene.tensors(), strict=True))
+    step = 1e-2
     sums = []
     for sign in (1, -1):
-        moved = {**values, attribute: values[attribute] + sign * step * direction}  # type: ignore[dict-item]
+        moved = {**values, attribute: values[attribute] + sign * step * direction}
         moved["opacities"] = moved["opacities"].clamp(0, 1)
-        sums.append(float((render(GaussianScene(**moved), camera).double() * weights).sum()))  # type: ignore[arg-type]
+        sums.append(float((render(GaussianScene(**moved), camera).double() * weights).sum()))
     expected = (sums[0] - sums[1]) / (2 * step)
     assert float((gradient * direction).sum()) == pytest.approx(expected, rel=0.02)
 

@@ -199,7 +199,7 @@ def _tables(found: Mapping[str, Any]) -> list[Table]:
     if compared:
         tables.append(
             Table(
-                caption="Gradients: cosine, and length of the difference over that of the first",
+                caption="Gradients: cosine, its median over Gaussians, length of the difference over that of the first",
                 head=("attribute", *map(_named, compared)),
                 rows=tuple((name, *(_agreement(pair["gradients"][name]) for pair in compared)) for name in ATTRIBUTES),
             )
@@ -215,7 +215,7 @@ def _tables(found: Mapping[str, Any]) -> list[Table]:
 def _agreement(one: Mapping[str, Any]) -> str:
     if one["cosine"] is None:
         return "no gradient, or not finite"
-    return f"{number(one['cosine'], '.3f')}, {number(one['relative_error'], '.2f')}"
+    return ", ".join(number(one[key], ".3f") for key in ("cosine", "median_cosine", "relative_error"))
 
 
 def _cost(method: Mapping[str, Any]) -> list[str]:
