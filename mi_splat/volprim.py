@@ -2,7 +2,8 @@
 
 The picture is in sRGB, as that of `Renderer`, and every pixel is looked at through its centre. What is Mitsuba's stays
 so: a Gaussian ends at 3 standard deviations, Gaussians are met in the order in which a ray enters these shells, 64 at
-most on each ray, and what is behind 99 % opacity is left out.
+most on each ray, and what is behind 99 % opacity is left out. After each entry the search goes on 1e-4 world units
+farther on, so shells that are entered closer together are missed, and the picture depends on the unit of length.
 """
 
 from __future__ import annotations
@@ -105,7 +106,9 @@ def _bridge(name: str) -> Callable[..., Tensor]:
         """`volprim_rf_basic` that looks through the middle of each pixel; Mitsuba's looks at random points of it."""
 
         def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:
-            return super().sample_rays(scene, sensor, Centres(sampler))
+            ray, weight, position = super().sample_rays(scene, sensor, Centres(sampler))
+            ray.maxt = dr.full(mi.Float, dr.inf, dr.width(position))  # the sensor's own is far, but it ends
+            return ray, weight, position
 
     @dr.wrap(source="torch", target="drjit")  # type: ignore[untyped-decorator]
     def bridge(data: Any, opacities: Any, sh: Any, job: _Job) -> Any:

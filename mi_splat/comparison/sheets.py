@@ -23,7 +23,7 @@ PICTURES = "pictures"
 
 
 def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]:
-    """The pictures of one camera: a row of the methods, and rows of absolute differences of each two.
+    """The pictures of one camera: the methods, and after them the absolute differences of each two.
 
     Args:
         pictures: (H, W, 3) sRGB in [0, 1] by method.
@@ -36,7 +36,7 @@ def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]
     for (one, first), (other, second) in combinations(pictures.items(), 2):
         gap = (first.clamp(0, 1) - second.clamp(0, 1)).abs()
         tiles.append(_labelled(to_bytes(factor * gap), f"|{one} - {other}| x {factor:g}"))
-    columns = len(pictures)
+    columns = max(3, len(pictures))  # of two, the difference stands beside them
     height, width = tiles[0].shape[:2]
     rows = -(-len(tiles) // columns)
     found = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)

@@ -198,3 +198,6 @@ def test_a_sheet_shows_methods_and_differences() -> None:
     assert found.shape == (2 * 128 + GAP, 3 * 256 + 2 * GAP, 3)
     corners = found[[127, -1]][:, [255, 515, -1], 0]
     assert corners.tolist() == [[128, 115, 128], [51, 0, 51]]  # 4 * 0.05 * 255
+    two = sheet({name: flat[name] for name in "ab"}, factor=4)
+    assert two.shape == (128, 3 * 256 + 2 * GAP, 3)
+    assert two[-1, -1, 0] == 51

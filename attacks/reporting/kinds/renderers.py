@@ -25,6 +25,8 @@ _SETTINGS = (
     "amplify",
     "lpips",
 )
+MOST_PICTURES = 8
+"""Cameras whose pictures a page shows; a sheet has most of a megabyte."""
 _ALONE, _BOTH = "picture", "picture_and_gradient"
 _BIASED = "volprim"
 _BIASED_ATTRIBUTES = "means, scales and rotations"
@@ -48,6 +50,7 @@ def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -
             f"{listed(list(methods))} rendered the {found['gaussians']:,} Gaussians of {found['scene']} from "
             f"{plural(len(cameras), 'camera')}. Pictures were clipped to [0, 1] and compared value by value. "
             "A gradient is that of the sum of a picture's values, each times a fixed random number."
+            f"{_left_out(cameras)}"
         ),
         conclusion=(
             f"{_named(first)}: {_psnr(first, long=True)}{_worst(first)}. This says how much the choice of the renderer "
@@ -57,7 +60,7 @@ def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -
         attacked=False,
         figures=tuple(_figure(pair) for pair in others),
         warnings=tuple(sentence(text) for text in (*found["warnings"], *_doubts(found))),
-        pictures=shown([_picture(files or folder, name, found) for name in cameras]),
+        pictures=shown([_picture(files or folder, name, found) for name in cameras[:MOST_PICTURES]]),
         charts=tuple(_charts(found)),
         tables=tuple(_tables(found)),
         configuration=settings(
@@ -67,6 +70,13 @@ def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -
         command=(_command(folder, found),),
         repeating="The cameras are those of the result. Times depend on the machine and on what else it does.",
     )
+
+
+def _left_out(cameras: Sequence[str]) -> str:
+    """What to say where there are more cameras than the page shows."""
+    if len(cameras) <= MOST_PICTURES:
+        return ""
+    return f" Below are the first {MOST_PICTURES} cameras; the folder has the pictures of all."
 
 
 def _named(pair: Mapping[str, Any]) -> str:
