@@ -17,15 +17,16 @@ class CompareOptions:
     Writes compare.json, a sheet for each camera (the pictures side by side, and where each two differ), the pictures
     of each method, and compare.html, a page that needs no network (it needs the extra `report`).
 
-    Methods: tile is the picture of the reference 3DGS rasteriser; ray meets each Gaussian at its peak along the ray;
-    ray-to-mean is the same with the colours of tile; volprim is Mitsuba's volprim_rf_basic; gsplat is the package of
-    that name, on an NVIDIA GPU; folder:PATH is a folder of pictures of any other program, called as the cameras.
+    Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the same with the filter of
+    Mip-Splatting; ray meets each Gaussian at its peak along the ray, ray-to-mean is the same with the colours of tile;
+    volprim is Mitsuba's volprim_rf_basic; gsplat is the package of that name, on an NVIDIA GPU; folder:PATH is a folder
+    of pictures of any other program, called as the cameras.
     """
 
     scene: Positional[Path]
     """A splat file, or a scene XML made of splats."""
     methods: tuple[str, ...] = ("tile", "ray")
-    """Two or more of tile, ray, ray-to-mean, volprim, gsplat and folder:PATH, with commas or spaces between them."""
+    """Two or more of these methods, with commas or spaces between them."""
     view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
     out: Path = Path("out/compare")

@@ -110,12 +110,22 @@ def load_methods(words: Sequence[str], settings: RenderSettings, cameras: Mappin
     return found
 
 
-def _own(way: Way, colour_to_mean: bool, settings: RenderSettings) -> Renderer:
-    return Renderer(dataclasses.replace(settings, method=way, colour_to_mean=colour_to_mean))
+def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False, antialiased: bool = False) -> Renderer:
+    """The project's own renderer.
+
+    Args:
+        settings: Background and near plane.
+        method: As in `RenderSettings`, like all that follow.
+        colour_to_mean: See `method`.
+        antialiased: See `method`.
+    """
+    changed = {"method": method, "colour_to_mean": colour_to_mean, "antialiased": antialiased}
+    return Renderer(dataclasses.replace(settings, **changed, alpha=False, linear=False))  # type: ignore[arg-type]
 
 
-register_method("tile", functools.partial(_own, "tile", False))
-register_method("ray", functools.partial(_own, "ray", False))
-register_method("ray-to-mean", functools.partial(_own, "ray", True))
+register_method("tile", functools.partial(_own, method="tile"))
+register_method("tile-antialiased", functools.partial(_own, method="tile", antialiased=True))
+register_method("ray", functools.partial(_own, method="ray"))
+register_method("ray-to-mean", functools.partial(_own, method="ray", colour_to_mean=True))
 register_method("volprim", Volprim)
 register_method("gsplat", GsplatRenderer)

@@ -75,7 +75,11 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
-        (["--methods", "tile,magic"], 1, "methods: expected one of tile, ray, ray-to-mean, volprim, gsplat"),
+        (
+            ["--methods", "tile,magic"],
+            1,
+            "methods: expected one of tile, tile-antialiased, ray, ray-to-mean, volprim, gsplat",
+        ),
         (["--methods", "tile"], 1, "expected two or more, got tile"),
         (["--methods", "tile,folder:nowhere"], 1, "nowhere: expected a folder of pictures"),
         (["--methods", "tile,folder:theirs"], 1, "orbit.png for the camera orbit, got an empty folder"),

@@ -47,6 +47,19 @@ def test_one_function_lets_a_renderer_join(registered: None) -> None:
     assert (found["blobs"].differentiable, found["darker"].differentiable) == (True, False)
 
 
+def test_a_scene_s_own_filter_does_not_change_what_a_name_means() -> None:
+    settings = RenderSettings(antialiased=True, background=(0.5, 0.0, 0.0), near=0.4)
+    found = load_methods(("tile", "tile-antialiased", "ray", "ray-to-mean"), settings, CAMERAS)
+    made = [method.render.settings for method in found.values() if isinstance(method.render, Renderer)]
+    assert [(one.method, one.antialiased, one.colour_to_mean) for one in made] == [
+        ("tile", False, False),
+        ("tile", True, False),
+        ("ray", False, False),
+        ("ray", False, True),
+    ]
+    assert {(one.background, one.near) for one in made} == {((0.5, 0.0, 0.0), 0.4)}
+
+
 @pytest.mark.parametrize(("name", "words"), [("tile", "a new one"), ("a,b", "a letter first"), ("folder:a", "letter")])
 def test_names_that_cannot_be(name: str, words: str) -> None:
     with pytest.raises(InvalidValueError, match=words):
@@ -58,7 +71,7 @@ def test_names_that_cannot_be(name: str, words: str) -> None:
     [
         (
             ("blobs", "unheard"),
-            r"expected one of tile, ray, ray-to-mean, volprim, gsplat, blobs, darker, or folder:PATH",
+            r"expected one of tile, tile-antialiased, ray, ray-to-mean, volprim, gsplat, blobs, darker, or folder:PATH",
         ),
         (("blobs", "blobs"), "blobs twice"),
         (("blobs",), "expected two or more, got blobs"),
