@@ -107,14 +107,14 @@ def _bridge(name: str) -> Callable[..., Tensor]:
 
         def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:
             ray, weight, position = super().sample_rays(scene, sensor, Centres(sampler))
-            ray.maxt = dr.full(mi.Float, dr.inf, dr.width(position))  # the sensor's own is far, but it ends
+            ray.maxt = dr.full(mi.Float, dr.inf, dr.width(position))  # no far plane, as with tile and ray
             return ray, weight, position
 
     @dr.wrap(source="torch", target="drjit")  # type: ignore[untyped-decorator]
     def bridge(data: Any, opacities: Any, sh: Any, job: _Job) -> Any:
         given = {"data": data, "opacities": opacities, "sh_coeffs": sh}
         plain = {key: mi.TensorXf(dr.detach(tensor)) for key, tensor in given.items()}
-        sensor = {**sensor_dict(job.camera), "near_clip": job.near}
+        sensor = {**sensor_dict(job.camera), "near_clip": job.near, "far_clip": 1e4 * job.near}
         scene = mi.load_dict(
             {"type": "scene", "splat": {"type": "ellipsoids", **plain}, "sensor": sensor}, parallel=False
         )

@@ -19,7 +19,7 @@ WIDTH = 256
 """Pixels that a picture is wide on a sheet, at least."""
 GAP = 4
 PICTURES = "pictures"
-"""Folder of the pictures of each method, which can be compared again as `folder:PATH`."""
+"""Folder that has a folder for each method, whose pictures can be compared again."""
 
 
 def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]:
