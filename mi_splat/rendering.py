@@ -1,4 +1,7 @@
-"""Renderer: the rasteriser and the ray tracer of splats as torch functions. The only caller of `dr.wrap`."""
+"""Renderer: the rasteriser and the ray tracer of splats as torch functions.
+
+Of the callers of `dr.wrap` there are two: this module, and `mi_splat.volprim` for Mitsuba's own integrator.
+"""
 
 from __future__ import annotations
 

@@ -52,6 +52,13 @@ COMMANDS = {
         "mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras", defaults="train_defaults"
     ),
     "render": Command("mi_splat.cli", "RenderOptions", "render", "render a splat: a picture, many, or an animation"),
+    "compare": Command(
+        "attacks.cli",
+        "CompareOptions",
+        "compare",
+        "compare renderers on one splat: pictures, gradients, time and memory",
+        options_module="compare_options",
+    ),
     "select": Command(
         "mi_splat.cli", "SelectOptions", "select", "select one object of a splat, and see whether it is the right one"
     ),

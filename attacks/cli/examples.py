@@ -17,6 +17,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "render desk.ply --azimuth 40 --elevation 15 --out desk.png",
         "render desk.ply --cameras orbit:60@20 --out desk.gif",
     ),
+    "compare": (
+        "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
+        "compare desk.ply --methods tile,folder:pictures --cameras cameras.json --out out/theirs",
+    ),
     "select": (
         "select desk.ply --click 320,240 --out picked.png mask.npy",
         "select desk.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
@@ -91,7 +95,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 SEE_ALSO: dict[str, tuple[str, ...]] = {
     "capture": ("train", "render"),
     "train": ("capture", "render", "info"),
-    "render": ("info", "train"),
+    "render": ("info", "compare", "train"),
+    "compare": ("render", "report"),
     "select": ("info", "render", "dagger"),
     "view": ("render", "report", "dagger"),
     "convert": ("info", "render"),

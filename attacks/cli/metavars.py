@@ -80,6 +80,10 @@ METAVARS: dict[str, tuple[str, ...]] = {
     "stop_at": ("FRACTION",),
     "EotConfig.validate_every": ("STEPS",),
     "judge_seed": ("SEED",),
+    # comparison of renderers
+    "methods": ("METHOD",),
+    "rounds": ("COUNT",),
+    "amplify": ("FACTOR",),
     # attacks
     "eps": ("RADIUS",),
     "steps": ("STEPS",),

@@ -38,6 +38,9 @@ ALL_RANGES: dict[str, Range] = {
     "judge_seed": SEED,
     "image_psnr": above(0, "dB", "26 is easily seen, 40 hardly"),
     "pairs": Range(0, 5, unit="whole"),
+    # comparison of renderers
+    "rounds": Range(0, 1000, unit="rounds", do="5 is usual"),
+    "amplify": Range(1, 1000, unit="times", do="8 is usual"),
     # studies
     "seeds": Range(0, SEED.high, unit="whole"),
     "gradient_power": FRACTION,

@@ -14,6 +14,7 @@ from attacks.reporting.kinds import (
     eot_study,
     evaluation,
     pairs,
+    renderers,
     sanity,
     study,
     transfer,
@@ -65,6 +66,7 @@ KINDS = (
     Kind(command="dagger-transfer --eot-study", record="held_out.json", is_it=_always, read=transfer.read_held_out),
     Kind(command="dagger-sanity", record="sanity.json", is_it=_always, read=sanity.read),
     Kind(command="evaluate", record="evaluation.json", is_it=_always, read=evaluation.read),
+    Kind(command="compare", record="compare.json", is_it=_always, read=renderers.read),
     Kind(command="detect", record="detections.json", is_it=_always, read=pictures.read),
     Kind(
         command="cloak-experiment detection-curve",

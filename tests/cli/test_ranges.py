@@ -24,6 +24,7 @@ NEEDED = {
     "train": ["set", "--out", "out"],
     "render": ["a.ply"],
     "convert": ["a.ply", "b.spz"],
+    "compare": ["a.ply"],
     "select": ["a.ply"],
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],

@@ -43,10 +43,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rendering": (
         "mi_splat.rendering",
         "mi_splat.side_outputs",
+        "mi_splat.volprim",
         "mi_splat.scene_files",
         "mi_splat.mixed_scenes",
         "mi_splat.scene_writing",
     ),
+    "comparison": ("mi_splat.comparison",),
     "training": ("mi_splat.training",),
     "capture": ("mi_splat.capture",),
     "viewer": ("mi_splat.viewer",),

@@ -29,6 +29,7 @@ RENDERERS = (
     "mi_splat.mitsuba_log",
     "mi_splat.variant",
     "mi_splat.rendering",
+    "mi_splat.volprim",
 )
 """Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
 PATH_TRACERS = ("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes", "mi_splat.scene_files")
@@ -86,7 +87,8 @@ def test_only_renderers_import_mitsuba() -> None:
                 assert name.startswith(RENDERERS) or name in PATH_TRACERS, f"{name} imports {other}"
 
 
-def test_one_bridge_between_torch_and_drjit() -> None:
+def test_two_bridges_between_torch_and_drjit() -> None:
+    """One to the project's own renderers, and one to Mitsuba's, which is there to be compared with."""
     wrapping = [
         name
         for package in PACKAGES
@@ -94,7 +96,7 @@ def test_one_bridge_between_torch_and_drjit() -> None:
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Attribute) and ast.unparse(node) in ("dr.wrap", "drjit.wrap")
     ]
-    assert wrapping == ["mi_splat.rendering"]
+    assert wrapping == ["mi_splat.rendering", "mi_splat.volprim"]
 
 
 def test_one_module_knows_ultralytics() -> None:

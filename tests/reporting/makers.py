@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from attacks.cli import COMMANDS
+from attacks.cli import COMMANDS, main
 from attacks.cli.parsing import parse
 from attacks.dagger.eot.report import write_eot_report
 from attacks.dagger.eot.tables import write_eot_tables
@@ -21,12 +21,13 @@ from attacks.dagger.transfer import tables as transfer_tables
 from attacks.dagger.transfer.study import run_transfer
 from attacks.reporting.section import Section
 from mi_splat import provenance
+from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from tests.dagger import test_pairs, test_sanity, test_study, test_transfer
 from tests.dagger.eot import test_study as eot_study
 from tests.dagger.eot.toy import quick
-from tests.fakes import camera
+from tests.fakes import camera, toy_scene
 from tests.reporting.further_results import FURTHER
 from tests.reporting.results import change, rate, write_cloak, write_dagger, write_evaluation, write_variations
 
@@ -93,6 +94,13 @@ def write_sanity(folder: Path) -> Path:
     return folder
 
 
+def write_comparison(folder: Path) -> Path:
+    save_splat(toy_scene()[0], folder.parent / "toy.ply")
+    words = ["compare", str(folder.parent / "toy.ply"), "--size", "16", "16", "--rounds", "1", "--out", str(folder)]
+    assert main(words) == 0
+    return folder
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger": write_dagger,
     "dagger-eot": write_eot,
@@ -105,5 +113,6 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger-transfer --eot-study": write_held_out,
     "dagger-sanity": write_sanity,
     "evaluate": write_evaluation,
+    "compare": write_comparison,
     **FURTHER,
 }

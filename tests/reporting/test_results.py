@@ -35,7 +35,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: make(base / name.replace(" ", "")) for name, make in MAKERS.items()}
 
 
-UNCONTROLLED = {"dagger-sanity", "detect", "cloak-experiment paint-direction"}
+UNCONTROLLED = {"dagger-sanity", "compare", "detect", "cloak-experiment paint-direction"}
 """Kinds without a control."""
 
 

@@ -1,0 +1,113 @@
+"""`mi-splat compare`: several renderers on one splat, with a page of what came of it.
+
+It stands here and not among the commands of mi_splat, since its page is made by `attacks.reporting`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from attacks.cli.compare_options import CompareOptions
+from attacks.reporting.charts import missing_packages
+from attacks.reporting.kinds import renderers
+from attacks.reporting.page import write_page
+from attacks.reporting.wording import number
+from mi_splat import provenance
+from mi_splat.attributes import ATTRIBUTES
+from mi_splat.cli.cameras import find_cameras, renderer_of
+from mi_splat.cli.console import progress, show, show_json, show_table, warn
+from mi_splat.comparison.compare import GRADIENT, CompareConfig, compare
+from mi_splat.comparison.methods import load_methods
+from mi_splat.comparison.results import as_dict
+from mi_splat.comparison.sheets import save_sheets
+from mi_splat.errors import MiSplatError
+from mi_splat.io.camera_records import describe
+from mi_splat.io.documents import save_json
+from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.metrics import Perceptual, load_lpips
+from mi_splat.scene import scene_hash
+from mi_splat.scene_files import open_scene
+
+RECORD, PAGE = "compare.json", "compare.html"
+
+
+def run(options: CompareOptions) -> int:
+    """Compare, and write what came of it."""
+    check_new_folder(options.out, force=options.force, record=RECORD)
+    with progress("loading") as advance:
+        loaded = open_scene(options.scene)
+        cameras = find_cameras(loaded, options.view)
+        settings = renderer_of(loaded, options.view, cameras).settings
+        methods = load_methods(options.methods, settings, cameras)
+        config = CompareConfig(gradients=options.gradients, rounds=options.rounds, seed=options.seed)
+        warnings: list[str] = []
+        lpips = _lpips(warnings) if options.lpips else None
+        found = compare(loaded.scene, cameras, methods, config=config, lpips=lpips, on_step=advance)
+        document = {
+            "scene": str(options.scene),
+            "scene_hash": scene_hash(loaded.scene),
+            "gaussians": len(loaded.scene),
+            "given": list(options.methods),
+            "background": list(settings.background),
+            "near": settings.near,
+            "gradients": options.gradients,
+            "rounds": options.rounds,
+            "seed": options.seed,
+            "amplify": options.amplify,
+            "lpips": options.lpips,
+            **as_dict(found, methods),
+            "warnings": warnings,
+            "cameras": [describe(name, camera) for name, camera in cameras.items()],
+            **provenance.origin(),
+        }
+        advance("writing")
+        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+            save_sheets(found.pictures, folder, factor=options.amplify)
+            save_json(document, folder / RECORD)
+            has_page = _page(document, folder, options.out)
+    if options.json:
+        show_json({**document, "out": str(options.out)})
+    else:
+        _tell(document)
+        show(f"{options.out}: a sheet for each camera, {RECORD}{f', {PAGE}' if has_page else ''}")
+    for text in warnings:
+        warn(f"warning: {text}")
+    return 0
+
+
+def _lpips(warnings: list[str]) -> Perceptual | None:
+    """LPIPS, or None with a warning where its network cannot be had."""
+    try:
+        return load_lpips()
+    except MiSplatError as error:
+        warnings.append(f"LPIPS was not measured: {error}")
+        return None
+
+
+def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
+    """Write the page into the folder, which will be called `out`, where the packages for it are there."""
+    missing = missing_packages()
+    if missing:
+        warn(f"no page: {' and '.join(missing)} not installed; pip install 'mi-splat[report]', then mi-splat report")
+        return False
+    write_page([renderers.read(out, document, files=folder)], folder / PAGE)
+    return True
+
+
+def _tell(document: Mapping[str, Any]) -> None:
+    """A table for each two methods, and one of what they cost."""
+    for pair in document["pairs"]:
+        show(" and ".join(pair["methods"]))
+        rows = [("  PSNR", "the same pictures" if pair["psnr"] is None else number(pair["psnr"], unit="dB"))]
+        rows += [("  SSIM", number(pair["ssim"], ".4f")), ("  LPIPS", number(pair["lpips"], ".4f"))]
+        if pair["gradients"] is not None:
+            cosines = (f"{name} {number(pair['gradients'][name]['cosine'], '.3f')}" for name in ATTRIBUTES)
+            rows.append(("  cosine of gradients", ", ".join(cosines)))
+        show_table((name, value.replace("\u00a0", " ")) for name, value in rows)
+    for name, one in document["methods"].items():
+        if one["picture"] is not None:
+            alone, both = one["picture"], one[GRADIENT]
+            with_gradient = f", {both['seconds']:.3f} s with the gradient" if both else ""
+            show(f"{name}: {alone['seconds']:.3f} s a picture ({alone['ratio']:.2f} times the first){with_gradient}")

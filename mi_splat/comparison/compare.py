@@ -1,0 +1,241 @@
+"""One splat through several methods: their pictures, and each two of them beside each other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import torch
+from torch import Tensor
+
+from mi_splat.attributes import ATTRIBUTES
+from mi_splat.cameras import Camera
+from mi_splat.comparison.costs import Cost, Run, costs_of
+from mi_splat.comparison.measures import (
+    GradientAgreement,
+    PictureDistance,
+    gradients,
+    picture_distance,
+    pooled,
+    weighting,
+)
+from mi_splat.comparison.methods import Method
+from mi_splat.config_values import check_numbers
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.images import quantise
+from mi_splat.metrics import Perceptual
+from mi_splat.scene import GaussianScene
+
+FORWARD, GRADIENT = "picture", "picture_and_gradient"
+"""Kinds of calls whose cost is measured."""
+Agreement = dict[str, GradientAgreement]
+"""Of two methods, by attribute."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareConfig:
+    """What is measured.
+
+    Raises:
+        InvalidValueError: A number is not whole, or less than 0.
+    """
+
+    gradients: bool = True
+    """Compare the gradients of methods that have them."""
+    rounds: int = 5
+    """How often each method is timed; 0 measures neither time nor memory."""
+    seed: int = 0
+    """Of the random weights that make one number of a picture, whose gradients are compared."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self, {"rounds": 0, "seed": 0})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Two methods beside each other.
+
+    Attributes:
+        bits: Of a channel, with which their pictures were compared.
+        distances: Between their pictures, by camera.
+        agreement: Between their gradients over all cameras, by attribute; None if it was not measured.
+    """
+
+    bits: int
+    distances: dict[str, PictureDistance]
+    agreement: Agreement | None
+
+    @property
+    def whole(self) -> PictureDistance:
+        """All cameras as one."""
+        return pooled(list(self.distances.values()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """What came of it.
+
+    Attributes:
+        pictures: (H, W, 3) sRGB by camera and method.
+        pairs: Each two methods.
+        first_seconds: Of the first call of each method that renders, in which it may compile.
+        costs: By the kind of call, and by method; empty if they were not measured.
+    """
+
+    pictures: dict[str, dict[str, Tensor]]
+    pairs: dict[tuple[str, str], Pair]
+    first_seconds: dict[str, float]
+    costs: dict[str, dict[str, Cost]]
+
+
+def compare(
+    scene: GaussianScene,
+    cameras: Mapping[str, Camera],
+    methods: Mapping[str, Method],
+    *,
+    config: CompareConfig | None = None,
+    lpips: Perceptual | None = None,
+    on_step: Callable[[str], None] = lambda text: None,
+) -> Comparison:
+    """Render, and measure.
+
+    Args:
+        scene: The splat.
+        cameras: From where, by name; at least one.
+        methods: Two or more, by name. Ratios of time are to the first that renders.
+        config: What is measured.
+        lpips: See `mi_splat.metrics.load_lpips`; None leaves it out.
+        on_step: Called with a few words before each call of a method.
+
+    Raises:
+        InvalidValueError: There is no camera, there are fewer than two methods, or a method returns what is no picture.
+    """
+    config = config or CompareConfig()
+    for what, given, least in (("cameras", cameras, 1), ("methods", methods, 2)):
+        if len(given) < least:
+            raise InvalidValueError(message(what, f"{least} or more", len(given), "name more"))
+    pictures: dict[str, dict[str, Tensor]] = {}
+    first_seconds: dict[str, float] = {}
+    for place, camera in cameras.items():
+        pictures[place] = {}
+        for name, method in methods.items():
+            on_step(f"{name} from {place}")
+            begun = time.perf_counter()
+            pictures[place][name] = _picture(name, method, scene, camera)
+            if method.renders:
+                first_seconds.setdefault(name, time.perf_counter() - begun)
+    agreement = _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
+    pairs = {}
+    for names in combinations(methods, 2):
+        bits = min(methods[name].bits for name in names)
+        distances = {
+            place: picture_distance(*(_with_bits(seen[name], bits) for name in names), lpips=lpips)
+            for place, seen in pictures.items()
+        }
+        pairs[names] = Pair(bits=bits, distances=distances, agreement=agreement.get(names))
+    costs = _costs(scene, next(iter(cameras.values())), methods, config, on_step) if config.rounds else {}
+    return Comparison(pictures=pictures, pairs=pairs, first_seconds=first_seconds, costs=costs)
+
+
+def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) -> Tensor:
+    """A picture of a method, checked, on the CPU.
+
+    Args:
+        name: Of the method.
+        method: The method.
+        scene: The splat.
+        camera: The camera.
+    """
+    with torch.no_grad():
+        picture = method.render(scene, camera).cpu()
+    expected = (camera.height, camera.width, 3)
+    if tuple(picture.shape) != expected or not bool(picture.isfinite().all()):
+        got = f"{tuple(picture.shape)}, {int((~picture.isfinite()).sum())} values not finite"
+        do = "mend the method, or leave it out"
+        raise InvalidValueError(message(f"picture of {name}", f"{expected} finite values", got, do))
+    return picture
+
+
+def _with_bits(picture: Tensor, bits: int) -> Tensor:
+    return quantise(picture) if bits == 8 else picture
+
+
+def _differentiable(methods: Mapping[str, Method]) -> list[str]:
+    return [name for name, method in methods.items() if method.differentiable]
+
+
+def _agreement(
+    scene: GaussianScene,
+    cameras: Mapping[str, Camera],
+    methods: Mapping[str, Method],
+    config: CompareConfig,
+    on_step: Callable[[str], None],
+) -> dict[tuple[str, str], Agreement]:
+    """How well the gradients of each two methods agree, by attribute.
+
+    Args:
+        scene: The splat.
+        cameras: As in `compare`.
+        methods: As in `compare`.
+        config: As in `compare`.
+        on_step: As in `compare`.
+    """
+    found: dict[tuple[str, str], Agreement] = {
+        names: {attribute: GradientAgreement() for attribute in ATTRIBUTES}
+        for names in combinations(_differentiable(methods), 2)
+    }
+    for number, (place, camera) in enumerate(cameras.items() if found else ()):
+        weights = weighting(camera, config.seed + number)
+        each = {}
+        for name in _differentiable(methods):
+            on_step(f"{name} from {place}: gradient")
+            each[name] = gradients(methods[name].render, scene, camera, weights)
+        for (one, other), by_attribute in found.items():
+            for attribute, agreement in by_attribute.items():
+                agreement.add(each[one][attribute], each[other][attribute])
+    return found
+
+
+def _costs(
+    scene: GaussianScene,
+    camera: Camera,
+    methods: Mapping[str, Method],
+    config: CompareConfig,
+    on_step: Callable[[str], None],
+) -> dict[str, dict[str, Cost]]:
+    """Time and memory of methods that render.
+
+    Args:
+        scene: The splat.
+        camera: From where.
+        methods: As in `compare`.
+        config: As in `compare`.
+        on_step: As in `compare`.
+    """
+
+    def forward(method: Method) -> Run:
+        def run() -> None:
+            with torch.no_grad():
+                method.render(scene, camera).sum().item()  # so that a device has finished
+
+        return run
+
+    def both(method: Method) -> Run:
+        weights = weighting(camera, config.seed)
+
+        def run() -> None:
+            gradients(method.render, scene, camera, weights)["sh"].sum().item()
+
+        return run
+
+    rendering = {name: method for name, method in methods.items() if method.renders}
+    runs: dict[str, dict[str, Run]] = {FORWARD: {name: forward(method) for name, method in rendering.items()}}
+    if config.gradients:
+        runs[GRADIENT] = {name: both(method) for name, method in rendering.items() if method.differentiable}
+    return {
+        kind: costs_of(some, rounds=config.rounds, on_step=lambda text, kind=kind: on_step(f"{text} ({kind})"))  # type: ignore[misc]
+        for kind, some in runs.items()
+        if some
+    }

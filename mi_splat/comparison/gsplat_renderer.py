@@ -1,0 +1,73 @@
+"""The rasteriser of the package gsplat as a `RenderFn`; it needs an NVIDIA GPU.
+
+The project's tests give it a stand-in for the package; on a GPU it was not run.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera
+from mi_splat.errors import MiSplatError, message
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene, check_scene
+
+
+class GsplatRenderer:
+    """Renders splats with `gsplat.rasterization` in its classic mode; a `RenderFn`, differentiable.
+
+    Args:
+        settings: Background and near plane.
+
+    Raises:
+        MiSplatError: The package is not installed, or there is no GPU for it.
+    """
+
+    def __init__(self, settings: RenderSettings) -> None:
+        self.settings = settings
+        self.device = "cuda"
+        if importlib.util.find_spec("gsplat") is None:
+            do = "pip install gsplat, or leave it out of --methods"
+            raise MiSplatError(message("method gsplat", "the package gsplat", "not installed", do))
+        if not torch.cuda.is_available():
+            do = "run it where there is one, or leave it out of --methods"
+            raise MiSplatError(message("method gsplat", "an NVIDIA GPU that torch can use", "none", do))
+        package: Any = importlib.import_module("gsplat")
+        self._rasterization = package.rasterization
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """Render one picture; the scene may be anywhere, the picture comes back to where it is.
+
+        Args:
+            scene: N Gaussians.
+            camera: The camera.
+
+        Returns:
+            (H, W, 3) float32 tensor. Values above 1 are not clipped.
+        """
+        check_scene("scene", scene)
+        there: Any = {"device": self.device, "dtype": torch.float32}
+        means, scales, rotations, opacities, sh = (tensor.to(**there) for tensor in scene.tensors())
+        intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+        pictures, _, _ = self._rasterization(
+            means=means,
+            quats=rotations,
+            scales=scales,
+            opacities=opacities,
+            colors=sh,
+            viewmats=torch.linalg.inv(camera.to_world)[None].to(**there),
+            Ks=intrinsics[None].to(**there),
+            width=camera.width,
+            height=camera.height,
+            near_plane=self.settings.near,
+            sh_degree=round(sh.shape[1] ** 0.5) - 1,
+            backgrounds=torch.tensor([self.settings.background], **there),
+            rasterize_mode="classic",
+        )
+        picture: Tensor = pictures[0].to(scene.means.device)
+        return picture

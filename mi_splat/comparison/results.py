@@ -1,0 +1,54 @@
+"""A comparison as JSON can hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mi_splat.comparison.compare import FORWARD, GRADIENT, Comparison
+from mi_splat.comparison.measures import PictureDistance
+from mi_splat.comparison.methods import Method
+
+
+def as_dict(found: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
+    """What was measured, as JSON can hold it; a figure that was not measured is null.
+
+    Args:
+        found: What `compare` returned.
+        methods: What it was given.
+    """
+    costs = {kind: {name: cost.as_dict() for name, cost in some.items()} for kind, some in found.costs.items()}
+    return {
+        "methods": {
+            name: {
+                "differentiable": method.differentiable,
+                "bits": method.bits,
+                "first_seconds": found.first_seconds.get(name),
+                **{kind: costs.get(kind, {}).get(name) for kind in (FORWARD, GRADIENT)},
+            }
+            for name, method in methods.items()
+        },
+        "pairs": [
+            {
+                "methods": list(names),
+                "bits": pair.bits,
+                **_figures(pair.whole),
+                "by_camera": {place: _figures(distance) for place, distance in pair.distances.items()},
+                "gradients": None
+                if pair.agreement is None
+                else {
+                    attribute: {
+                        "cosine": one.cosine,
+                        "median_cosine": one.median_cosine,
+                        "relative_error": one.relative_error,
+                    }
+                    for attribute, one in pair.agreement.items()
+                },
+            }
+            for names, pair in found.pairs.items()
+        ],
+    }
+
+
+def _figures(distance: PictureDistance) -> dict[str, float | None]:
+    return {"psnr": distance.psnr, "mse": distance.mse, "ssim": distance.ssim, "lpips": distance.lpips}

@@ -1,0 +1,132 @@
+"""`mi-splat compare`, end to end on a shipped scene, and what it refuses before it works."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+pytest.importorskip("jinja2", reason="pages need the extra report")
+pytest.importorskip("matplotlib", reason="pages need the extra report")
+
+from attacks import cli
+from attacks.cli import compare as command
+from attacks.reporting.results import read_section
+from mi_splat.errors import MiSplatError
+from mi_splat.io import save_splat
+from tests.fakes import toy_scene
+from tests.project.layers import ROOT
+from tests.reporting.test_page import Reader
+
+SCENE = str(ROOT / "scenes" / "car_street.xml")
+SMALL = ["--cameras", "front", "--size", "40", "32"]
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    save_splat(toy_scene()[0], tmp_path / "toy.ply")
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "wedding.jpg").write_text("dear")
+    (tmp_path / "theirs").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["render", SCENE, *SMALL, "--cameras", "front", "side", "--out", "theirs"]) == 0
+    capsys.readouterr()
+    words = ["compare", SCENE, *SMALL, "--methods", "tile,ray", "folder:theirs", "--rounds", "1", "--out", "found"]
+    assert cli.main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    kept = json.loads((tmp_path / "found" / "compare.json").read_text())
+    assert document == {**kept, "out": "found"}
+    assert {"versions", "commit", "variant", "scene_hash", "near", "background"} <= set(kept)
+    pairs = {tuple(pair["methods"]): pair for pair in kept["pairs"]}
+    assert set(pairs) == {("tile", "ray"), ("tile", "theirs"), ("ray", "theirs")}
+    assert pairs["tile", "theirs"]["psnr"] is None
+    assert pairs["tile", "ray"]["psnr"] == pytest.approx(pairs["ray", "theirs"]["psnr"], abs=0.1)
+    assert pairs["tile", "ray"]["psnr"] < 40
+    assert pairs["tile", "ray"]["lpips"] is None
+    assert 0 < pairs["tile", "ray"]["gradients"]["sh"]["cosine"] < 1
+    assert kept["methods"]["ray"]["picture"]["ratio"] > 0
+    with Image.open(tmp_path / "found" / "front.png") as sheet:
+        assert sheet.size == (3 * 280 + 8, 2 * 224 + 4)
+    with Image.open(tmp_path / "found" / "pictures" / "ray" / "front.png") as picture:
+        assert picture.size == (40, 32)
+
+    page = Reader((tmp_path / "found" / "compare.html").read_text("utf-8"))
+    assert not {"script", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
+    for tag, attributes in page.elements:
+        for name in ("src", "href", "xlink:href", "srcset"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("data:", "#")), (tag, value)
+    assert "not measured" in page.words
+    assert "8 bits" in page.words
+    assert ".tmp" not in page.words  # the folder is named as it is called now
+    section = read_section(tmp_path / "found")
+    assert [one.path.name for one in section.pictures] == ["front.png"]
+    assert cli.main(["report", "found", "--out", "again.html"]) == 0
+    assert "renderers compared" in (tmp_path / "again.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (
+            ["--methods", "tile,magic"],
+            1,
+            "methods: expected one of tile, tile-antialiased, ray, ray-to-mean, volprim, gsplat",
+        ),
+        (["--methods", "tile"], 1, "expected two or more, got tile"),
+        (["--methods", "tile,folder:nowhere"], 1, "nowhere: expected a folder of pictures"),
+        (["--methods", "tile,folder:theirs"], 1, "orbit.png for the camera orbit, got an empty folder"),
+        (["--methods", "tile,volprim", "--background", "1", "1", "1"], 1, "volprim: expected a black background"),
+        (["--rounds", "-1"], 2, "--rounds: expected"),
+        (["--amplify", "0"], 2, "--amplify: expected"),
+        (["--out", "taken"], 1, "a new or an empty folder"),
+        (["--out", "taken", "--force"], 1, "an older result (compare.json)"),
+    ],
+)
+def test_refused_in_one_line_with_nothing_written(
+    words: list[str], status: int, said: str, toy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(toy.rglob("*"))
+    assert cli.main(["compare", "toy.ply", "--size", "16", "16", *words]) == status
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1
+    assert sorted(toy.rglob("*")) == before
+
+
+def test_a_failure_on_the_way_leaves_nothing(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise MiSplatError("broken")
+
+    monkeypatch.setattr(command, "write_page", broken)
+    before = sorted(toy.rglob("*"))
+    words = ["compare", "toy.ply", "--size", "16", "16", "--no-gradients", "--rounds", "0", "--out", "found"]
+    assert cli.main(words) == 1
+    assert sorted(toy.rglob("*")) == before
+
+
+def test_lpips_without_its_network_is_not_measured(
+    toy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unreachable() -> None:
+        raise MiSplatError("lpips: expected the weights, got none")
+
+    monkeypatch.setattr(command, "load_lpips", unreachable)
+    monkeypatch.setattr(command, "missing_packages", lambda: ["Jinja2"])
+    words = ["compare", "toy.ply", "--size", "16", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "found"]
+    assert cli.main(words) == 0
+    said = capsys.readouterr()
+    assert "LPIPS was not measured" in said.err
+    assert "no page: Jinja2 not installed" in said.err
+    assert "tile and ray" in said.out
+    found = json.loads((toy / "found" / "compare.json").read_text())
+    assert found["pairs"][0]["lpips"] is None
+    assert found["warnings"]
+    assert not (toy / "found" / "compare.html").exists()

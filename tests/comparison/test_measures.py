@@ -1,0 +1,107 @@
+"""Distances of pictures and of gradients: known values, equal inputs, and what cannot be measured."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera
+from mi_splat.comparison.costs import costs_of, peak_memory
+from mi_splat.comparison.measures import GradientAgreement, gradients, picture_distance, pooled, weighting
+from mi_splat.scene import GaussianScene
+from tests.fakes import blobs, camera, toy_scene
+
+GREY = torch.full((16, 20, 3), 0.5)
+
+
+def test_equal_pictures_have_no_psnr_and_ssim_1() -> None:
+    picture = torch.rand(16, 20, 3, generator=torch.Generator().manual_seed(0))
+    found = picture_distance(picture, picture.clone())
+    assert (found.mse, found.psnr, found.lpips) == (0.0, None, None)
+    assert found.ssim == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_known_difference() -> None:
+    assert picture_distance(GREY, GREY + 0.1).psnr == pytest.approx(20.0, abs=1e-4)
+    assert picture_distance(GREY + 0.7, GREY + 0.9).psnr is None  # both are white on a screen
+
+
+def test_small_pictures_have_no_ssim() -> None:
+    small = GREY[:8]
+    asked: list[Tensor] = []
+    found = picture_distance(small, small, lpips=lambda a, b: asked.append(a) or a.mean())  # type: ignore[func-returns-value]
+    assert (found.ssim, found.lpips, asked) == (None, None, [])
+
+
+def test_several_pictures_count_by_their_pixels() -> None:
+    near, far = picture_distance(GREY, GREY), picture_distance(GREY[:8], GREY[:8] + 0.3)
+    both = pooled([near, far])
+    assert both.mse == pytest.approx(0.09 / 3, rel=1e-5)
+    assert both.ssim is None  # one of them has none
+
+
+def agreement(first: list[float], second: list[float]) -> tuple[float | None, float | None]:
+    found = GradientAgreement()
+    found.add(torch.tensor(first[:1]), torch.tensor(second[:1]))
+    found.add(torch.tensor(first[1:]), torch.tensor(second[1:]))
+    return found.cosine, found.relative_error
+
+
+def test_agreement_of_gradients() -> None:
+    assert agreement([3.0, 4.0], [3.0, 4.0]) == (1.0, 0.0)
+    assert agreement([3.0, 4.0], [-3.0, -4.0]) == (-1.0, 2.0)
+    cosine, error = agreement([1.0, 0.0], [0.0, 1.0])
+    assert (cosine, error) == (0.0, math.sqrt(2))
+    assert agreement([0.0, 0.0], [0.0, 1.0]) == (None, None)
+    assert agreement([1.0, 1.0], [math.nan, 1.0]) == (None, None)
+
+
+def test_one_large_gradient_does_not_decide_the_median() -> None:
+    first = torch.tensor([[1e6, 0.0], [1.0, 2.0], [2.0, 1.0], [0.0, 0.0]])
+    second = first * torch.tensor([[-1.0], [1.0], [3.0], [1.0]])
+    found = GradientAgreement()
+    found.add(first, second)
+    assert found.cosine == pytest.approx(-1.0)
+    assert found.median_cosine == pytest.approx(1.0)
+
+
+def test_the_length_of_a_quaternion_has_no_gradient() -> None:
+    """Two renderers that differ in whether they normalise quaternions agree."""
+
+    def normalising(scene: GaussianScene, camera: Camera) -> Tensor:
+        unit = scene.rotations / scene.rotations.norm(dim=1, keepdim=True)
+        return blobs(GaussianScene(scene.means, scene.scales, unit, scene.opacities, scene.sh), camera)
+
+    scene, view = toy_scene()[0], camera(12)
+    plain, other = (gradients(render, scene, view, weighting(view, 3)) for render in (blobs, normalising))
+    for name, gradient in plain.items():
+        assert gradient.abs().max() > 0
+        torch.testing.assert_close(gradient, other[name], rtol=1e-3, atol=1e-5, msg=name)
+
+
+def test_costs_take_turns_and_are_ratios() -> None:
+    calls: list[str] = []
+
+    def slow() -> None:
+        calls.append("b")
+        torch.rand(400, 400) @ torch.rand(400, 400)
+
+    found = costs_of({"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None)
+    assert calls == [*"aabb", *"ababab"]
+    assert found["a"].ratio == 1.0
+    assert found["b"].ratio > 1
+    assert len(found["b"].as_dict()["rounds"]) == 3
+
+
+def test_memory_is_seen_where_the_system_tells() -> None:
+    if (small := peak_memory(lambda: None)) is None:
+        pytest.skip("this system does not tell")
+
+    def large() -> None:
+        torch.ones(64 * 2**18).sum().item()
+
+    assert 60 <= (peak_memory(large) or 0) < 100
+    assert small < 30

@@ -1,0 +1,216 @@
+"""Methods by name, folders of pictures, and the comparison of a few of them on fakes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera
+from mi_splat.comparison import methods
+from mi_splat.comparison.compare import FORWARD, GRADIENT, CompareConfig, compare
+from mi_splat.comparison.gsplat_renderer import GsplatRenderer
+from mi_splat.comparison.methods import Method, load_methods, register_method
+from mi_splat.comparison.results import as_dict
+from mi_splat.comparison.sheets import GAP, save_sheets, sheet
+from mi_splat.datasets.errors import DatasetError
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from tests.fakes import blobs, camera, toy_scene
+
+SCENE = toy_scene()[0]
+CAMERAS = {"left": camera(24, offset=-0.4), "right": camera(24, offset=0.4)}
+QUICK = CompareConfig(rounds=0)
+
+
+def darker(scene: GaussianScene, camera: Camera) -> Tensor:
+    return 0.9 * blobs(scene, camera)
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`blobs` and `darker` beside the project's own methods."""
+    monkeypatch.setattr(methods, "_MAKERS", dict(methods._MAKERS))
+    register_method("blobs", lambda settings: blobs)
+    register_method("darker", lambda settings: darker, differentiable=False)
+
+
+def test_one_function_lets_a_renderer_join(registered: None) -> None:
+    found = load_methods(("blobs, darker",), RenderSettings(), CAMERAS)
+    assert list(found) == ["blobs", "darker"]
+    assert (found["blobs"].differentiable, found["darker"].differentiable) == (True, False)
+
+
+def test_a_scene_s_own_filter_does_not_change_what_a_name_means() -> None:
+    settings = RenderSettings(antialiased=True, background=(0.5, 0.0, 0.0), near=0.4)
+    found = load_methods(("tile", "tile-antialiased", "ray", "ray-to-mean"), settings, CAMERAS)
+    made = [method.render.settings for method in found.values() if isinstance(method.render, Renderer)]
+    assert [(one.method, one.antialiased, one.colour_to_mean) for one in made] == [
+        ("tile", False, False),
+        ("tile", True, False),
+        ("ray", False, False),
+        ("ray", False, True),
+    ]
+    assert {(one.background, one.near) for one in made} == {((0.5, 0.0, 0.0), 0.4)}
+
+
+@pytest.mark.parametrize(("name", "words"), [("tile", "a new one"), ("a,b", "a letter first"), ("folder:a", "letter")])
+def test_names_that_cannot_be(name: str, words: str) -> None:
+    with pytest.raises(InvalidValueError, match=words):
+        register_method(name, lambda settings: blobs)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("blobs", "unheard"),
+            r"expected one of tile, tile-antialiased, ray, ray-to-mean, volprim, gsplat, blobs, darker, or folder:PATH",
+        ),
+        (("blobs", "blobs"), "blobs twice"),
+        (("blobs",), "expected two or more, got blobs"),
+        ((",",), "got none"),
+        (("blobs", "folder:nowhere"), "a folder of pictures, got none"),
+    ],
+)
+def test_methods_that_are_refused(words: tuple[str, ...], said: str, registered: None) -> None:
+    with pytest.raises(InvalidValueError, match=said):
+        load_methods(words, RenderSettings(), CAMERAS)
+
+
+def test_volprim_adds_no_background() -> None:
+    with pytest.raises(InvalidValueError, match="--background 0 0 0"):
+        load_methods(("volprim", "tile"), RenderSettings(background=(1.0, 1.0, 1.0)), CAMERAS)
+
+
+def test_gsplat_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MiSplatError, match="expected the package gsplat, got not installed"):
+        GsplatRenderer(RenderSettings())
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
+    with pytest.raises(MiSplatError, match="expected an NVIDIA GPU"):
+        GsplatRenderer(RenderSettings())
+
+
+def test_gsplat_is_called_as_its_interface_is_documented(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand-in turns the arguments back into ours and lets the tile rasteriser make the picture."""
+
+    def rasterization(**given: Any) -> tuple[Tensor, None, dict[str, Any]]:
+        assert given["rasterize_mode"] == "classic"
+        assert given["colors"].shape[1] == (given["sh_degree"] + 1) ** 2
+        (k,) = given["Ks"].tolist()
+        view = Camera(
+            to_world=torch.linalg.inv(given["viewmats"][0].double()),
+            focal=(k[0][0], k[1][1]),
+            principal=(k[0][2], k[1][2]),
+            width=given["width"],
+            height=given["height"],
+        )
+        scene = GaussianScene(*(given[name] for name in ("means", "scales", "quats", "opacities", "colors")))
+        settings = RenderSettings(background=tuple(given["backgrounds"][0].tolist()), near=given["near_plane"])
+        return Renderer(settings)(scene, view)[None], None, {}
+
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
+    settings = RenderSettings(background=(0.0, 0.5, 1.0), near=0.3)
+    render = GsplatRenderer(settings)
+    render.device = "cpu"
+    expected = Renderer(settings)(SCENE, CAMERAS["left"])
+    torch.testing.assert_close(render(SCENE, CAMERAS["left"]), expected, rtol=0, atol=1e-4)
+
+
+def test_the_same_method_twice_is_equal_in_everything() -> None:
+    both = {"one": Method(render=blobs), "other": Method(render=blobs)}
+    found = compare(SCENE, CAMERAS, both, config=QUICK)
+    (pair,) = as_dict(found, both)["pairs"]
+    assert (pair["mse"], pair["psnr"]) == (0.0, None)
+    assert {place: one["psnr"] for place, one in pair["by_camera"].items()} == {"left": None, "right": None}
+    assert list(pair["gradients"].values()) == [{"cosine": 1.0, "median_cosine": 1.0, "relative_error": 0.0}] * 5
+
+
+def test_what_differs_is_measured_and_what_cannot_be_is_null() -> None:
+    several = {
+        "files": Method(render=darker, differentiable=False, renders=False, bits=8),
+        "blobs": Method(render=blobs),
+        "dark": Method(render=darker),
+    }
+    found = as_dict(compare(SCENE, CAMERAS, several, config=CompareConfig(rounds=2)), several)
+    pairs = {tuple(pair["methods"]): pair for pair in found["pairs"]}
+    assert pairs["files", "dark"]["psnr"] is None
+    assert (pairs["files", "dark"]["bits"], pairs["files", "dark"]["gradients"]) == (8, None)
+    assert 15 < pairs["blobs", "dark"]["psnr"] < 45
+    for one in pairs["blobs", "dark"]["gradients"].values():
+        assert one["cosine"] == pytest.approx(1.0, abs=1e-6)
+        assert one["relative_error"] == pytest.approx(0.1, rel=1e-3)
+    costs = found["methods"]
+    assert (costs["files"]["first_seconds"], costs["files"][FORWARD], costs["files"][GRADIENT]) == (None, None, None)
+    assert costs["blobs"][FORWARD]["ratio"] == 1.0  # the first that renders
+    assert len(costs["dark"][GRADIENT]["rounds"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("render", "said"),
+    [
+        (lambda scene, view: blobs(scene, view)[:-1], r"\(23, 24, 3\), 0 values not finite"),
+        (lambda scene, view: blobs(scene, view) * float("nan"), "1728 values not finite"),
+    ],
+)
+def test_what_is_no_picture_is_refused(render: Any, said: str) -> None:
+    with pytest.raises(InvalidValueError, match=said):
+        compare(SCENE, CAMERAS, {"good": Method(render=blobs), "bad": Method(render=render)}, config=QUICK)
+
+
+def test_numbers_and_numbers_of_things() -> None:
+    wrong: tuple[dict[str, Any], ...] = ({"rounds": -1}, {"seed": -1}, {"rounds": 1.5})
+    for values in wrong:
+        with pytest.raises(InvalidValueError, match=r"whole number|>= 0"):
+            CompareConfig(**values)
+    with pytest.raises(InvalidValueError, match="methods: expected 2 or more"):
+        compare(SCENE, CAMERAS, {"one": Method(render=blobs)})
+    with pytest.raises(InvalidValueError, match="cameras: expected 1 or more"):
+        compare(SCENE, {}, {"one": Method(render=blobs), "two": Method(render=blobs)})
+
+
+def test_a_folder_with_the_same_pictures_is_equal(tmp_path: Path, registered: None) -> None:
+    seen = {place: {"blobs": blobs(SCENE, view)} for place, view in CAMERAS.items()}
+    save_sheets(seen, tmp_path, factor=8)
+    given = ("blobs", f"folder:{tmp_path / 'pictures' / 'blobs'}")
+    with pytest.raises(InvalidValueError, match="blobs twice"):
+        load_methods(given, RenderSettings(), CAMERAS)
+    folder = (tmp_path / "pictures" / "blobs").rename(tmp_path / "theirs")
+    found = load_methods(("blobs", f"folder:{folder}"), RenderSettings(), CAMERAS)
+    pair = compare(SCENE, CAMERAS, found, config=QUICK).pairs["blobs", "theirs"]
+    assert (pair.bits, pair.whole.mse, pair.agreement) == (8, 0.0, None)
+    with pytest.raises(InvalidValueError, match="camera: expected one of left, right, got another"):
+        found["theirs"].render(SCENE, camera(24))
+
+
+def test_a_folder_that_lacks_a_picture_or_has_another_size(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"left\.png for the camera left, got an empty folder"):
+        load_methods(("tile", f"folder:{tmp_path}"), RenderSettings(), CAMERAS)
+    save_sheets({"left": {"x": blobs(SCENE, camera(24))}}, tmp_path, factor=8)
+    folder = tmp_path / "pictures" / "x"
+    with pytest.raises(DatasetError, match=r"right\.png for the camera right, got none among left\.png"):
+        load_methods(("tile", f"folder:{folder}"), RenderSettings(), CAMERAS)
+    save_sheets({"right": {"x": blobs(SCENE, camera(12))}}, tmp_path, factor=8)
+    with pytest.raises(DatasetError, match="expected 24 x 24 pixels, got 12 x 12"):
+        load_methods(("tile", f"folder:{folder}"), RenderSettings(), CAMERAS)
+
+
+def test_a_sheet_shows_methods_and_differences() -> None:
+    flat = {name: torch.full((4, 8, 3), value) for name, value in (("a", 0.5), ("b", 0.45), ("c", 0.5))}
+    found = sheet(flat, factor=4)
+    assert found.shape == (2 * 128 + GAP, 3 * 256 + 2 * GAP, 3)
+    corners = found[[127, -1]][:, [255, 515, -1], 0]
+    assert corners.tolist() == [[128, 115, 128], [51, 0, 51]]  # 4 * 0.05 * 255
+    two = sheet({name: flat[name] for name in "ab"}, factor=4)
+    assert two.shape == (128, 3 * 256 + 2 * GAP, 3)
+    assert two[-1, -1, 0] == 51
