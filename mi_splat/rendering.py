@@ -85,8 +85,7 @@ class ScreenGradients:
         self.lengths, self.visible = torch.zeros(count), torch.zeros(count)
 
     def _add(self, screen: Tensor, camera: Camera) -> None:
-        half = torch.tensor([camera.width / 2, camera.height / 2])
-        self.lengths += (screen[:, :2] * half).norm(dim=1)
+        self.lengths += (screen[:, :2] * torch.tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
         self.visible += screen[:, 2]
 
 

@@ -25,8 +25,8 @@ from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from mi_splat import provenance
-from mi_splat.comparison.methods import load_methods
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
+from mi_splat.comparison.methods import load_methods
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.io.documents import read_json, save_json

@@ -32,7 +32,10 @@ RENDERERS = (
     "mi_splat.volprim",
 )
 """Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
-PATH_TRACERS = ("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes", "mi_splat.scene_files")
+PATH_TRACERS = (
+    *("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes"),
+    *("mi_splat.scene_files", "mi_splat.mixed_scenes"),
+)
 LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.experiments")
 """Parts of attacks that may know a particular detector; all others see `detectors.base` only."""
 

@@ -121,8 +121,8 @@ def read_renderers(path: Path, document: Document) -> Section:
         kind="CLOAK in other renderers",
         done=f"{listed(names)} looked at pictures of the clean and of the cloaked splat by {listed(renderers)}.",
         conclusion=(
-            f"Over all renderers the cloaked object is missed in {percent(min(inside))} to {percent(max(inside))} of the "
-            f"views well inside the trigger ({first}, which it was trained with: {counts(rate)})."
+            f"Over all renderers the cloaked object is missed in {percent(min(inside))} to {percent(max(inside))} of "
+            f"the views well inside the trigger ({first}, which it was trained with: {counts(rate)})."
         ),
         headline=Figure(label=f"cloaked splat by {first}: object missed well inside the trigger", rate=rate),
         control=Figure(label=f"clean splat by {first}: object missed there", rate=control) if control.total else None,
