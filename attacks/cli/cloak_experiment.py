@@ -12,7 +12,7 @@ from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.limit_figure import write_limit_figure
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
-from attacks.cloak.experiments.renderers import METHODS, measure_renderers
+from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
 from attacks.cloak.experiments.view_reports import finished_splats, watch
@@ -26,7 +26,6 @@ from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from mi_splat import provenance
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
-from mi_splat.comparison.methods import load_methods
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.io.documents import read_json, save_json
@@ -102,8 +101,7 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     if options.experiment == "formats":
         rows = measure_formats(study, splats["cloaked"], detectors, render=render, every=options.every)
     elif options.experiment == "renderers":
-        methods = {name: method.render for name, method in load_methods(METHODS, settings, {}).items()}
-        rows = measure_renderers(study, splats, detectors, methods, every=options.every)
+        rows = measure_renderers(study, splats, detectors, renderers_of(settings), every=options.every)
     else:
         rows = measure_distances(study, splats, detectors, render=render, every=options.every)
     return rows, fingerprints

@@ -16,7 +16,7 @@ from attacks.cloak.experiments.colour_clamps import cut_to_bytes, not_cut
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
-from attacks.cloak.experiments.renderers import measure_renderers
+from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import (
     making_from_above,
@@ -28,7 +28,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import CameraConfig, StudyConfig
 from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, look_at
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
@@ -138,6 +138,18 @@ def test_renderers_are_compared_with_the_first() -> None:
     assert all(row["psnr"] is None for row in rows if row["renderer"] == "red")
     expected = -10 * math.log10((0.25 + 0.25 + 0.25) / 3)
     assert all(row["psnr"] == pytest.approx(expected) for row in rows if row["renderer"] == "grey")
+
+
+def test_renderers_stand_before_the_same_background() -> None:
+    settings = RenderSettings(background=(0.2, 0.5, 0.9), near=0.05)
+    pose = look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    scene = one_gaussian(0.5).replace(scales=torch.full((1, 3), 0.2))
+    camera = Camera(to_world=pose, focal=24.0, width=24, height=24)
+    found = renderers_of(settings)
+    assert list(found) == ["tile", "tile-antialiased", "ray", "ray-to-mean", "volprim"]
+    pictures = [render(scene, camera) for render in found.values()]
+    assert all(float((picture - pictures[0]).square().mean()) < 1e-3 for picture in pictures)
+    assert all(torch.allclose(picture[0, 0], torch.tensor([0.2, 0.5, 0.9]), atol=0.02) for picture in pictures)
 
 
 def test_renderers_that_cut_colours_elsewhere() -> None:

@@ -4,19 +4,48 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from attacks.cloak.experiments.distance import camera_groups, count_found
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
 from mi_splat.cameras import Camera, RenderFn
+from mi_splat.comparison.methods import load_methods
+from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc
 
-METHODS = ("tile", "tile-antialiased", "ray", "ray-to-mean", "volprim")
-"""Renderers, as `mi_splat.comparison` names them; the first is the one that splats are trained with."""
+_OWN, _OTHERS = ("tile", "tile-antialiased", "ray", "ray-to-mean"), ("volprim",)
+
+
+def renderers_of(settings: RenderSettings) -> dict[str, RenderFn]:
+    """The renderers, as `mi_splat.comparison` names them; the first is the one that splats are trained with.
+
+    Args:
+        settings: Background and near plane.
+    """
+    found = {name: method.render for name, method in load_methods(_OWN, settings, {}).items()}
+    black = replace(settings, background=(0.0, 0.0, 0.0))
+    for name, method in load_methods((_OWN[0], *_OTHERS), black, {}).items():
+        if name in _OTHERS:
+            found[name] = before(method.render, settings.background)
+    return found
+
+
+def before(render: RenderFn, background: tuple[float, float, float]) -> RenderFn:
+    """A renderer of black backgrounds with another one: a white copy of the splat shows how much it covers."""
+
+    def rendered(scene: GaussianScene, camera: Camera) -> Tensor:
+        white = scene.replace(sh=colour_to_dc(torch.ones_like(scene.means))[:, None])
+        covered = render(white, camera)
+        return render(scene, camera) + (1 - covered) * torch.tensor(background).to(covered)
+
+    return rendered
 
 
 def measure_renderers(
