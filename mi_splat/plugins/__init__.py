@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import functools
 import os
+from typing import Any
 
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.llvm import prepare_llvm
 
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
@@ -26,11 +28,27 @@ def _register_in(variant: str) -> None:
     mi.register_integrator("splat_ray", ray.integrator_class(variant))
 
 
+@functools.cache
+def _refuse_in(variant: str) -> None:
+    """Let the plugins say, in a variant without colours in RGB or without derivatives, which ones they need."""
+    import mitsuba as mi
+
+    def refuse(props: Any) -> Any:
+        expected, do = " or ".join(SUPPORTED_VARIANTS), f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first'
+        raise InvalidValueError(message(f"variant for {props.plugin_name()}", expected, variant, do))
+
+    mi.register_shape("gaussians", refuse)
+    for name in ("splat_tile", "splat_ray"):
+        mi.register_integrator(name, refuse)
+
+
 def _on_variant(old: str | None, new: str | None) -> None:
     if new in SUPPORTED_VARIANTS:
         if new.startswith("llvm") and not os.environ.get("DRJIT_LIBLLVM_PATH"):
             prepare_llvm()
         _register_in(new)
+    elif new:
+        _refuse_in(new)
 
 
 @functools.cache
