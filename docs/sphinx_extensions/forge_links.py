@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 SHOWN_IN = {
     "mi_splat/rasterization/README.md": "docs/reference/rasterization.md",
+    "mi_splat/raytracing/README.md": "docs/reference/raytracing.md",
     "scenes/README.md": "docs/reference/scenes.md",
     "attacks/detectors/fasterrcnn_small.md": "docs/reference/fasterrcnn_small.md",
     "scenes/detectors/README.md": "docs/reference/yolov8n_small.md",

@@ -19,9 +19,9 @@ from tests.training.sets import write_set
 COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "capture": (["capture", "truck.glb", "--size", "16"], "{}", ("mi_splat.cli.capture.write_capture",)),
     "train": (["train", "set"], "{}", ("mi_splat.cli.train.train",)),
-    "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.render.Renderer",)),
-    "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.render.Renderer",)),
-    "render, a film": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}/a.gif", ("mi_splat.cli.render.Renderer",)),
+    "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.render.renderer_of",)),
+    "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.render.renderer_of",)),
+    "render, a film": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}/a.gif", ("mi_splat.cli.render.renderer_of",)),
     "compare": (["compare", "a.ply"], "{}", ("attacks.cli.compare.compare",)),
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.select.choose",)),
     "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.cli.example_scenes.make",)),
