@@ -38,7 +38,7 @@ class MixedScene:
         path: An XML scene with the integrator `splat_ray`.
         samples: A pixel.
         seed: Of the samples.
-        parameters: Values of the file's `<default>`s, for instance `sun_z=0.25`.
+        parameters: Take the place of the file's default values, for instance `sun_z=0.25`.
 
     Attributes:
         splats: Its Gaussians, objects and cameras.

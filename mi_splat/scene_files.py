@@ -52,7 +52,7 @@ def read_scene(path: str | Path) -> SplatScene:
 
 
 def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
-    """A Mitsuba scene from a file; `parameters` are values of its `<default>`s.
+    """A Mitsuba scene from a file; `parameters` take the place of its default values.
 
     Raises:
         InvalidValueError: The file is missing, or is not a Mitsuba scene.
