@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mi_splat.cameras import Camera, RenderFn, View, look_at
     from mi_splat.datasets import load_dataset
     from mi_splat.errors import MiSplatError
+    from mi_splat.frozen_view import FrozenView
     from mi_splat.io import load_splat, save_splat
     from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
     from mi_splat.scene import GaussianScene
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Camera",
     "FitConfig",
+    "FrozenView",
     "GaussianScene",
     "MiSplatError",
     "RenderFn",
@@ -60,6 +62,7 @@ __getattr__, __dir__ = _lazy.attach(
         "mi_splat.cameras": ("Camera", "RenderFn", "View", "look_at"),
         "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("MiSplatError",),
+        "mi_splat.frozen_view": ("FrozenView",),
         "mi_splat.io": ("load_splat", "save_splat"),
         "mi_splat.rendering": ("Renderer", "RenderSettings", "ScreenGradients"),
         "mi_splat.scene": ("GaussianScene",),

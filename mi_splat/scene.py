@@ -162,7 +162,7 @@ class GaussianScene:
         """
         if isinstance(rows, slice):
             return self.unchecked(*(value[rows] for value in self.tensors()))
-        _check_rows(rows, len(self))
+        check_rows(rows, len(self))
         rows = rows.to(self.means.device)
         return self.unchecked(*(value[rows] for value in self.tensors()))
 
@@ -275,7 +275,7 @@ def _check_values(scene: GaussianScene) -> None:
         raise InvalidValueError(message(name, expected, got, do))
 
 
-def _check_rows(rows: Tensor, count: int) -> None:
+def check_rows(rows: Tensor, count: int) -> None:
     """Raise unless `rows` is a mask or indices for a scene of `count` Gaussians."""
     integral = not rows.dtype.is_floating_point and not rows.dtype.is_complex
     if rows.ndim != 1 or not integral or rows.dtype == torch.uint8:

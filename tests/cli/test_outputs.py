@@ -21,7 +21,11 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "train": (["train", "set"], "{}", ("mi_splat.cli.train.train",)),
     "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.render.renderer_of",)),
     "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.render.renderer_of",)),
-    "render, a film": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}/a.gif", ("mi_splat.cli.render.renderer_of",)),
+    "render, a film": (
+        ["render", "a.ply", "--cameras", "orbit:3@20"],
+        "{}/a.gif",
+        ("mi_splat.cli.render.renderer_of",),
+    ),
     "compare": (["compare", "a.ply"], "{}", ("attacks.cli.compare.compare",)),
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.select.choose",)),
     "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.cli.example_scenes.make",)),

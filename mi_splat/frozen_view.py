@@ -1,0 +1,243 @@
+"""FrozenView: pictures of one scene from one camera in which only colours change, much faster than by a Renderer.
+
+It crosses from torch to Dr.Jit by a `torch.autograd.Function` around calls that differentiate by hand, where `Renderer`
+has `dr.wrap` around a node of Dr.Jit's own graph.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mi_splat import variant
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene, check_rows, check_scene
+from mi_splat.sh import degree_of
+
+MAX_BYTES = 2 << 30
+"""What a `FrozenView` may take where nothing else is said."""
+
+
+class FrozenView:
+    """The picture of one scene from one camera as a function of SH alone.
+
+    Made once, at about the cost of a few pictures: it keeps what each Gaussian contributes to each pixel. A step then
+    needs no projection, no sort and no exponential. Picture and gradient are those of a `Renderer` but for rounding,
+    and the same bits every time, on any number of threads. SH of another degree than the scene's are welcome.
+
+    Args:
+        scene: N Gaussians, as they are now: the view sees no later change.
+        camera: The camera.
+        settings: How to render; the method has to be "tile".
+        rows: The Gaussians whose colours may change, as a (N,) bool mask, (M,) integer indices, each once, or a slice;
+            all if None. The others are a constant picture, and tiles without any of `rows` are never computed again.
+        max_bytes: Upper bound of `nbytes`, checked before that memory is taken. Making a view takes, besides, what one
+            picture of a `Renderer` takes.
+
+    Attributes:
+        rows: (M,) indices of the free Gaussians, in the order in which a call takes their SH.
+        nbytes: Memory in bytes that the view keeps and a step with its gradient takes; `sh` and its gradient apart.
+
+    Raises:
+        InvalidValueError: A value is none of the above, or not on the device of the variant.
+        MiSplatError: `nbytes` would be above `max_bytes`.
+    """
+
+    def __init__(
+        self,
+        scene: GaussianScene,
+        camera: Camera,
+        *,
+        settings: RenderSettings | None = None,
+        rows: Tensor | slice | None = None,
+        max_bytes: int = MAX_BYTES,
+    ) -> None:
+        check_scene("scene", scene)
+        if not isinstance(camera, Camera):
+            do = "make one FrozenView for each camera"
+            raise InvalidValueError(message("camera", "one Camera", type(camera).__name__, do))
+        self.camera, self.settings = camera, settings or RenderSettings()
+        if self.settings.method != "tile":
+            do = "use a Renderer, which has no weights of tiles to keep for it"
+            raise InvalidValueError(message("FrozenView", 'the method "tile"', f'"{self.settings.method}"', do))
+        self.variant = variant.use(self.settings.variant)
+        self._device = scene.means.device
+        device = "cuda" if self.variant.startswith("cuda") else "cpu"
+        if self._device.type != device:
+            do = f'call scene.to("{device}")'
+            raise InvalidValueError(message("scene", f"tensors on {device}", self._device, do))
+        self._everything = rows is None
+        self.rows = _indices(rows, len(scene)).to(self._device)
+        fixed = torch.ones(len(scene), dtype=torch.bool, device=self._device)
+        fixed[self.rows] = False
+        self._fixed = fixed.nonzero().flatten()
+        self._kept = [_copy(tensor) for tensor in (*scene.tensors()[:4], scene.sh[self._fixed])]
+        self._shape = camera.height, camera.width, 3
+        self._pairs, self._constant, self._alpha, self.nbytes = self._freeze(_copy(scene.sh), max_bytes)
+
+    @property
+    def megabytes(self) -> float:
+        """`nbytes` in millions of bytes."""
+        return self.nbytes / 1e6
+
+    def __call__(self, sh: Tensor) -> Tensor:
+        """The picture with these colours.
+
+        Args:
+            sh: (M, K, 3) coefficients of the Gaussians in `rows`, K = (degree + 1)^2 with degree 0 to 3; differentiable
+                in reverse mode, once.
+
+        Returns:
+            (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1 are not clipped.
+
+        Raises:
+            InvalidValueError: The shape or the device is another one, or a number of a visible Gaussian is not finite.
+        """
+        if not isinstance(sh, Tensor) or sh.ndim != 3 or sh.shape[::2] != (len(self.rows), 3):
+            got = tuple(sh.shape) if isinstance(sh, Tensor) else type(sh).__name__
+            do = "pass the SH of the Gaussians in `rows`, in that order"
+            raise InvalidValueError(message("sh", f"shape ({len(self.rows)}, K, 3)", got, do))
+        degree_of(sh.shape[1])
+        if sh.device != self._device:
+            do = "move it with .to(device)"
+            raise InvalidValueError(message("sh", f"device {self._device}", sh.device, do))
+        _make_current(self.variant)
+        picture: Tensor = _Step.apply(sh.to(torch.float32), self)
+        if not math.isfinite(picture.detach().sum().item()) and not bool(picture.detach().isfinite().all()):
+            do = "look at the last update of the parameters: a step may have been too long"
+            raise InvalidValueError(message("sh", "numbers that make a finite picture", "others", do))
+        if self.settings.linear:
+            picture = _linear(picture)
+        return torch.cat([picture, self._alpha[..., None]], dim=2) if self.settings.alpha else picture
+
+    def render(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """The same as a `RenderFn`: the picture of a scene that differs from the view's in the SH of `rows` only.
+
+        Args:
+            scene: The view's scene with other colours; its SH may be of another degree where all are free.
+            camera: The view's camera.
+
+        Raises:
+            InvalidValueError: Something else differs.
+        """
+        check_scene("scene", scene)
+        if camera is not self.camera and not _same_camera(camera, self.camera):
+            raise InvalidValueError(message("camera", "that of the FrozenView", camera, "make a FrozenView for it"))
+        names = ("means", "scales", "rotations", "opacities", "sh of Gaussians that are not in rows")
+        do = "make a new FrozenView, or use a Renderer"
+        if len(scene) != len(self._kept[0]):
+            raise InvalidValueError(message("scene", f"{len(self._kept[0])} Gaussians", len(scene), do))
+        others = scene.sh.detach()[self._fixed] if len(self._fixed) else self._kept[4]
+        for name, old, new in zip(names, self._kept, (*scene.tensors()[:4], others), strict=True):
+            if not torch.equal(old, new.detach().to(torch.float32)):
+                raise InvalidValueError(message(name, "the values of the FrozenView's scene", "others", do))
+        return self(scene.sh if self._everything else scene.sh[self.rows])
+
+    def _freeze(self, sh: Tensor, max_bytes: int) -> tuple[Any, Tensor, Tensor, int]:
+        """The weights (None where nothing free is visible), the constant part of the picture, its alpha, `nbytes`."""
+        import mitsuba as mi
+
+        from mi_splat.rasterization import layouts, pinhole
+        from mi_splat.rasterization.pipeline import rasterize
+        from mi_splat.rasterization.weights import HIDDEN_DC, freeze_pairs
+
+        sh[self.rows] = 0.0
+        sh[self.rows, 0] = HIDDEN_DC
+        settings = self.settings
+        hole = pinhole.from_camera(self.camera, near=settings.near, antialiased=settings.antialiased)
+        arrays = tuple(mi.Float(tensor.flatten()) for tensor in (*self._kept[:4], sh))
+        picture = rasterize(layouts.TENSORS, arrays, hole, settings.background)
+        towards = self._kept[0][self.rows].double() - self.camera.position.to(self._device, torch.float64)
+        directions = torch.nn.functional.normalize(towards, dim=1).to(torch.float32)
+        pairs, nbytes = freeze_pairs(
+            picture,
+            mi.UInt32(self.rows.to(torch.int32).contiguous()),
+            mi.Float(directions.flatten()),
+            max_bytes=max_bytes,
+            held=sum(tensor.nbytes for tensor in self._kept),
+        )
+        constant, alpha = picture.colour.torch().reshape(self._shape), picture.opacity.torch().reshape(self._shape[:2])
+        return pairs, constant, alpha.clone(), nbytes
+
+
+class _Step(torch.autograd.Function):
+    """Picture of SH, and gradient of SH, by the two frozen stages."""
+
+    @staticmethod
+    def forward(ctx: Any, sh: Tensor, view: FrozenView) -> Tensor:
+        ctx.view, ctx.shape = view, sh.shape
+        if view._pairs is None:
+            return view._constant.clone()
+        import mitsuba as mi
+
+        from mi_splat.rasterization.colour_steps import picture_of
+
+        picture, ctx.colours = picture_of(view._pairs, sh.shape[1], mi.Float(sh.detach().flatten()))
+        made: Tensor = picture.torch()
+        return made.reshape(view._shape)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+        view = ctx.view
+        if view._pairs is None:
+            return grad.new_zeros(ctx.shape), None
+        import mitsuba as mi
+
+        from mi_splat.rasterization.colour_steps import gradient_of
+
+        _make_current(view.variant)
+        found = gradient_of(view._pairs, ctx.shape[1], ctx.colours, mi.Float(grad.detach().flatten()))
+        return found.torch().reshape(ctx.shape), None
+
+
+def _make_current(name: str) -> None:
+    """`variant.use`, without its look at the disk where there is nothing to do."""
+    import mitsuba as mi
+
+    if mi.variant() != name:
+        variant.use(name)
+
+
+def _copy(tensor: Tensor) -> Tensor:
+    """The same float32 numbers in memory of their own."""
+    return tensor.detach().to(torch.float32, copy=True).contiguous()
+
+
+def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
+    """Rows of a scene of `count` Gaussians as indices from 0.
+
+    Raises:
+        InvalidValueError: They are no rows of such a scene, or one is there twice.
+    """
+    if rows is None or isinstance(rows, slice):
+        return torch.arange(count)[slice(None) if rows is None else rows]
+    if not isinstance(rows, Tensor):
+        raise InvalidValueError(message("rows", "a tensor or a slice", type(rows).__name__, "use torch.as_tensor"))
+    check_rows(rows, count)
+    found = rows.nonzero().flatten() if rows.dtype == torch.bool else rows.long() % max(count, 1)
+    different = int(torch.bincount(found, minlength=1).clamp(max=1).sum())
+    if different != len(found):
+        got = f"{len(found) - different} that are there before"
+        raise InvalidValueError(message("rows", "each Gaussian once", got, "call rows.unique()"))
+    return found
+
+
+def _same_camera(one: object, other: Camera) -> bool:
+    """Whether two cameras make the same picture."""
+    from mi_splat.rasterization import pinhole
+
+    return isinstance(one, Camera) and (
+        pinhole.from_camera(one, near=1.0).key() == pinhole.from_camera(other, near=1.0).key()
+    )
+
+
+def _linear(value: Tensor) -> Tensor:
+    """Linear values of sRGB ones (IEC 61966-2-1)."""
+    curve = ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
+    return torch.where(value <= 0.04045, value / 12.92, curve)

@@ -1,0 +1,262 @@
+"""What a picture keeps when only colours change: the weights alpha T of its pairs, packed, and which rows hold them.
+
+Made once per scene and camera by the stages of the picture's own forward pass, so nothing here is replayed. A pair is
+*kept* if its Gaussian is free and has a weight above 0 at a pixel of its tile that lies in the picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mi_splat.errors import MiSplatError, message
+from mi_splat.rasterization.binning import TILE, lower_bound
+from mi_splat.rasterization.blending import MAX_ALPHA, Record, any_open, blend_step, first_pixel
+from mi_splat.rasterization.frozen import buffer, numbers
+from mi_splat.rasterization.picture import Picture, tile_columns, tiled_index, width_and_height
+
+PIXELS = TILE * TILE
+HIDDEN_DC = -10.0
+"""A constant SH term with which a colour is exactly 0."""
+
+MAX_PLACES = 1 << 27
+"""Above this many, 32 bits do not number their weights."""
+
+GROUP = 16
+"""From the place of a pair to that of its slot's next."""
+
+BLOCK = 16
+"""Tiles along one side of a block of tiles whose slots follow one another."""
+
+_MOST = 1023
+_FIXED = 0xFFFFFFFF
+_PLACE_BYTES = 4 * (PIXELS + 2 + 4)  # weights, Gaussian, row, sums
+_PIXEL_BYTES = 4 * (3 + 3 + 4 + 4 + 3)  # base, where, canvas, gradients, picture
+_GAUSSIAN_BYTES = 4 * (4 + 4 + 2)  # direction, colour, range of rows
+
+
+@dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
+class FrozenPairs:
+    """Everything that the two stages of `colour_steps` read.
+
+    A *slot* is a tile with kept pairs. Slots are numbered block of tiles by block of tiles, so that neighbours share
+    Gaussians, and inside a block from the tile with most pairs to that with fewest, so that the tiles that share a
+    packet end together. `GROUP` slots after one another share memory in which their pairs take turns: the first of
+    each, the second of each, and so on, so that a packet reads *places* that lie together.
+    """
+
+    slots: Any  # UInt32, 0, 1, 2, ... (as many as there are tiles with kept pairs)
+    ranges: tuple[Any, Any]  # UInt32, place of the first pair of each slot, and of the last plus GROUP
+    weights: Any  # Float, 16 a place, nearest Gaussian first
+    pairs: tuple[Any, Any]  # UInt32, of each place: which free Gaussian, and row
+    rows: tuple[Any, Any]  # UInt32, first and one-past-last row of each free Gaussian
+    directions: Any  # Float, 4 a free Gaussian: from the camera's centre to its mean, length 1, and a 0
+    columns: Any  # UInt32, 0, 1, 2, ... (as many as there are free Gaussians)
+    where: Any  # UInt32, of each value of the picture: its place in `canvas` (the last slot: there is none)
+    base: Any  # Float, 3 a pixel, row-major: the picture without the free Gaussians' colours
+    canvas: Any  # Float, 4 a pixel of a slot, one slot more that is 0: scratch of a forward step
+    gradients: Any  # Float, the same of a backward step
+    sums: Any  # Float, 4 a row: scratch of a backward step
+
+
+def needed_bytes(places: int, pixels: int, gaussians: int) -> int:
+    """Memory for so many places, pixels of the picture and free Gaussians, that of one step included."""
+    return _PLACE_BYTES * places + _PIXEL_BYTES * pixels + _GAUSSIAN_BYTES * gaussians
+
+
+def freeze_pairs(
+    picture: Picture, free: Any, directions: Any, *, max_bytes: int, held: int = 0
+) -> tuple[FrozenPairs | None, int]:
+    """Keep the weights of a picture.
+
+    Args:
+        picture: Rendered with the free Gaussians' colours at 0.
+        free: UInt32, the numbers of the free Gaussians, each once.
+        directions: Float, 3 a free Gaussian: from the camera's centre to its mean, length 1.
+        max_bytes: How much memory may be taken.
+        held: How much of it was taken before.
+
+    Returns:
+        The weights, or None if no free Gaussian is visible; and the number of bytes that they and a step take, with
+        those in `held`.
+
+    Raises:
+        MiSplatError: It would be more than `max_bytes`; nothing of it was taken yet.
+    """
+    pixels = len(picture.opacity)
+    if picture.state is None or len(free) == 0:
+        return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)
+    column_of = buffer(len(picture.arrays[-2]), mi.UInt32, _FIXED)
+    dr.scatter(column_of, numbers(mi.variant(), len(free)), free)
+    columns = dr.gather(mi.UInt32, column_of, picture.state.pairs[0])
+    kept = buffer(len(columns) + 1, mi.UInt32, 0)
+    _walk(picture, numbers(mi.variant(), len(picture.state.buffers.tiles)), columns, kept=kept)
+    before = dr.prefix_sum(kept)  # of each pair: how many kept ones lie before it
+    if int(before[len(columns)]) == 0:
+        return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)
+    tiles, ranges, places = _slots(picture, before)
+    needed = _within(held + needed_bytes(places, pixels, len(free)), places, max_bytes)
+    return _pack(picture, directions, columns, (tiles, ranges, places)), needed
+
+
+def _within(needed: int, pairs: int, max_bytes: int) -> int:
+    if pairs > MAX_PLACES:
+        raise MiSplatError(message("FrozenView", f"at most {MAX_PLACES} pairs", pairs, "free fewer rows"))
+    if needed > max_bytes:
+        do = "raise max_bytes, free fewer rows, or render it smaller"
+        expected = f"at most {max_bytes / 1e6:.1f} MB (max_bytes)"
+        raise MiSplatError(message("FrozenView", expected, f"{needed / 1e6:.1f} MB for {pairs:,} pairs", do))
+    return needed
+
+
+def _slots(picture: Picture, before: Any) -> tuple[Any, tuple[Any, Any], int]:
+    """The slots' tiles in order, their `FrozenPairs.ranges`, and the number of places."""
+    assert picture.state is not None
+    first, last = (dr.gather(mi.UInt32, before, edge) for edge in picture.state.pair_ranges)
+    count = last - first
+    dr.eval(count)
+    tiles = dr.compress(count > 0)
+    width, _ = width_and_height(picture.state.buffers.size)
+    columns = mi.UInt32(tile_columns(width))
+    block = tiles // columns // BLOCK * (columns // BLOCK + 1) + tiles % columns // BLOCK
+    most = mi.UInt32(_MOST)
+    key = block * (_MOST + 1) + (most - dr.minimum(dr.gather(mi.UInt32, count, tiles), most))
+    tiles = dr.gather(mi.UInt32, tiles, dr.argsort(key))
+    counts = dr.gather(mi.UInt32, count, tiles)
+    slot = dr.arange(mi.UInt32, len(tiles))
+    whole = buffer(-(-len(tiles) // GROUP) * GROUP, mi.UInt32, 0)
+    dr.scatter(whole, counts, slot)
+    dr.eval(whole)
+    sizes = GROUP * dr.block_reduce(dr.ReduceOp.Max, whole, GROUP)
+    dr.eval(sizes)
+    starts = dr.prefix_sum(sizes)
+    start = dr.gather(mi.UInt32, starts, slot // GROUP) + slot % GROUP
+    stop = start + GROUP * counts
+    dr.eval(tiles, start, stop)
+    return tiles, (start, stop), int(dr.sum(mi.UInt64(sizes))[0])
+
+
+def _pack(picture: Picture, directions: Any, columns: Any, slots: tuple[Any, tuple[Any, Any], int]) -> FrozenPairs:
+    """Fill the places.
+
+    Args:
+        picture: The picture.
+        directions: Float, 3 a free Gaussian.
+        columns: UInt32, the free Gaussian of each pair of the picture, or `_FIXED`.
+        slots: What `_slots` returned.
+    """
+    tiles, ranges, places = slots
+    gaussians = len(directions) // 3
+    weights, owners = buffer(PIXELS * places, value=0.0), buffer(places, mi.UInt32, _FIXED)
+    _walk(picture, tiles, columns, packed=(ranges[0], weights, owners))
+    rows, row_ranges = _rows(owners, gaussians)
+    column = numbers(mi.variant(), gaussians)
+    padded = buffer(4 * gaussians, value=0.0)
+    for axis in range(3):
+        dr.scatter(padded, dr.gather(mi.Float, directions, 3 * column + axis), 4 * column + axis)
+    frozen = FrozenPairs(
+        slots=numbers(mi.variant(), len(tiles)),
+        ranges=ranges,
+        weights=weights,
+        pairs=(owners, rows),
+        rows=row_ranges,
+        directions=padded,
+        columns=column,
+        where=_places_of_pixels(picture, tiles),
+        base=picture.colour,
+        canvas=buffer(4 * PIXELS * (len(tiles) + 1), value=0.0),
+        gradients=buffer(4 * PIXELS * (len(tiles) + 1), value=0.0),
+        sums=buffer(4 * places, value=0.0),
+    )
+    dr.make_opaque(frozen.ranges, weights, frozen.pairs, frozen.rows, frozen.directions, frozen.where, frozen.base)
+    return frozen
+
+
+def _rows(owners: Any, gaussians: int) -> tuple[Any, tuple[Any, Any]]:
+    """The row of each place, and the first and one-past-last row of each free Gaussian.
+
+    Gaussians have their rows in the order of their first places: what neighbouring tiles write then lies together.
+    """
+    place = dr.arange(mi.UInt32, len(owners))
+    used = owners != _FIXED
+    earliest = buffer(gaussians, mi.UInt32, _FIXED)
+    dr.scatter_reduce(dr.ReduceOp.Min, earliest, place, owners, used)
+    key = dr.select(used, dr.gather(mi.UInt32, earliest, owners, used), _FIXED)
+    order = dr.argsort(key)  # stable: a Gaussian's rows are in the order of their places
+    rows, sorted_key = buffer(len(owners), mi.UInt32), dr.gather(mi.UInt32, key, order)
+    dr.scatter(rows, place, order)
+    dr.eval(rows, sorted_key, earliest)
+    count = dr.opaque(mi.UInt32, len(owners))  # a literal would make another kernel for each number
+    first = lower_bound(sorted_key, count, earliest)
+    last = lower_bound(sorted_key, count, earliest + 1)  # 0 where there is none: _FIXED + 1
+    return rows, (first, last)
+
+
+def _places_of_pixels(picture: Picture, tiles: Any) -> Any:
+    """`FrozenPairs.where` of slots that are these tiles."""
+    assert picture.state is not None
+    slot_of = buffer(len(picture.state.buffers.tiles), mi.UInt32, len(tiles))
+    dr.scatter(slot_of, dr.arange(mi.UInt32, len(tiles)), tiles)
+    value = dr.arange(mi.UInt32, len(picture.colour))
+    width, _ = width_and_height(picture.state.buffers.size)
+    tiled = tiled_index(mi.Int32(value // 3), width)
+    return 4 * (PIXELS * dr.gather(mi.UInt32, slot_of, tiled // PIXELS) + tiled % PIXELS) + value % 3
+
+
+def _walk(
+    picture: Picture,
+    tiles: Any,
+    columns: Any,
+    *,
+    kept: Any | None = None,
+    packed: tuple[Any, Any, Any] | None = None,
+) -> None:
+    """Walk the lists of tiles as the picture did, and find the pairs to keep.
+
+    Args:
+        picture: The picture.
+        tiles: UInt32, which tiles.
+        columns: UInt32, the free Gaussian of each pair, or `_FIXED`.
+        kept: Buffer of a UInt32 a pair, in which 1 is written for pairs to keep.
+        packed: First place of each tile, and buffers for the weights (16 a place) and columns of kept pairs.
+    """
+    state = picture.state
+    assert state is not None
+    width, height = width_and_height(state.buffers.size)
+    corner = first_pixel(mi.Int32(tiles), tile_columns(width))
+    inside = [
+        (corner[0] + float(p % TILE) < mi.Float(width)) & (corner[1] + float(p // TILE) < mi.Float(height))
+        for p in range(PIXELS)
+    ]
+    ranges = [dr.gather(mi.UInt32, edge, tiles) for edge in state.pair_ranges]
+    begin = packed[0] if packed else mi.UInt32(0)
+
+    def body(pair: Any, place: Any, transmittances: list[Any]) -> tuple[Any, Any, list[Any]]:
+        record = Record(state.records, dr.gather(mi.UInt32, state.pairs[0], pair), corner)
+        values, behind = [], []
+        for p, alpha in enumerate(record.alphas()):
+            weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
+            values.append(dr.select(inside[p], weight, 0.0))
+            behind.append(left)
+        column = dr.gather(mi.UInt32, columns, pair)
+        largest = mi.Float(0)
+        for weight in values:
+            largest = dr.maximum(largest, weight)
+        keep = (column != _FIXED) & (largest > 0.0)
+        if kept is not None:
+            dr.scatter(kept, mi.UInt32(1), pair, keep)
+        if packed:
+            dr.scatter(packed[1], mi.ArrayXf(values), place, keep)
+            dr.scatter(packed[2], column, place, keep)
+        return pair + 1, place + dr.select(keep, mi.UInt32(GROUP), mi.UInt32(0)), behind
+
+    dr.while_loop(
+        (mi.UInt32(ranges[0]), mi.UInt32(begin), [mi.Float(1) for _ in range(PIXELS)]),
+        lambda pair, _, transmittances: (pair < ranges[1]) & any_open(transmittances),
+        body,
+        label="weights",
+    )
+    dr.eval(kept, packed)

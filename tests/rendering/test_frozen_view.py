@@ -1,0 +1,228 @@
+"""FrozenView beside Renderer: pictures, gradients of SH, subsets of rows, determinism, memory and bad input."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat import FrozenView
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from tests import oracle
+
+ERROR = 1e-5
+BACKGROUND = (0.2, 0.5, 0.9)
+
+
+def camera(width: int, height: int, *, distance: float = 3.0) -> Camera:
+    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=distance)
+    return Camera(to_world=pose, focal=(1.0 * width, 0.9 * width), width=width, height=height)
+
+
+def gradient(picture: Tensor, leaf: Tensor) -> Tensor:
+    factors = torch.randn(picture.shape, generator=torch.Generator().manual_seed(3))
+    (found,) = torch.autograd.grad((picture * factors).sum(), leaf)
+    return found
+
+
+def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
+    """Picture and gradient of a view with these SH of its rows are those of a Renderer."""
+    every = scene.sh.clone()
+    if every.shape[1] != sh.shape[1]:
+        every = sh.clone()
+    every[view.rows] = sh
+    every.requires_grad_(True)
+    leaf = sh.clone().requires_grad_(True)
+    expected = Renderer(view.settings)(scene.replace(sh=every), view.camera)
+    picture = view(leaf)
+    assert picture.shape == expected.shape
+    torch.testing.assert_close(picture, expected, rtol=0, atol=ERROR)
+    wanted, found = gradient(expected, every)[view.rows], gradient(picture, leaf)
+    assert float((found - wanted).abs().max()) <= ERROR * float(wanted.abs().max())
+
+
+def other_colours(sh: Tensor, seed: int = 5) -> Tensor:
+    return sh + 0.3 * torch.randn(sh.shape, generator=torch.Generator().manual_seed(seed))
+
+
+SETTINGS: dict[str, Any] = {
+    "plain": {},
+    "antialiased": {"antialiased": True},
+    "alpha": {"alpha": True},
+    "linear": {"linear": True, "alpha": True},
+    "near": {"near": 2.9},
+}
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_picture_and_gradient_are_the_renderers(name: str) -> None:
+    scene = oracle.random_scene(300, degree=2, seed=1)
+    settings = RenderSettings(background=BACKGROUND, **SETTINGS[name])
+    compare(FrozenView(scene, camera(50, 37), settings=settings), scene, other_colours(scene.sh))
+
+
+def test_sizes_may_change_in_any_order() -> None:
+    cases = [(400, 3, (61, 43), 0.4), (5, 0, (1, 1), 3.0), (900, 1, (97, 130), 3.0), (40, 0, (7, 3), 1.3)]
+    views = []
+    for count, degree, size, distance in cases:
+        scene = oracle.random_scene(count, degree=degree, seed=count)
+        views.append((FrozenView(scene, camera(*size, distance=distance)), scene))
+    for number in (0, 1, 2, 3, 2, 0, 1, 3, 0):
+        view, scene = views[number]
+        compare(view, scene, other_colours(scene.sh, seed=number))
+
+
+def test_stages_are_recorded_once_for_all_sizes() -> None:
+    import mitsuba as mi
+
+    from mi_splat.rasterization import colour_steps
+    from mi_splat.rasterization.frozen import frozen
+
+    frozen.cache_clear()
+    for number in range(5):
+        scene = oracle.random_scene(100 + 37 * number, degree=1, seed=number)
+        view = FrozenView(scene, camera(30 + 5 * number, 40 + number))
+        for seed in range(2):
+            compare(view, scene, other_colours(scene.sh, seed=seed))
+    for stage in (colour_steps.colour_forward, colour_steps.colour_backward):
+        assert frozen(mi.variant(), stage).n_recordings == 1  # type: ignore[attr-defined]
+
+
+def test_a_dense_pile_keeps_what_is_not_hidden() -> None:
+    scene = oracle.random_scene(400, degree=0, seed=3)
+    pile = scene.replace(means=scene.means * 0.2, opacities=torch.full((400,), 0.999))
+    view = FrozenView(pile, camera(48, 48))
+    compare(view, pile, other_colours(pile.sh))
+    seen = FrozenView(pile.replace(opacities=torch.full((400,), 0.1)), camera(48, 48))
+    assert view.nbytes < 0.8 * seen.nbytes
+
+
+def test_degree_may_change() -> None:
+    scene = oracle.random_scene(60, degree=1, seed=2)
+    compare(FrozenView(scene, camera(30, 30)), scene, other_colours(scene.with_degree(3).sh))
+
+
+@pytest.mark.parametrize("kind", ["mask", "indices", "one", "slice"])
+def test_rows_alone_are_free(kind: str) -> None:
+    scene, where = oracle.random_scene(500, degree=1, seed=4), camera(66, 51)
+    mask = scene.means[:, 0] > scene.means[:, 0].quantile(0.8)
+    kinds: dict[str, Tensor | slice] = {
+        "mask": mask,
+        "indices": mask.nonzero().flatten().flip(0) - 500,
+        "one": torch.tensor([7]),
+        "slice": slice(20, 120),
+    }
+    rows = kinds[kind]
+    view = FrozenView(scene, where, settings=RenderSettings(background=BACKGROUND), rows=rows)
+    assert len(view.rows) == (1 if kind == "one" else 100)
+    compare(view, scene, other_colours(scene.sh[view.rows]))
+    assert view.nbytes < FrozenView(scene, where).nbytes
+
+
+def test_the_same_bits_on_any_number_of_threads() -> None:
+    import drjit as dr
+
+    scene = oracle.random_scene(3000, degree=1, seed=8)
+    view, runs, before = FrozenView(scene, camera(128, 96)), [], dr.thread_count()
+    try:
+        for threads in (1, 2, 3, 3):
+            dr.set_thread_count(threads)
+            leaf = scene.sh.clone().requires_grad_(True)
+            picture = view(leaf)
+            runs.append((picture, gradient(picture, leaf)))
+    finally:
+        dr.set_thread_count(before)
+    for picture, found in runs[1:]:
+        assert torch.equal(picture, runs[0][0])
+        assert torch.equal(found, runs[0][1])
+
+
+def test_two_pictures_of_one_view_before_a_gradient() -> None:
+    scene = oracle.random_scene(200, degree=1, seed=6)
+    view = FrozenView(scene, camera(40, 40))
+    one, two = (other_colours(scene.sh, seed=seed).requires_grad_(True) for seed in (1, 2))
+    first, second = view(one), view(two)
+    assert torch.equal(gradient(first, one), gradient(view(one), one))
+    assert torch.equal(gradient(second, two), gradient(view(two), two))
+
+
+def test_nothing_visible_and_no_rows() -> None:
+    scene, where = oracle.random_scene(30, degree=0, seed=0), camera(9, 5)
+    settings = RenderSettings(background=BACKGROUND, alpha=True)
+    away = scene.replace(means=scene.means + torch.tensor([1e4, 1e4, 0.0]))
+    none = torch.zeros(30, dtype=torch.bool)
+    cases: list[tuple[GaussianScene, Tensor | None]] = [(away, None), (scene.select(none), None), (scene, none)]
+    cases.append((scene.replace(opacities=scene.opacities * (torch.arange(30) > 3)), torch.arange(4)))
+    for case, rows in cases:
+        view = FrozenView(case, where, settings=settings, rows=rows)
+        leaf = case.sh[view.rows].clone().requires_grad_(True)
+        picture = view(leaf)
+        torch.testing.assert_close(picture, Renderer(settings)(case, where), rtol=0, atol=ERROR)
+        assert not gradient(picture, leaf).any()
+
+
+def test_colours_below_zero_have_no_gradient() -> None:
+    scene = oracle.random_scene(50, degree=0, seed=5)
+    view = FrozenView(scene, camera(32, 32))
+    leaf = torch.full_like(scene.sh, -5.0).requires_grad_(True)
+    picture = view(leaf)
+    assert not picture.any()
+    assert not gradient(picture, leaf).any()
+
+
+def test_memory_is_bounded_before_it_is_taken() -> None:
+    scene, where = oracle.random_scene(300, degree=1, seed=1), camera(50, 37)
+    view = FrozenView(scene, where)
+    assert FrozenView(scene, where, max_bytes=view.nbytes).nbytes == view.nbytes
+    assert view.megabytes == pytest.approx(view.nbytes / 1e6)
+    with pytest.raises(MiSplatError, match=r"FrozenView: expected at most .* MB \(max_bytes\), got .* MB .*pairs"):
+        FrozenView(scene, where, max_bytes=view.nbytes - 1)
+
+
+def test_render_takes_scenes_with_other_colours_only() -> None:
+    scene, where = oracle.random_scene(60, degree=1, seed=1), camera(21, 18)
+    rows = torch.arange(20)
+    view, some = FrozenView(scene, where), FrozenView(scene, where, rows=rows)
+    painted = scene.replace(sh=other_colours(scene.sh))
+    same = Camera(to_world=where.to_world, focal=where.focal, width=21, height=18)
+    assert torch.equal(view.render(painted, same), view(painted.sh))
+    partly = scene.sh.clone()
+    partly[rows] += 0.1
+    assert torch.equal(some.render(scene.replace(sh=partly), where), some(partly[rows]))
+    for name, bad in {
+        "means": scene.replace(means=scene.means + 1),
+        "opacities": scene.replace(opacities=scene.opacities * 0.5),
+        "scene": scene.select(torch.arange(30)),
+    }.items():
+        with pytest.raises(InvalidValueError, match=f"{name}: expected"):
+            view.render(bad, where)
+    with pytest.raises(InvalidValueError, match="sh of Gaussians that are not in rows"):
+        some.render(painted, where)
+    with pytest.raises(InvalidValueError, match="camera: expected"):
+        view.render(scene, camera(21, 19))
+    scene.means[0] += 1.0  # the view has its own copy
+    with pytest.raises(InvalidValueError, match="means: expected"):
+        view.render(scene, where)
+
+
+def test_bad_input() -> None:
+    scene, where = oracle.random_scene(10, degree=1, seed=1), camera(20, 18)
+    view = FrozenView(scene, where)
+    for sh in (scene.sh[:9], scene.sh[:, :, :2], scene.sh[:, :3], scene.means):
+        with pytest.raises(InvalidValueError, match="sh: expected"):
+            view(sh)
+    for rows in (torch.tensor([1, 1]), torch.tensor([3, -7]), torch.tensor([10]), torch.ones(9, dtype=torch.bool)):
+        with pytest.raises(InvalidValueError, match="rows: expected"):
+            FrozenView(scene, where, rows=rows)
+    for arguments in ({"camera": [where]}, {"settings": RenderSettings(method="ray")}, {"rows": [1]}, {"scene": None}):
+        given: dict[str, Any] = {"scene": scene, "camera": where} | arguments
+        with pytest.raises(InvalidValueError, match="expected"):
+            FrozenView(given.pop("scene"), given.pop("camera"), **given)
+    with pytest.raises(InvalidValueError, match="sh: expected"):
+        view(torch.full_like(scene.sh, math.nan))
