@@ -23,7 +23,8 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.render import shell
+from render import shell
+
 from mi_splat import variant
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.frozen_view import FrozenView
