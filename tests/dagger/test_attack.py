@@ -206,9 +206,9 @@ def recorded(**settings: Any) -> tuple[Result, list[Tensor], list[Tensor]]:
     scene, mask = toy_scene()
     record, config = Recorder(), DaggerConfig(**settings)
     found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=record, config=config)
-    # Before the search the object's weight (two pictures) and the clean picture; after it the judge's.
-    points = record.deltas[3 : 3 + len(found.trace)]
-    noise = record.deltas[3 + len(found.trace) + 1 :]
+    # Before the search the clean picture, after it the judge's; the object's weight takes pictures of degree 0.
+    points = record.deltas[1 : 1 + len(found.trace)]
+    noise = record.deltas[1 + len(found.trace) + 1 :]
     assert len(noise) == config.noise_draws
     return found, points, noise
 
