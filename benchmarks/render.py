@@ -6,8 +6,8 @@ The same splat, camera and process for both; each is run three times before it i
 apart, and the runs are interleaved, since a shared machine changes its speed within minutes. Reported is the median
 over the rounds of the ratio within a round. `volprim_rf_basic` takes one sample a pixel through a box filter; backward
 means the gradient of a random linear function of the picture with respect to every parameter of the splat. `splat_ray`
-takes one sample a pixel, too, through the same random points of pixels: `PSNR` says how near its picture is to that of
-`volprim_rf_basic`. Its tree is built once and not in the times; the last line says what that takes.
+takes one sample a pixel, too, through the same random points of pixels. Its tree is built before, as the one of
+`volprim_rf_basic` is, and not in the times.
 """
 
 from __future__ import annotations

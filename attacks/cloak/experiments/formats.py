@@ -49,7 +49,7 @@ def measure_formats(
     report = []
     for form, changed, shown in _forms(scene, render):
         for name, cameras in groups.items():
-            psnr = _psnr((scene, render), (changed, shown), cameras)
+            psnr = psnr_between((scene, render), (changed, shown), cameras)
             place = {"form": form, "cameras": name, "of": len(cameras), "psnr": psnr}
             counts = count_found(study, target, changed, cameras, detectors, render=shown)
             report += [{**place, "detector": detector, "found": found} for detector, found in counts.items()]
@@ -75,7 +75,7 @@ Shown = tuple[GaussianScene, RenderFn]
 """A splat and what renders it."""
 
 
-def _psnr(before: Shown, after: Shown, cameras: Sequence[Camera]) -> float | None:
+def psnr_between(before: Shown, after: Shown, cameras: Sequence[Camera]) -> float | None:
     """Of the mean squared error over all pictures, dB; None where they are the same."""
 
     def picture(shown: Shown, camera: Camera) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,6 +10,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.experiments.distance import camera_groups, count_found
+from attacks.cloak.experiments.formats import psnr_between
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
@@ -76,15 +76,7 @@ def measure_renderers(
         for splat, scene in splats.items():
             for name, cameras in groups.items():
                 place = {"renderer": renderer, "splat": splat, "cameras": name, "of": len(cameras)}
-                place["psnr"] = None if render is first else _psnr(scene, cameras, first, render)
+                place["psnr"] = None if render is first else psnr_between((scene, first), (scene, render), cameras)
                 counts = count_found(study, target, scene, cameras, detectors, render=render)
                 report += [{**place, "detector": detector, "found": found} for detector, found in counts.items()]
     return report
-
-
-def _psnr(scene: GaussianScene, cameras: Sequence[Camera], first: RenderFn, other: RenderFn) -> float | None:
-    """Of the mean squared error over all pictures, dB; None where they are the same."""
-    with torch.no_grad():
-        pairs = [(first(scene, camera).clamp(0, 1), other(scene, camera).clamp(0, 1)) for camera in cameras]
-    error = sum(float((one - two).square().mean()) for one, two in pairs) / len(pairs)
-    return -10 * math.log10(error) if error > 0 else None
