@@ -48,12 +48,17 @@ class MixedCache:
 
     def _splats_of(self, shapes: GaussianShapes) -> Splats | None:
         held = shapes.detached()
-        key = _key(held)
-        if self._splats is None or self._splats[0] != key:
-            arrays = shapes.joined()
-            check_finite(ELLIPSOIDS, arrays)
-            self._splats = key, held, prepare(ELLIPSOIDS, arrays)
-        return self._splats[2]
+        key, before = _key(held), self._splats
+        if before is not None and before[0] == key:
+            return before[2]
+        arrays = shapes.joined()
+        check_finite(ELLIPSOIDS, arrays)
+        if before is not None and before[2] is not None and _without_colours(before[0]) == _without_colours(key):
+            splats: Splats | None = before[2].with_colours(arrays[-1])
+        else:
+            splats = prepare(ELLIPSOIDS, arrays)
+        self._splats = key, held, splats
+        return splats
 
     def _surfaces_of(self, shapes: GaussianShapes) -> Any | None:
         if not shapes.others:
@@ -92,6 +97,11 @@ def _flat(arrays: list[Any]) -> list[Any]:
         else:
             flat.append(array)
     return flat
+
+
+def _without_colours(key: tuple[int, ...]) -> tuple[int, ...]:
+    """The key without the SH of each shape, which has data, opacities and SH: the tree does not depend on them."""
+    return tuple(index for number, index in enumerate(key) if number % 3 != 2)
 
 
 def _key(arrays: list[Any]) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -45,6 +45,11 @@ class Splats:
     tree: Tree
     records: Any
     terms: int
+
+    def with_colours(self, sh: Any) -> Splats:
+        """The same Gaussians in the same tree with other SH, a Float as the last of `arrays`."""
+        arrays = (*self.arrays[:-1], aligned(sh))
+        return replace(self, arrays=arrays, terms=sh_terms(arrays))
 
 
 def prepare(layout: Layout, arrays: tuple[Any, ...]) -> Splats | None:

@@ -123,6 +123,18 @@ def test_a_changed_splat_is_seen() -> None:
     np.testing.assert_allclose(pixel(loaded), before / 2, rtol=1e-4)
 
 
+def test_a_changed_colour_is_seen_in_the_same_tree() -> None:
+    loaded = scene_of(gaussian((0, 0, 0), colour=(0, 0, 0)))
+    params = mi.traverse(loaded)
+    integrator = loaded.integrator()
+    assert pixel(loaded).max() == 0
+    tree = integrator._cache._splats[2].tree
+    params["splat0.sh_coeffs"] = mi.Float(params["splat0.sh_coeffs"] + 0.5 / 0.28209479)
+    params.update()
+    np.testing.assert_allclose(pixel(loaded), 0.6 * linear(0.5), rtol=1e-4)
+    assert integrator._cache._splats[2].tree is tree
+
+
 def test_nan_in_a_parameter_is_an_error() -> None:
     loaded = scene_of(gaussian((0, 0, 0)))
     params = mi.traverse(loaded)
