@@ -73,7 +73,7 @@ def test_another_splat_stands_in_the_place_of_the_files() -> None:
     changed = (before - gone).abs().mean(-1)
     assert changed[22, 20] > 0.1  # on the car
     assert changed[:8].mean() < 0.1 * changed.mean()  # above it; noise is the same, but for paths that met the car
-    assert torch.equal(street(scene, camera), before)
+    torch.testing.assert_close(street(scene, camera), before, rtol=0, atol=1e-5)  # sums of a film are in any order
     assert before.min() >= 0
     assert before.max() <= 1
     with pytest.raises(InvalidValueError, match="Gaussians of degree"):
