@@ -94,6 +94,13 @@ COMMANDS = {
         "attacks on some detectors judged by others: the transfer matrix",
         options_module="transfer_options",
     ),
+    "rendering-study": Command(
+        "attacks.cli",
+        "RenderingStudyOptions",
+        "rendering_study",
+        "attacks judged in other renderers, in other files, and among meshes under a moving sun",
+        options_module="transfer_options",
+    ),
     "dagger-sanity": Command(
         "attacks.cli",
         "DaggerSanityOptions",

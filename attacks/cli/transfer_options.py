@@ -48,6 +48,26 @@ class DaggerTransferOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RenderingStudyOptions:
+    """Attack in one renderer, judge under others: renderers, files, hours of a day in a street of meshes.
+
+    The shipped studies are in scenes/studies. One that was interrupted goes on where it stopped when the same command
+    is given again. Writes jobs/, attacked/, looks/, study.md, study.json and study.png into --out.
+    """
+
+    study: Positional[Path]
+    """TOML file of the study."""
+    seeds: int | None = None
+    """Number of seeds; none takes that of the file."""
+    scenes: Path = Path("scenes")
+    """Folder with the scene files."""
+    out: Path = Path("out/studies/rendering")
+    """Folder for the results: a new one, or that of the same study."""
+    json: bool = False
+    """Print the names of the files as one JSON document on stdout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerSanityOptions:
     """Check whether DAGGER is a sane attack on an object and a detector, so that its failures can be believed.
 

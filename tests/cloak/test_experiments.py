@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.cloak.experiments.colour_clamps import cut_to_bytes, not_cut
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
@@ -30,6 +29,7 @@ from attacks.cloak.study.config import CameraConfig, StudyConfig
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at
 from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene

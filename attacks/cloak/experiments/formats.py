@@ -7,26 +7,20 @@ above 1, which not all renderers cut where 3D Gaussian Splatting does.
 from __future__ import annotations
 
 import math
-import tempfile
-import warnings
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from attacks.cloak.experiments.colour_clamps import cut_to_bytes, not_cut
 from attacks.cloak.experiments.distance import camera_groups, count_found
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
+from attacks.evaluation.file_forms import FORMATS, fewer_bands, half_precision, through_file
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.io import SplatLossWarning, load_splat, save_splat
+from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.scene import GaussianScene
-
-FORMATS = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".splat")
-"""Formats that a splat goes through."""
 
 
 def measure_formats(
@@ -58,15 +52,11 @@ def measure_formats(
 
 def _forms(scene: GaussianScene, render: RenderFn) -> Iterator[tuple[str, GaussianScene, RenderFn]]:
     """Name, splat and renderer of each form."""
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore", SplatLossWarning)
-        for suffix in FORMATS:
-            path = Path(folder) / f"splat{suffix}"
-            save_splat(scene, path)
-            yield suffix, load_splat(path), render
-    yield "SH in float16", scene.replace(sh=scene.sh.half().to(scene.sh)), render
+    for suffix in FORMATS:
+        yield suffix, through_file(scene, suffix), render
+    yield "SH in float16", half_precision(scene), render
     for degree in range(scene.degree):
-        yield f"SH of degree {degree}", scene.with_degree(degree), render
+        yield f"SH of degree {degree}", fewer_bands(scene, degree), render
     yield "colours cut to [0, 1]", scene, cut_to_bytes(render)
     yield "colours not cut", scene, not_cut(render)
 

@@ -48,16 +48,25 @@ def read_study(path: Path) -> StudyConfig:
     Raises:
         InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
     """
+    return read_table(StudyConfig, path)
+
+
+_T = TypeVar("_T")
+
+
+def read_table(kind: type[_T], path: Path) -> _T:
+    """A frozen dataclass from a TOML file, see `from_table`.
+
+    Raises:
+        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
+    """
     try:
         content = tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError as error:
         raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path")) from error
     except (OSError, ValueError) as error:
         raise InvalidValueError(message(f"study {path}", "a TOML file", str(error), "correct it")) from error
-    return from_table(StudyConfig, content, str(path))
-
-
-_T = TypeVar("_T")
+    return from_table(kind, content, str(path))
 
 
 def from_table(kind: type[_T], table: dict[str, Any], where: str) -> _T:

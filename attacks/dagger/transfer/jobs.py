@@ -116,6 +116,26 @@ def transfer_jobs(
     ]
 
 
+def clean_and_attacked(
+    scene: GaussianScene, rows: slice, saved: GaussianScene, attributes: Sequence[str]
+) -> tuple[GaussianSubset, GaussianSubset]:
+    """An object in the clean scene, with as many coefficients as the attacked one has, and in the attacked scene.
+
+    Args:
+        scene: The clean scene.
+        rows: The object.
+        saved: Its Gaussians after the attack, as they were loaded from their file.
+        attributes: What of them was attacked; all else is taken from the clean scene.
+    """
+    clean = GaussianSubset.of(scene.with_degree(max(saved.degree, scene.degree)), rows)
+    values = {
+        name: whole.clone().index_put((clean.rows,), part)
+        for name, whole, part in zip(ATTRIBUTES, clean.scene.tensors(), saved.tensors(), strict=True)
+        if name in attributes
+    }
+    return clean, GaussianSubset.of(clean.scene.replace(**values), rows)
+
+
 class TransferRunner:
     """Attacks and judges; scenes are read and detectors loaded once.
 
@@ -183,15 +203,10 @@ class TransferRunner:
         }
 
     def _subsets(self, job: SourceJob, place: AttackScene) -> tuple[GaussianSubset, GaussianSubset]:
-        """The object in the clean scene, with as many coefficients as the attacked one has, and in the attacked one."""
-        saved, rows = load_splat(self.path(job)), place.objects[job.object]
-        clean = GaussianSubset.of(place.scene.with_degree(max(saved.degree, place.scene.degree)), rows)
-        values = {
-            name: whole.clone().index_put((clean.rows,), part)
-            for name, whole, part in zip(ATTRIBUTES, clean.scene.tensors(), saved.tensors(), strict=True)
-            if name in job.config.attributes
-        }
-        return clean, GaussianSubset.of(clean.scene.replace(**values), rows)
+        """The object in the clean scene and in the attacked one."""
+        return clean_and_attacked(
+            place.scene, place.objects[job.object], load_splat(self.path(job)), job.config.attributes
+        )
 
     def _seen(self, scene: GaussianScene, job: JudgeJob) -> dict[str, float]:
         source = job.source

@@ -46,7 +46,19 @@ class AttackScenes:
         words = (self._hashes[scene], str(place.cameras), *weights)
         return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
-    def view(self, scene: str, name: str, seed: int) -> Camera:
-        """The scene's first camera, moved about the object as `jittered` does."""
+    def view(self, scene: str, name: str, seed: int, camera: int = 0) -> Camera:
+        """One of the scene's cameras, moved about the object as `jittered` does.
+
+        Args:
+            scene: Name of the scene.
+            name: Id of the object.
+            seed: Seed of the move.
+            camera: Position of the camera in the order of the scene file.
+
+        Raises:
+            InvalidValueError: There is no such camera.
+        """
         place = self.of(scene, name)
-        return jittered(place.cameras[0], place.scene.means[place.objects[name]].mean(0), seed=seed)
+        if camera >= len(place.cameras):
+            raise InvalidValueError(message("camera", f"0 to {len(place.cameras) - 1}", camera, "choose another"))
+        return jittered(place.cameras[camera], place.scene.means[place.objects[name]].mean(0), seed=seed)

@@ -1,0 +1,150 @@
+"""What a rendering study asks, as a TOML file holds it: which attacks, and under which conditions they count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from attacks.cloak.study.study_file import read_table
+from attacks.dagger.config import check_share
+from attacks.limits import NormName, SearchName
+from mi_splat.attributes import Attribute
+from mi_splat.config_values import check_numbers
+from mi_splat.errors import InvalidValueError, message
+
+OWN = "own"
+"""Stands for the gradient of the renderer that makes the attacker's pictures."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """What is attacked, and what a detector shall take it for.
+
+    Attributes:
+        scene: Name of the scene file without its suffix.
+        object: Id of the object; with spaces for its underscores it is the object's class.
+        target: Class wanted.
+        camera: Position of the camera in the order of the scene file.
+    """
+
+    scene: str
+    object: str
+    target: str
+    camera: int = 0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, {"camera": 0})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttackTable:
+    """A group of attacks; one for each radius, renderer and gradient.
+
+    Attributes:
+        attribute: What of the object's Gaussians may change.
+        norm: How the change is measured.
+        eps: Radii of the ball.
+        steps: Number of steps; no attack stops early.
+        search: How the attacker searches, a key of `attacks.dagger.pairs.SEARCHES`.
+        sh_degree: SH degree of the attacked file, if SH may change.
+        renderers: Names of the renderers (as in `mi-splat compare`) whose pictures the attacker looks at.
+        gradients: Names of the renderers whose gradients the attacker follows; "own" is that of the pictures.
+    """
+
+    attribute: Attribute = "sh"
+    norm: NormName = "l2"
+    eps: tuple[float, ...] = (5.0,)
+    steps: int = 11
+    search: SearchName = "paper"
+    sh_degree: int = 3
+    renderers: tuple[str, ...] = ("tile",)
+    gradients: tuple[str, ...] = (OWN,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunTable:
+    """A street of meshes at several hours of a day.
+
+    Attributes:
+        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and sun_z; north is +y.
+        hours: Local solar time, 12 is noon.
+        latitude: Of the place, degrees north.
+        declination: Of the sun, degrees; 0 at the equinoxes.
+        samples: Paths a pixel.
+    """
+
+    scene: str
+    hours: tuple[float, ...]
+    latitude: float = 45.0
+    declination: float = 0.0
+    samples: int = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgeTable:
+    """Under which conditions an attacked splat is judged.
+
+    Attributes:
+        own_renderer: Whether the renderer of the attack judges, and nothing else: conditions below stay empty.
+        renderers: Names of renderers, and the variants of `attacks.rendering_studies.conditions.VARIANTS`.
+        files: Formats that the whole splat goes through, by their suffix.
+        sh_degrees: Degrees that its SH is cut to.
+        float16: Whether its SH is rounded to half precision.
+        sun: A street of meshes that the object is put into.
+    """
+
+    own_renderer: bool = False
+    renderers: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    sh_degrees: tuple[int, ...] = ()
+    float16: bool = False
+    sun: SunTable | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderingStudy:
+    """One study.
+
+    Attributes:
+        name: Name of it.
+        question: What it asks, one sentence.
+        pairs: What is attacked.
+        attacks: How.
+        judge: Under which conditions the attacks count.
+        detectors: Names of the detectors; each judges the attacks on itself.
+        confidence: From which a class counts as reported, in (0, 1].
+        seeds: Number of seeds; each but 0 moves the camera and starts at a random point of the ball.
+
+    Raises:
+        InvalidValueError: A list is empty, or a number is out of its range.
+    """
+
+    name: str
+    question: str
+    pairs: tuple[Pair, ...]
+    attacks: tuple[AttackTable, ...]
+    judge: JudgeTable = field(default_factory=JudgeTable)
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    confidence: float = 0.5
+    seeds: int = 3
+
+    def __post_init__(self) -> None:
+        check_numbers(self, {"seeds": 1})
+        for name in ("pairs", "attacks", "detectors"):
+            if not getattr(self, name):
+                raise InvalidValueError(message(name, "at least one", "none", "add one to the study"))
+        check_share(self, "confidence")
+        judge = self.judge
+        others = bool(judge.renderers or judge.files or judge.sh_degrees or judge.float16 or judge.sun)
+        if judge.own_renderer == others:
+            do = "write own_renderer = true alone, or renderers, files, sh_degrees, float16 or [judge.sun]"
+            raise InvalidValueError(message("judge", "conditions", "both kinds" if others else "none", do))
+
+
+def read_rendering_study(path: Path) -> RenderingStudy:
+    """The study in a TOML file.
+
+    Raises:
+        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
+    """
+    return read_table(RenderingStudy, path)

@@ -1,0 +1,47 @@
+"""Runs a rendering study: every attack, every look at it, and a ledger of what is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.dagger.study import JOBS, run_jobs
+from attacks.rendering_studies.config import RenderingStudy
+from attacks.rendering_studies.jobs import StudyAttack, StudyRunner, looks_at
+
+LOOKS = "looks"
+"""Folder of the ledger of looks."""
+
+
+def run_study(
+    study: RenderingStudy,
+    jobs: Sequence[StudyAttack],
+    out: Path,
+    runner: StudyRunner,
+    *,
+    on_job: Callable[[str], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Attack what was not attacked yet, and look at it under every condition.
+
+    Args:
+        study: The study.
+        jobs: Its attacks, or some of them.
+        out: Folder of the study.
+        runner: Runs both.
+        on_job: Called with the name of every attack that is done and was looked at.
+
+    Returns:
+        A record for each attack, see `attacks.rendering_studies.rates.Record`.
+    """
+    records = []
+    for job in jobs:
+        if not runner.path(job).is_file():  # its record alone is worth nothing
+            (out / JOBS / f"{job.name}.json").unlink(missing_ok=True)
+        (attacked,) = run_jobs([job], out, runner.attack, fingerprint=runner.fingerprint)
+        looks = run_jobs(looks_at(study, job), out, runner.look, fingerprint=runner.look_fingerprint, ledger=LOOKS)
+        seen = {look["job"]["condition"]: look["result"] for look in looks}
+        records.append({"job": attacked["job"], "attack": attacked["result"], "looks": seen})
+        if on_job is not None:
+            on_job(job.name)
+    return records
