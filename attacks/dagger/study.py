@@ -141,6 +141,24 @@ def run_jobs(
     return records
 
 
+def run_with_file(
+    job: AnyJob, out: Path, run: Callable[[AnyJob], dict[str, Any]], *, fingerprint: Callable[[AnyJob], str], file: Path
+) -> dict[str, Any]:
+    """`run_jobs` of one job whose record is worth nothing without a file that it leaves.
+
+    Args:
+        job: The job.
+        out: Folder of the study.
+        run: Runs it and writes the file.
+        fingerprint: See `run_jobs`.
+        file: What it leaves.
+    """
+    if not file.is_file():
+        (out / JOBS / f"{job.name}.json").unlink(missing_ok=True)
+    (record,) = run_jobs([job], out, run, fingerprint=fingerprint)
+    return record
+
+
 def as_json(job: NamedJob) -> dict[str, Any]:
     """A job with its full configuration, as a JSON file gives it back."""
     values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(cast(Any, job))))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.sun import clock, sun_direction
 
 NEAR = 3.0
 """Distance of the variant of the near plane, world units; the shipped cameras stand about 6 from their object."""
@@ -67,34 +67,6 @@ def renderer_of(name: str, settings: RenderSettings) -> RenderFn:
         raise InvalidValueError(message("renderer", f"one of {known}", name, "choose one"))
     another = next(other for other in method_names() if other != name)
     return load_methods((another, name), settings, {})[name].render
-
-
-def sun_direction(hour: float, sun: SunTable) -> tuple[float, float, float]:
-    """Unit vector to the sun: east, north, up.
-
-    The hour angle grows by 15 degrees an hour from 0 at noon (Meeus, Astronomical Algorithms, chapter 13).
-
-    Args:
-        hour: Local solar time.
-        sun: Latitude and declination.
-
-    Raises:
-        InvalidValueError: The sun has not risen yet, or has set.
-    """
-    angle = math.radians(15 * (hour - 12))
-    place, tilt = math.radians(sun.latitude), math.radians(sun.declination)
-    east = -math.cos(tilt) * math.sin(angle)
-    north = math.cos(place) * math.sin(tilt) - math.sin(place) * math.cos(tilt) * math.cos(angle)
-    up = math.sin(place) * math.sin(tilt) + math.cos(place) * math.cos(tilt) * math.cos(angle)
-    if up <= 1e-6:
-        raise InvalidValueError(message("hours", "hours when the sun is up", f"{hour:g}", "leave it out"))
-    return east, north, up
-
-
-def clock(hour: float) -> str:
-    """An hour as clocks show it."""
-    minutes = round(hour * 60)
-    return f"{minutes // 60:02d}:{minutes % 60:02d}"
 
 
 def condition_names(judge: JudgeTable) -> tuple[str, ...]:
@@ -145,7 +117,7 @@ def _hours(sun: SunTable, place: AttackScene, name: str) -> list[Condition]:
     alone = place.scene.select(rows)
     found = []
     for hour in sun.hours:
-        east, north, up = sun_direction(hour, sun)
+        east, north, up = sun_direction(hour, latitude=sun.latitude, declination=sun.declination)
         street = MixedScene(Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up)
         inside = street.splats.scene
         if len(inside) != len(alone) or not torch.equal(inside.means, alone.means):

@@ -46,7 +46,7 @@ class AttackTable:
         eps: Radii of the ball.
         steps: Number of steps; no attack stops early.
         search: How the attacker searches, a key of `attacks.dagger.pairs.SEARCHES`.
-        sh_degree: SH degree of the attacked file, if SH may change.
+        sh_degree: SH degree of the attacked file, if SH may change; never below that of the clean one.
         renderers: Names of the renderers (as in `mi-splat compare`) whose pictures the attacker looks at.
         gradients: Names of the renderers whose gradients the attacker follows; "own" is that of the pictures.
     """

@@ -57,7 +57,7 @@ class StudyAttack:
         """File name, unique within a study."""
         config = self.config
         words = [self.renderer, self.gradient, self.detector, self.pair.object, self.pair.target, *config.attributes]
-        words += [config.norm, f"{config.eps[0]:g}", f"{config.steps}", self.search]
+        words += [config.norm, f"{config.eps[0]:g}", f"degree{config.sh_degree}", f"{config.steps}", self.search]
         words += [f"camera{self.pair.camera}", str(config.seed)]
         return "-".join(word.replace(" ", "_") for word in words)
 

@@ -23,6 +23,7 @@ class Group:
         renderer: Whose pictures the attacker looked at.
         gradient: Whose gradient the attacker followed.
         attribute: What was attacked.
+        sh_degree: SH degree of the attacked file; None if SH did not change.
         norm: How the change is measured.
         eps: Radius of the ball.
     """
@@ -31,6 +32,7 @@ class Group:
     renderer: str
     gradient: str
     attribute: str
+    sh_degree: int | None
     norm: str
     eps: float
 
@@ -42,7 +44,8 @@ class Group:
     @property
     def ball(self) -> str:
         """Attribute, norm and radius."""
-        return f"{self.attribute}, {self.norm} {self.eps:g}"
+        bands = "" if self.sh_degree is None else f" of degree {self.sh_degree}"
+        return f"{self.attribute}{bands}, {self.norm} {self.eps:g}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +107,7 @@ def group_of(record: Record) -> Group:
         renderer=job["renderer"],
         gradient=job["gradient"],
         attribute=config["attributes"][0],
+        sh_degree=config["sh_degree"] if config["attributes"][0] == "sh" else None,
         norm=config["norm"],
         eps=config["eps"][0],
     )

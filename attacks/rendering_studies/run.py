@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.dagger.study import JOBS, run_jobs
+from attacks.dagger.study import run_jobs, run_with_file
 from attacks.rendering_studies.config import RenderingStudy
 from attacks.rendering_studies.jobs import StudyAttack, StudyRunner, looks_at
 
@@ -36,9 +36,7 @@ def run_study(
     """
     records = []
     for job in jobs:
-        if not runner.path(job).is_file():  # its record alone is worth nothing
-            (out / JOBS / f"{job.name}.json").unlink(missing_ok=True)
-        (attacked,) = run_jobs([job], out, runner.attack, fingerprint=runner.fingerprint)
+        attacked = run_with_file(job, out, runner.attack, fingerprint=runner.fingerprint, file=runner.path(job))
         looks = run_jobs(looks_at(study, job), out, runner.look, fingerprint=runner.look_fingerprint, ledger=LOOKS)
         seen = {look["job"]["condition"]: look["result"] for look in looks}
         records.append({"job": attacked["job"], "attack": attacked["result"], "looks": seen})

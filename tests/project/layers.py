@@ -28,6 +28,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "rotation",
             "metrics",
             "labels",
+            "sun",
             "scene",
             "camera_values",
         )
@@ -66,6 +67,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "evaluation": ("attacks.evaluation",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "study of CLOAK": ("attacks.cloak.study",),
+    "rendering studies": ("attacks.rendering_studies",),
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),
     "reports": ("attacks.reporting",),

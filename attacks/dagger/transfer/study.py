@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.dagger.study import JOBS, run_jobs
+from attacks.dagger.study import run_jobs, run_with_file
 from attacks.dagger.transfer.jobs import JudgeJob, SourceJob, TransferRunner
 
 JUDGED = "judged"
@@ -41,9 +41,7 @@ def run_transfer(
     """
     records = []
     for job in jobs:
-        if not runner.path(job).is_file():  # its record alone is worth nothing
-            (out / JOBS / f"{job.name}.json").unlink(missing_ok=True)
-        (attacked,) = run_jobs([job], out, runner.attack, fingerprint=runner.attack_fingerprint)
+        attacked = run_with_file(job, out, runner.attack, fingerprint=runner.attack_fingerprint, file=runner.path(job))
         looks = [JudgeJob(source=job, detector=name) for name in judges]
         judged = run_jobs(looks, out, runner.judge, fingerprint=runner.judge_fingerprint, ledger=JUDGED)
         seen = {record["job"]["detector"]: record["result"] for record in judged}

@@ -1,0 +1,36 @@
+"""Where the sun stands at an hour of a day."""
+
+from __future__ import annotations
+
+import math
+
+from mi_splat.errors import InvalidValueError, message
+
+
+def sun_direction(hour: float, *, latitude: float, declination: float = 0.0) -> tuple[float, float, float]:
+    """Unit vector to the sun: east, north, up.
+
+    The hour angle grows by 15 degrees an hour from 0 at noon (Meeus, Astronomical Algorithms, chapter 13).
+
+    Args:
+        hour: Local solar time, 12 is noon.
+        latitude: Of the place, degrees north.
+        declination: Of the sun, degrees; 0 at the equinoxes, 23.4 at midsummer.
+
+    Raises:
+        InvalidValueError: The sun has not risen yet, or has set.
+    """
+    angle = math.radians(15 * (hour - 12))
+    place, tilt = math.radians(latitude), math.radians(declination)
+    east = -math.cos(tilt) * math.sin(angle)
+    north = math.cos(place) * math.sin(tilt) - math.sin(place) * math.cos(tilt) * math.cos(angle)
+    up = math.sin(place) * math.sin(tilt) + math.cos(place) * math.cos(tilt) * math.cos(angle)
+    if up <= 1e-6:
+        raise InvalidValueError(message("hour", "an hour when the sun is up", f"{hour:g}", "leave it out"))
+    return east, north, up
+
+
+def clock(hour: float) -> str:
+    """An hour as clocks show it, for instance 09:30."""
+    minutes = round(hour * 60)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
