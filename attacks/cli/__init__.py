@@ -128,7 +128,11 @@ COMMANDS = {
         "poison training pictures, train on them, and measure who sees what (CLOAK)",
     ),
     "cloak-experiment": Command(
-        "attacks.cli", "CloakExperimentOptions", "cloak_experiment", "explain a figure of a CLOAK study"
+        "attacks.cli",
+        "CloakExperimentOptions",
+        "cloak_experiment",
+        "explain a figure of a CLOAK study",
+        options_module="experiment_options",
     ),
     "artifact": Command(
         "attacks.cli",

@@ -5,14 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from attacks.cli.experiment_options import CloakExperimentOptions
 from attacks.cli.loading import load_detectors
-from attacks.cli.options import CloakExperimentOptions
 from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.limit_figure import write_limit_figure
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
+from attacks.cloak.experiments.street import measure_street
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
 from attacks.cloak.experiments.view_reports import finished_splats, watch
@@ -39,6 +40,7 @@ _USED = {
     "distance": _LOOKS,
     "formats": _LOOKS,
     "renderers": _LOOKS,
+    "street": _LOOKS,
     "transition-limit": ("results",),
     "paint-direction": (),
     "detection-curve": (*_LOOKS, "stages"),
@@ -100,6 +102,8 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     fingerprints = {detector.name: detector.fingerprint for detector in detectors}
     if options.experiment == "formats":
         rows = measure_formats(study, splats["cloaked"], detectors, render=render, every=options.every)
+    elif options.experiment == "street":
+        rows = measure_street(study, splats, detectors, every=options.every)
     elif options.experiment == "renderers":
         rows = measure_renderers(study, splats, detectors, renderers_of(settings), every=options.every)
     else:

@@ -46,6 +46,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dagger-transfer --out out/studies/transfer",
         "dagger-transfer --detectors fasterrcnn_small yolov8n_small --seeds 1 --steps 10 --out out/transfer",
     ),
+    "rendering-study": (
+        "rendering-study scenes/studies/between_renderers.toml --out out/studies/between_renderers",
+        "rendering-study scenes/studies/files.toml --seeds 1 --out out/files",
+    ),
     "dagger-sanity": (
         "dagger-sanity scenes/car_street.xml --object car --target person --out out/sanity",
         "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detector yolov8n_small --seeds 5 --out out/sanity",
@@ -107,6 +111,7 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "detect": ("detectors", "evaluate"),
     "evaluate": ("dagger", "detect"),
     "dagger-transfer": ("dagger", "dagger-study", "evaluate"),
+    "rendering-study": ("compare", "dagger", "dagger-transfer"),
     "dagger-sanity": ("dagger", "dagger-transfer"),
     "dagger-study": ("dagger", "dagger-pairs", "dagger-transfer"),
     "dagger-pairs": ("dagger", "dagger-study", "detectors"),

@@ -195,39 +195,6 @@ class CloakOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CloakExperimentOptions:
-    """Explain a figure of a CLOAK study.
-
-    surroundings: how far the cloaked splat is from the clean one beside the object. distance: from how many cameras the
-    object is found when they stand nearer or farther away. formats and renderers: whether the cloaked splat hides its
-    object after other file formats, and in other renderers. transition-limit: how sharply colour alone can switch.
-    paint-direction: from where a painted sign is seen best. detection-curve: from where detectors find the object in
-    path-traced pictures, on the clean and on the cloaked splats; writes a table, plots and pictures into --out.
-    """
-
-    experiment: Positional[
-        Literal[
-            "surroundings", "distance", "formats", "renderers", "transition-limit", "paint-direction", "detection-curve"
-        ]
-    ]
-    """Which experiment."""
-    study: Positional[Path]
-    """TOML file of the study."""
-    results: Path | None = None
-    """Folder that `mi-splat cloak` has written for this study; of transition-limit, what is drawn beside the limit."""
-    every: int = 4
-    """Use each so manieth of the held-out cameras (surroundings, distance, formats, renderers, detection-curve)."""
-    detectors: tuple[str, ...] = ()
-    """Names of detectors in the place of those of the study (distance, formats, renderers, detection-curve)."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    stages: Path | None = None
-    """Folder of the study's stages; None is a folder in --results (detection-curve)."""
-    out: Path | None = None
-    """What is written: a folder (detection-curve), a PNG file with the limit (transition-limit), or a JSON file."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ViewOptions:
     """Look at a splat or at the result of an attack on a page in the browser, or write such a page to a file.
 

@@ -101,6 +101,7 @@ KINDS = (
             ("distance", splats.read_distances),
             ("formats", splats.read_formats),
             ("renderers", splats.read_renderers),
+            ("street", splats.read_street),
             ("transition-limit", limits.read_transition_limit),
             ("paint-direction", limits.read_paint_direction),
         )

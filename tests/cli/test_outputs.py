@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger.attack",)),
     "dagger-study": (["dagger-study"], "{}", ("attacks.cli.dagger_study.run_jobs",)),
     "dagger-transfer": (["dagger-transfer"], "{}", ("attacks.cli.dagger_transfer.run_transfer",)),
+    "rendering-study": (["rendering-study", "study.toml"], "{}", ("attacks.cli.rendering_study.run_study",)),
     "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity.run_checks",)),
     "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_eot.attack_views",)),
     "dagger-eot-study": (["dagger-eot-study"], "{}", ("attacks.cli.dagger_eot_study.run_jobs",)),

@@ -42,7 +42,7 @@ FAST = {
 """Commands that are run in every test run."""
 NIGHTLY = {
     *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
-    *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer"),
+    *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer", "rendering-study"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
@@ -168,6 +168,7 @@ TINY: dict[str, dict[str, Change]] = {
     "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
     "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
+    "rendering-study": {"--seeds": to("1")},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "dagger-eot-study": {
         "--groups": to("pairs"),

@@ -106,6 +106,11 @@ RENDERERS = [
     for renderer, psnr, inside in (("tile", None, 1), ("ray", 31.5, 4))
     for splat, name, found in (("clean", "overhead", 20), ("cloaked", "overhead", inside), ("cloaked", "elsewhere", 20))
 ]
+STREET = [
+    {"hour": hour, "splat": splat, "cameras": name, "of": 10, "detector": "one", "found": found}
+    for hour, inside in (("09:00", 1), ("12:00", 3))
+    for splat, name, found in (("clean", "overhead", 10), ("cloaked", "overhead", inside), ("cloaked", "elsewhere", 9))
+]
 SURROUNDINGS = [
     {"cameras": name, "of": of, "psnr_mean": mean, "psnr_lowest": mean - 1, "psnr_highest": mean + 1}
     for name, of, mean in (("inside the trigger", 12, 31.5), ("elsewhere", 4, 34.0))
@@ -180,6 +185,7 @@ FURTHER: dict[str, Callable[[Path], Path]] = {
     "cloak-experiment distance": write_experiment("distance", DISTANCES, **GIVEN, detectors=["one"]),
     "cloak-experiment formats": write_experiment("formats", FORMATS, **GIVEN, detectors=[]),
     "cloak-experiment renderers": write_experiment("renderers", RENDERERS, **GIVEN, detectors=[]),
+    "cloak-experiment street": write_experiment("street", STREET, **GIVEN, detectors=[]),
     "cloak-experiment transition-limit": write_experiment("transition-limit", LIMIT, results="out/study"),
     "cloak-experiment paint-direction": write_experiment("paint-direction", DIRECTIONS),
 }

@@ -106,34 +106,73 @@ def read_renderers(path: Path, document: Document) -> Section:
         path: The JSON file.
         document: What is in it.
     """
+    return _by_condition(
+        path,
+        document,
+        key="renderer",
+        kind="CLOAK in other renderers",
+        done="{names} looked at pictures of the clean and of the cloaked splat by {conditions}.",
+        conclusion="Over all renderers the cloaked object is missed in {range} of the views well inside the trigger "
+        "({first}, which it was trained with: {counts}).",
+    )
+
+
+def read_street(path: Path, document: Document) -> Section:
+    """The section of `cloak-experiment street`.
+
+    Args:
+        path: The JSON file.
+        document: What is in it.
+    """
+    return _by_condition(
+        path,
+        document,
+        key="hour",
+        kind="CLOAK on a street of meshes",
+        done="The object of the clean and of the cloaked splat was put on a path-traced street of meshes. {names} "
+        "looked at pictures of it under the sun of {conditions}.",
+        conclusion="Over all hours the cloaked object is missed in {range} of the views well inside the trigger "
+        "({first}: {counts}).",
+    )
+
+
+def _by_condition(path: Path, document: Document, *, key: str, kind: str, done: str, conclusion: str) -> Section:
+    """The section of an experiment that looks at the clean and the cloaked splat under several conditions.
+
+    Args:
+        path: The JSON file.
+        document: What is in it.
+        key: Of a row, what names the condition.
+        kind: Of the section.
+        done: What was done; {names} are the detectors, {conditions} the conditions.
+        conclusion: {range} are the lowest and the highest rate, {counts} is that of the {first} condition.
+    """
     rows: Sequence[Row] = document["found"]
-    names, renderers = (list(dict.fromkeys(row[key] for row in rows)) for key in ("detector", "renderer"))
+    names, conditions = (list(dict.fromkeys(row[by] for row in rows)) for by in ("detector", key))
 
-    def missed(renderer: str, splat: str, cameras: str = "overhead") -> Rate:
-        return pooled(map(_missed, matching(rows, renderer=renderer, splat=splat, cameras=cameras)))
+    def missed(condition: str, splat: str) -> Rate:
+        return pooled(map(_missed, matching(rows, **{key: condition}, splat=splat, cameras="overhead")))
 
-    first = renderers[0]
+    first = conditions[0]
     rate, control = missed(first, "cloaked"), missed(first, "clean")
-    inside = [missed(renderer, "cloaked").fraction for renderer in renderers]
+    inside = [missed(condition, "cloaked").fraction for condition in conditions]
+    between = f"{percent(min(inside))} to {percent(max(inside))}"
     return section(
         path,
         document,
-        kind="CLOAK in other renderers",
-        done=f"{listed(names)} looked at pictures of the clean and of the cloaked splat by {listed(renderers)}.",
-        conclusion=(
-            f"Over all renderers the cloaked object is missed in {percent(min(inside))} to {percent(max(inside))} of "
-            f"the views well inside the trigger ({first}, which it was trained with: {counts(rate)})."
-        ),
-        headline=Figure(label=f"cloaked splat by {first}: object missed well inside the trigger", rate=rate),
-        control=Figure(label=f"clean splat by {first}: object missed there", rate=control) if control.total else None,
+        kind=kind,
+        done=done.format(names=listed(names), conditions=listed(conditions)),
+        conclusion=conclusion.format(range=between, first=first, counts=counts(rate)),
+        headline=Figure(label=f"{first}, cloaked splat: object missed well inside the trigger", rate=rate),
+        control=Figure(label=f"{first}, clean splat: object missed there", rate=control) if control.total else None,
         figures=[
-            Figure(label=f"{splat} splat by {renderer}: object missed well inside the trigger", rate=rate)
-            for renderer in renderers[1:]
+            Figure(label=f"{condition}, {splat} splat: object missed well inside the trigger", rate=rate)
+            for condition in conditions[1:]
             for splat in ("cloaked", "clean")
-            for rate in [missed(renderer, splat)]
+            for rate in [missed(condition, splat)]
         ],
         warnings=[*doubts_of(rate, control, what="views"), *_several(names)],
-        tables=[_counts(rows, "renderer", "renderer", name) for name in names],
+        tables=[_counts(rows, key, key, name) for name in names],
     )
 
 
