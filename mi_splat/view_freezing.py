@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import MiSplatError
-from mi_splat.frozen_view import FrozenView
-from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.frozen_view import FrozenView
 
 MAX_BYTES = 2 << 30
 """What all views of one call of `freeze_views` may take together where nothing else is said."""
@@ -43,11 +45,14 @@ def freeze_views(
         rows: The Gaussians whose colours may change, see `FrozenView`; all if None.
         max_bytes: Upper bound of the memory of all views.
     """
+    from mi_splat.frozen_view import FrozenView  # here, so that importing an attack does not import Mitsuba
+    from mi_splat.rendering import Renderer
+
     found: dict[Camera, FrozenView] = {}
-    plain = type(render) is Renderer and render.settings.method == "tile" and render.screen_gradients is None
-    if not plain or pictures < MIN_PICTURES:
+    if type(render) is not Renderer or render.settings.method != "tile" or render.screen_gradients is not None:
         return found
-    assert isinstance(render, Renderer)
+    if pictures < MIN_PICTURES:
+        return found
     first: FrozenView | None = None
     for camera in dict.fromkeys(cameras):
         left = max_bytes - sum(view.nbytes for view in found.values())

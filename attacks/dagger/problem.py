@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -22,9 +22,11 @@ from attacks.objectives import Objective, Target, Verdict, confidence, overlap
 from attacks.pgd import Evaluation, Parameters
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.frozen_view import FrozenView
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.frozen_view import FrozenView
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import pytest
@@ -79,7 +78,7 @@ def views_fit(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
         sizes = [view.nbytes for view in freeze_views(scene, cameras, **settings).values()]
         return freeze_views(scene, cameras, max_bytes=sum(sizes[:count]), **settings)
 
-    monkeypatch.setattr(layering, "freeze_views", functools.partial(bounded))
+    monkeypatch.setattr(layering, "freeze_views", bounded)
 
 
 @pytest.mark.parametrize("all_trained", [False, True])

@@ -12,11 +12,11 @@ from attacks.dagger import ensemble
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
+from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer
-from mi_splat.scene import GaussianScene
 from mi_splat.view_freezing import freeze_views
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
 
@@ -91,8 +91,6 @@ def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest
 
 
 def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Camera]) -> None:
-    from attacks.gaussian_subset import GaussianSubset
-
     scene, mask = toy_scene()
     subset, config = GaussianSubset.of(scene, mask), DaggerConfig()
     made = ensemble.Ensemble.of(
@@ -100,7 +98,5 @@ def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Cam
     ).frozen(config)
     made.evaluate(subset.parameters(("sh", "means")))
     assert not frozen
-    with_sh = made.evaluate(subset.parameters(("sh",)))
-    assert len(frozen) == len(CAMERAS)
-    assert with_sh.gradients["sh"].shape == subset.clean["sh"].shape
-    assert isinstance(subset.scene, GaussianScene)
+    made.evaluate(subset.parameters(("sh",)))
+    assert frozen == CAMERAS
