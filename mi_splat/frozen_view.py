@@ -6,6 +6,7 @@ has `dr.wrap` around a node of Dr.Jit's own graph.
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -58,10 +59,7 @@ class FrozenView:
         max_bytes: int = MAX_BYTES,
     ) -> None:
         check_scene("scene", scene)
-        if not isinstance(camera, Camera):
-            do = "make one FrozenView for each camera"
-            raise InvalidValueError(message("camera", "one Camera", type(camera).__name__, do))
-        self.camera, self.settings = camera, settings or RenderSettings()
+        self.settings = settings or RenderSettings()
         if self.settings.method != "tile":
             do = "use a Renderer, which has no weights of tiles to keep for it"
             raise InvalidValueError(message("FrozenView", 'the method "tile"', f'"{self.settings.method}"', do))
@@ -77,8 +75,31 @@ class FrozenView:
         fixed[self.rows] = False
         self._fixed = fixed.nonzero().flatten()
         self._kept = [_copy(tensor) for tensor in (*scene.tensors()[:4], scene.sh[self._fixed])]
-        self._shape = camera.height, camera.width, 3
-        self._pairs, self._constant, self._alpha, self.nbytes = self._freeze(_copy(scene.sh), max_bytes)
+        self._look(camera, max_bytes, held=sum(tensor.nbytes for tensor in self._kept))
+
+    def at(self, camera: Camera, *, max_bytes: int = MAX_BYTES) -> FrozenView:
+        """The same scene, settings and rows seen from another camera; what the views know of the scene is kept once.
+
+        Args:
+            camera: The other camera.
+            max_bytes: Upper bound of the new view's `nbytes`, in which what is kept once has no part.
+
+        Raises:
+            InvalidValueError: It is no camera.
+            MiSplatError: `nbytes` would be above `max_bytes`.
+        """
+        other = copy.copy(self)
+        _make_current(self.variant)
+        other._look(camera, max_bytes, held=0)
+        return other
+
+    def _look(self, camera: Camera, max_bytes: int, *, held: int) -> None:
+        """Fill what belongs to one camera, with `held` bytes taken before."""
+        if not isinstance(camera, Camera):
+            do = "make one FrozenView for each camera"
+            raise InvalidValueError(message("camera", "one Camera", type(camera).__name__, do))
+        self.camera, self._shape = camera, (camera.height, camera.width, 3)
+        self._pairs, self._constant, self._alpha, self.nbytes = self._freeze(max_bytes, held)
 
     @property
     def megabytes(self) -> float:
@@ -138,7 +159,7 @@ class FrozenView:
                 raise InvalidValueError(message(name, "the values of the FrozenView's scene", "others", do))
         return self(scene.sh if self._everything else scene.sh[self.rows])
 
-    def _freeze(self, sh: Tensor, max_bytes: int) -> tuple[Any, Tensor, Tensor, int]:
+    def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
         """The weights (None where nothing free is visible), the constant part of the picture, its alpha, `nbytes`."""
         import mitsuba as mi
 
@@ -146,7 +167,9 @@ class FrozenView:
         from mi_splat.rasterization.pipeline import rasterize
         from mi_splat.rasterization.weights import HIDDEN_DC, freeze_pairs
 
-        sh[self.rows] = 0.0
+        others = self._kept[4]
+        sh = others.new_zeros(len(self._kept[0]), *others.shape[1:])
+        sh[self._fixed] = others
         sh[self.rows, 0] = HIDDEN_DC
         settings = self.settings
         hole = pinhole.from_camera(self.camera, near=settings.near, antialiased=settings.antialiased)
@@ -159,7 +182,7 @@ class FrozenView:
             mi.UInt32(self.rows.to(torch.int32).contiguous()),
             mi.Float(directions.flatten()),
             max_bytes=max_bytes,
-            held=sum(tensor.nbytes for tensor in self._kept),
+            held=held,
         )
         constant, alpha = picture.colour.torch().reshape(self._shape), picture.opacity.torch().reshape(self._shape[:2])
         return pairs, constant, alpha.clone(), nbytes

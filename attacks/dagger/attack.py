@@ -71,7 +71,7 @@ def attack(
     subset = GaussianSubset.of(scene, mask)
     ensemble = Ensemble.of(detectors, subset, cameras, objective, render=render, config=config)
     reference = subset.parameters(config.attributes)
-    outcome = _search(ensemble, reference, config, on_step)
+    outcome = _search(ensemble.frozen(config), reference, config, on_step)
     attacked = subset.applied(outcome.parameters)
     saved = as_saved(attacked)
     in_file = GaussianSubset.of(saved, subset.rows).parameters(config.attributes)

@@ -7,7 +7,7 @@ Attacks", ICLR 2017) or that of the detector that resists most. With one detecto
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -20,6 +20,7 @@ from attacks.pgd import Evaluation, Parameters
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
+from mi_splat.view_freezing import freeze_views
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -97,6 +98,20 @@ class Ensemble:
             loss=config.ensemble,
             required_detectors=config.required_detectors,
         )
+
+    def frozen(self, config: DaggerConfig) -> Ensemble:
+        """The same, with frozen views for a search with this configuration if it changes SH alone."""
+        if config.attributes != ("sh",):
+            return self
+        subset, render = self.problems[0].subset, self.problems[0].render
+        views = freeze_views(
+            subset.scene,
+            [view.camera for view in self.views[0]],
+            render=render,
+            pictures=len(self.problems) * config.restarts * (config.steps + 1),
+            rows=subset.rows,
+        )
+        return replace(self, problems=tuple(replace(problem, frozen=views) for problem in self.problems))
 
     def evaluate(self, parameters: Parameters) -> Evaluation:
         """Loss, gradients, success and score at one point of the search, over all views and detectors."""

@@ -7,9 +7,9 @@ pictures of 8 bits.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -24,6 +24,9 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.frozen_view import FrozenView
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -75,6 +78,8 @@ class AttackProblem:
         objective: The aim.
         render: The renderer.
         required_views: Fraction of the views in which the aim has to be reached.
+        frozen: The search's pictures from these cameras, while SH alone changes; from all others they are `render`'s,
+            as all that are judged.
     """
 
     subset: GaussianSubset
@@ -82,6 +87,7 @@ class AttackProblem:
     objective: Objective
     render: RenderFn
     required_views: float = 1.0
+    frozen: Mapping[Camera, FrozenView] = field(default_factory=dict)
 
     def view(self, camera: Camera) -> AttackView:
         """The clean scene as seen from `camera`.
@@ -125,7 +131,7 @@ class AttackProblem:
         gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
         for view in views:
             leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
-            picture = bounded(self.render(self.subset.scene_with(leaves), view.camera))
+            picture = bounded(self._picture(leaves, view.camera))
             candidates = self.detector.candidates(picture[None])[0]
             here = self.objective(candidates, view.target) / len(views)
             found = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
@@ -139,6 +145,11 @@ class AttackProblem:
         return Evaluation(
             loss=loss, gradients=gradients, success=whole.success, score=whole.score, unambiguous=whole.unambiguous
         )
+
+    def _picture(self, parameters: Parameters, camera: Camera) -> Tensor:
+        """The scene with these parameters of the object, differentiable."""
+        frozen = self.frozen.get(camera) if parameters.keys() == {"sh"} else None
+        return self.render(self.subset.scene_with(parameters), camera) if frozen is None else frozen(parameters["sh"])
 
 
 def joint_verdict(verdicts: Sequence[Verdict], required_views: float) -> Verdict:

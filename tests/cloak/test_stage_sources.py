@@ -42,6 +42,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
     "layers": (
         *(_NEAR, *_SETUP, "attacks/cloak/study/layering.py", "attacks/cloak/layered", "attacks/cloak/triggers.py"),
         *("mi_splat/training", "mi_splat/rasterization", "mi_splat/rendering.py", "mi_splat/selection/masks.py"),
+        *("mi_splat/frozen_view.py", "mi_splat/view_freezing.py"),
     ),
     "cleaned": (
         *("attacks/cloak/cleaning.py", "attacks/cloak/study/trained_splats.py"),

@@ -15,10 +15,12 @@ from attacks.cloak.study.config import StudyConfig
 from mi_splat.assets.mesh import Asset
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View
+from mi_splat.frozen_view import FrozenView
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.masks import box_mask
 from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc, dc_to_colour
+from mi_splat.view_freezing import freeze_views
 
 DIRECTIONS = 400
 """Cameras over the hemisphere for which a layer's switch is made."""
@@ -32,16 +34,31 @@ class Layering:
         scene: N Gaussians, before the training.
         trained: (N,) bool, those of the layers, and all others if the study wants it.
         views: The poisoned pictures, without those from where a look changes: a layer may show there what it likes.
+        iterations: Steps of the training; each looks at one picture.
     """
 
     scene: GaussianScene
     trained: Tensor
     views: list[View]
+    iterations: int
 
     def rendered_by(self, render: RenderFn) -> RenderFn:
-        """The same renderer, through which gradients reach the colours that are trained alone."""
+        """The same renderer for a training of colours alone, through which gradients reach those that are trained.
+
+        The pictures of `views` come from frozen views as far as these fit; they are made with the first picture, of the
+        scene as it is trained.
+        """
+        frozen: dict[Camera, FrozenView] | None = None
+        rows = None if bool(self.trained.all()) else self.trained.nonzero().flatten()
 
         def with_layers_trained(scene: GaussianScene, camera: Camera) -> Tensor:
+            nonlocal frozen
+            if frozen is None:
+                cameras = [view.camera for view in self.views]
+                pictures = self.iterations // len(cameras)
+                frozen = freeze_views(scene, cameras, render=render, pictures=pictures, rows=rows)
+            if camera in frozen:
+                return frozen[camera](scene.sh if rows is None else scene.sh.index_select(0, rows))
             trained = self.trained[:, None, None]
             return render(scene.replace(sh=torch.where(trained, scene.sh, scene.sh.detach())), camera)
 
@@ -87,7 +104,12 @@ def layer_object(
     trained = torch.arange(len(scene)) >= len(clean)
     trained[rows] = True
     kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]
-    return Layering(scene=scene, trained=trained | study.layers.surroundings, views=kept)
+    return Layering(
+        scene=scene,
+        trained=trained | study.layers.surroundings,
+        views=kept,
+        iterations=study.layers.iterations,
+    )
 
 
 def layered_attacks(study: StudyConfig) -> list[AttackConfig]:

@@ -1,0 +1,102 @@
+"""A search over SH takes its pictures from frozen views, and finds what it finds without them."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import pytest
+from torch import Tensor
+
+from attacks.dagger import ensemble
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.result import Result
+from attacks.gaussian_subset import GaussianSubset
+from attacks.objectives import relabel
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.frozen_view import FrozenView
+from mi_splat.rendering import Renderer
+from mi_splat.view_freezing import freeze_views
+from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
+
+CAMERAS = [camera(), camera(offset=0.5)]
+STEPS = 4
+
+
+@pytest.fixture
+def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
+    """The cameras of all pictures that frozen views make."""
+    seen: list[Camera] = []
+    make = FrozenView.__call__
+
+    def noted(view: FrozenView, sh: Tensor) -> Tensor:
+        seen.append(view.camera)
+        return make(view, sh)
+
+    monkeypatch.setattr(FrozenView, "__call__", noted)
+    return seen
+
+
+def unknown() -> RenderFn:
+    """The same pictures by a function of which nothing is known."""
+    render = Renderer()
+    return lambda scene, camera: render(scene, camera)
+
+
+def run(render: RenderFn, detectors: Any = None, **settings: Any) -> Result:
+    scene, mask = toy_scene()
+    config = DaggerConfig(**{"eps": (12.0,), "steps": STEPS, "early_stop": False, "noise_draws": 0, **settings})
+    return attack(scene, mask, CAMERAS, detectors or ColourDetector(), relabel("person"), render=render, config=config)
+
+
+@pytest.mark.parametrize("detectors", [ColourDetector(), [ColourDetector(), CoarseDetector()]])
+def test_the_search_finds_the_same(frozen: list[Camera], detectors: Any) -> None:
+    expected = run(unknown(), detectors)
+    assert not frozen
+    found = run(Renderer(), detectors)
+    number = len(detectors) if isinstance(detectors, list) else 1
+    assert len(frozen) == number * (STEPS + 1) * len(CAMERAS)  # none to judge with
+    assert {id(one) for one in frozen} == {id(one) for one in CAMERAS}
+    assert [line.loss for line in found.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert found.trace[-1].loss < found.trace[0].loss
+    assert found.success == expected.success
+    assert found.score == pytest.approx(expected.score, abs=1e-3)
+    assert found.changed_gaussians == expected.changed_gaussians
+
+
+def test_other_attributes_take_the_renderer(frozen: list[Camera]) -> None:
+    run(Renderer(), attributes=("sh", "opacities"), eps=(12.0, 1.0), steps=2)
+    run(Renderer(), attributes=("opacities",), eps=(1.0,), steps=2)
+    assert not frozen
+
+
+def test_one_step_is_not_worth_a_view(frozen: list[Camera]) -> None:
+    run(Renderer(), steps=1)
+    assert not frozen
+    run(Renderer(), steps=2)
+    assert frozen
+
+
+def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = run(unknown())
+    monkeypatch.setattr(ensemble, "freeze_views", functools.partial(freeze_views, max_bytes=0))
+    assert run(Renderer()).trace == expected.trace
+    assert not frozen
+    views = list(freeze_views(toy_scene()[0].with_degree(3), CAMERAS, render=Renderer(), pictures=9).values())
+    monkeypatch.setattr(ensemble, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000))
+    found = run(Renderer())
+    assert {id(one) for one in frozen} == {id(CAMERAS[0])}
+    assert [line.loss for line in found.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+
+
+def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Camera]) -> None:
+    scene, mask = toy_scene()
+    subset, config = GaussianSubset.of(scene, mask), DaggerConfig()
+    made = ensemble.Ensemble.of(
+        [ColourDetector()], subset, CAMERAS, relabel("person"), render=Renderer(), config=config
+    ).frozen(config)
+    made.evaluate(subset.parameters(("sh", "means")))
+    assert not frozen
+    made.evaluate(subset.parameters(("sh",)))
+    assert frozen == CAMERAS
