@@ -49,7 +49,7 @@ NIGHTLY_PAGES = {"docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"}
 """Pages whose lines need what long lines have made."""
 ELSEWHERE = {
     "make test": "runs these tests",
-    "make docs": "tests/project/test_docs.py builds the site",
+    "make docs": ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has built",
     "make nightly": "runs these tests",
     "detectors --get": "tests/detectors/test_fetch.py runs it, with an npm of its own",
     "detectors --from": "the same",

@@ -141,7 +141,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_has_a_page_for_everything(site: Path) -> None:
     for name in COMMANDS:
         text = (site / "reference" / "commands" / f"{name}.html").read_text()
@@ -157,7 +157,7 @@ def test_the_site_has_a_page_for_everything(site: Path) -> None:
     assert "<svg" in (site / "structure.html").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_asks_no_other_host(site: Path) -> None:
     found = sorted(site.rglob("*.html"))
     assert len(found) > 50
