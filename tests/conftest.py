@@ -12,6 +12,7 @@ import torch
 
 from mi_splat.cli import console
 from tests.browser import CHROMIUM, SWITCHES
+from tests.warm import Warm
 
 # Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
 torch.set_num_threads(1)
@@ -42,6 +43,14 @@ def variant() -> str:
     from mi_splat.variant import use
 
     return use()
+
+
+@pytest.fixture(scope="session")
+def warm() -> Iterator[Warm]:
+    """Processes that need not import torch."""
+    processes = Warm()
+    yield processes
+    processes.close()
 
 
 @pytest.fixture(scope="module")

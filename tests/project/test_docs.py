@@ -16,6 +16,7 @@ import pytest
 from attacks.cli import COMMANDS
 from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
 from tests.project.test_extras import PROJECT
+from tests.warm import Warm
 
 LINES = list(lines())
 OURS = [line for line in LINES if line.program == "mi-splat"]
@@ -89,9 +90,9 @@ def test_the_long_commands_run(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_detector_of_the_how_to_works() -> None:
+def test_the_detector_of_the_how_to_works(warm: Warm) -> None:
     (example,) = blocks("python", (ROOT / "docs" / "how-to" / "write-your-own-detector.md").read_text())
-    done = run("-c", example)
+    done = warm.run("-c", example, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "stop sign" in done.stdout
 
