@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
-import drjit
 import hypothesis
 import pytest
 import torch
 
 from mi_splat.cli import console
 from tests.browser import CHROMIUM, SWITCHES
+from tests.rewriting import rewrite_once
 from tests.warm import Warm
 
 # Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
 torch.set_num_threads(1)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that tests start
+
+rewrite_once()
 
 hypothesis.settings.register_profile(
     "mi-splat",
@@ -36,27 +38,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         nightly = [item for item in items if item.get_closest_marker("nightly")]
         config.hook.pytest_deselected(items=nightly)
         items[:] = [item for item in items if item not in nightly]
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _integrators_are_rewritten_once() -> None:
-    """At each change to an LLVM variant Mitsuba loads its integrators again, and Dr.Jit rewrites them, for 0.1 s.
-
-    A module that is loaded again keeps its names, so what was rewritten at first does as well.
-    """
-    rewrite = drjit.syntax
-    done: dict[tuple[str, str], Callable[..., Any]] = {}
-
-    def syntax(function: Callable[..., Any] | None = None, **how: Any) -> Any:
-        code = getattr(function, "__code__", None)
-        if code is None or how or "mitsuba" not in code.co_filename:
-            return rewrite(function, **how)
-        key = (code.co_filename, function.__qualname__)  # type: ignore[union-attr]  # it has code
-        if key not in done:
-            done[key] = rewrite(function)
-        return done[key]
-
-    drjit.syntax = syntax
 
 
 @pytest.fixture(scope="session")

@@ -76,11 +76,11 @@ def test_every_page_is_in_the_list() -> None:
 
 
 @pytest.mark.slow
-def test_the_commands_run(tmp_path: Path) -> None:
+def test_the_commands_run(tmp_path: Path, warm: Warm) -> None:
     """The short ones, on small inputs; `make nightly` runs the others."""
     pytest.importorskip("trimesh", reason="meshes of the documentation need the extra meshes")
     pytest.importorskip("ultralytics", reason="the documentation compares two detectors; one needs the extra yolo")
-    done = run("-m", "tests.project.run_documented", "fast", str(tmp_path))
+    done = warm.run("-m", "tests.project.run_documented", "fast", str(tmp_path), cwd=ROOT)
     assert done.returncode == 0, done.stderr
 
 
