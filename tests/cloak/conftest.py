@@ -1,12 +1,23 @@
-"""A finished tiny study, made once for all tests that look at one."""
+"""What tests of CLOAK share: a finished tiny study, and the objects."""
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from attacks.cloak.study import setup
+from mi_splat.assets import build
 from tests.cloak.tiny_study import done
+
+built = cache(build)
+
+
+@pytest.fixture(autouse=True)
+def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A car takes 0.2 s, each study asks for it many times, and nobody changes one."""
+    monkeypatch.setattr(setup, "build", built)
 
 
 @pytest.fixture(scope="session")

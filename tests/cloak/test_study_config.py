@@ -22,7 +22,8 @@ from tests.capture.trucks import TEXTURE, truck, write_ply
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
-SMALL = StudyConfig(name="small", attack=(OVERHEAD,), cameras=CameraConfig(train=40, size=32, distance=7.4))
+FEW = CameraConfig(train=40, size=32, distance=7.4)
+SMALL = StudyConfig(name="small", attack=(OVERHEAD,), cameras=FEW, evaluation=EvaluationConfig(cameras=24))
 
 
 def written(folder: Path, text: str) -> Path:

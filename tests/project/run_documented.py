@@ -7,6 +7,7 @@ first, mostly by a command, too (`GIVEN`). Exit status 1, and what failed on std
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
 import os
@@ -29,6 +30,7 @@ from mi_splat.rotation import to_matrix
 from mi_splat.scene import Similarity, merge
 from mi_splat.sh import colour_to_dc
 from tests.project.documented_commands import BENCHMARKS, NIGHTLY_PAGES, ROOT, Line, lines, shortened
+from tests.rewriting import rewrite_once
 
 SECONDS = 300
 """That a page in the browser, or a benchmark, may take."""
@@ -120,8 +122,13 @@ def small_scenes(folder: Path) -> None:
         path.write_text(re.sub(r"^detectors = .*$", 'detectors = ["fasterrcnn_small"]', text, flags=re.MULTILINE))
 
 
-def provide(line: Line) -> None:
-    """Make what a line reads, is not there, and can be made."""
+def provide(line: Line, kept: dict[str, Path]) -> None:
+    """Make what a line reads, is not there, and can be made; what another page was given is copied.
+
+    Args:
+        line: A command.
+        kept: For each entry of `GIVEN` that is a command, a copy of what it has made; more are added.
+    """
     outputs = {"--out", "--export"}
     reads = True
     for number, word in enumerate(line.words):
@@ -134,10 +141,24 @@ def provide(line: Line) -> None:
             make = GIVEN[word]
             if isinstance(make, str):
                 given = Line("GIVEN", tuple(shlex.split(make.format(path=word))))
-                provide(given)
-                execute(given)
+                if make not in kept:
+                    provide(given, kept)
+                    execute(given)
+                    kept[make] = _copied(Path(given.words[-1]), kept["folder"] / str(len(kept)))
+                else:
+                    _copied(kept[make], Path(given.words[-1]))
             else:
                 make(Path(word))
+
+
+def _copied(made: Path, place: Path) -> Path:
+    """Copy a file or a folder to a place, which is returned."""
+    if made.is_dir():
+        shutil.copytree(made, place, dirs_exist_ok=True)
+    else:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(made, place)
+    return place
 
 
 class CommandError(Exception):
@@ -212,7 +233,8 @@ def chosen(when: str) -> dict[str, list[Line]]:
 
 def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
     """Run the lines, and report each that fails and how long each took."""
-    failed = 0
+    failed, kept = 0, {"folder": folder / "given"}
+    rewrite_once()
     small_scenes(folder / "scenes")
     for page, every in chosen(when).items():
         if not every or (only and page not in only):
@@ -221,10 +243,11 @@ def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
         here.mkdir()
         (here / "scenes").symlink_to(folder / "scenes")
         os.chdir(here)
+        gc.freeze()  # so that a command that collects garbage does not look through all that others have imported
         for line in every:
             begun = time.monotonic()
             try:
-                provide(line)
+                provide(line, kept)
                 execute(line)
             except CommandError as error:
                 failed += 1

@@ -16,6 +16,7 @@ import pytest
 from attacks.cli import COMMANDS
 from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
 from tests.project.test_extras import PROJECT
+from tests.warm import Warm
 
 LINES = list(lines())
 OURS = [line for line in LINES if line.program == "mi-splat"]
@@ -75,11 +76,11 @@ def test_every_page_is_in_the_list() -> None:
 
 
 @pytest.mark.slow
-def test_the_commands_run(tmp_path: Path) -> None:
+def test_the_commands_run(tmp_path: Path, warm: Warm) -> None:
     """The short ones, on small inputs; `make nightly` runs the others."""
     pytest.importorskip("trimesh", reason="meshes of the documentation need the extra meshes")
     pytest.importorskip("ultralytics", reason="the documentation compares two detectors; one needs the extra yolo")
-    done = run("-m", "tests.project.run_documented", "fast", str(tmp_path))
+    done = warm.run("-m", "tests.project.run_documented", "fast", str(tmp_path), cwd=ROOT)
     assert done.returncode == 0, done.stderr
 
 
@@ -89,9 +90,9 @@ def test_the_long_commands_run(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_detector_of_the_how_to_works() -> None:
+def test_the_detector_of_the_how_to_works(warm: Warm) -> None:
     (example,) = blocks("python", (ROOT / "docs" / "how-to" / "write-your-own-detector.md").read_text())
-    done = run("-c", example)
+    done = warm.run("-c", example, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "stop sign" in done.stdout
 
@@ -141,7 +142,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_has_a_page_for_everything(site: Path) -> None:
     for name in COMMANDS:
         text = (site / "reference" / "commands" / f"{name}.html").read_text()
@@ -157,7 +158,7 @@ def test_the_site_has_a_page_for_everything(site: Path) -> None:
     assert "<svg" in (site / "structure.html").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_asks_no_other_host(site: Path) -> None:
     found = sorted(site.rglob("*.html"))
     assert len(found) > 50

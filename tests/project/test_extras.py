@@ -7,7 +7,6 @@ anything is written.
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import pytest
 from attacks.cli.checks import EXTRAS
 from tests.project.layers import PACKAGES, ROOT, edges
 from tests.training.sets import write_set
+from tests.warm import Warm
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -49,30 +49,6 @@ def test_what_is_imported_is_installed() -> None:
                 assert ALSO.get(top, top) in installed, f"{name} imports {other}, which no dependency brings"
 
 
-def without(modules: list[str], words: list[str]) -> subprocess.CompletedProcess[str]:
-    """A command in a process in which these modules are neither to be imported nor found among what is installed."""
-    command = [sys.executable, "-c", WITHOUT, ",".join(modules), *words]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-
-
-WITHOUT = """
-import sys
-from importlib.metadata import Distribution, PackageNotFoundError
-
-missing, found = sys.argv[1].split(","), Distribution.from_name
-
-def from_name(name):
-    if name in missing:
-        raise PackageNotFoundError(name)
-    return found(name)
-
-Distribution.from_name = from_name
-sys.modules.update(dict.fromkeys(missing))
-from attacks.cli import main
-sys.exit(main(sys.argv[2:]))
-"""
-
-
 STUDY = """
 name = "mesh"
 [scene]
@@ -99,7 +75,9 @@ elevation = [60, 90]
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
-def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: list[str], tmp_path: Path) -> None:
+def test_a_missing_extra_is_told_before_anything_is_written(
+    extra: str, words: list[str], tmp_path: Path, warm: Warm
+) -> None:
     mesh, study, out = (
         tmp_path / "m.obj",
         tmp_path / "study.toml",
@@ -108,25 +86,25 @@ def test_a_missing_extra_is_told_before_anything_is_written(extra: str, words: l
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     study.write_text(STUDY.format(mesh=mesh))
     given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
-    done = without([EXTRAS[extra]], [*given, "--out", str(out)])
+    done = warm.run("-m", "attacks", *given, "--out", str(out), cwd=ROOT, missing=[EXTRAS[extra]])
     assert done.returncode == 1, done.stderr
     assert f"mi-splat[{extra}]" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
     assert not out.exists()
 
 
-def test_a_page_needs_viser_and_says_so() -> None:
-    done = without([EXTRAS["view"]], ["view", "scenes/car_street.xml"])
+def test_a_page_needs_viser_and_says_so(warm: Warm) -> None:
+    done = warm.run("-m", "attacks", "view", "scenes/car_street.xml", cwd=ROOT, missing=[EXTRAS["view"]])
     assert (done.returncode, done.stdout) == (1, "")
     assert "mi-splat[view]" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.slow
-def test_training_needs_no_extra(tmp_path: Path) -> None:
+def test_training_needs_no_extra(tmp_path: Path, warm: Warm) -> None:
     out = tmp_path / "out"
     words = ["train", str(write_set(tmp_path / "set")), "--out", str(out), "--iterations", "3", "--eval-interval", "1"]
-    done = without([*EXTRAS.values()], words)
+    done = warm.run("-m", "attacks", *words, cwd=ROOT, missing=[*EXTRAS.values()])
     assert done.returncode == 0, done.stderr
     assert "SSIM" in done.stdout
     assert (out / "splat.ply").is_file()

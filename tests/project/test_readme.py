@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.project.documented_commands import ROOT, blocks, pages
+from tests.warm import Warm
 
 README = (ROOT / "README.md").read_text()
 
@@ -23,32 +22,32 @@ def checkout(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_the_python_example_runs(checkout: Path) -> None:
+def test_the_python_example_runs(checkout: Path, warm: Warm) -> None:
     (example,) = blocks("python", README)
     assert len([line for line in example.splitlines() if line.strip()]) <= 20
-    done = subprocess.run([sys.executable, "-c", example], cwd=checkout, capture_output=True, text=True)
+    done = warm.run("-c", example, cwd=checkout)
     assert done.returncode == 0, done.stderr
     assert "success: True" in done.stdout
     assert (checkout / "attacked.ply").is_file()
 
 
 @pytest.mark.slow
-def test_the_examples_of_the_api_run(checkout: Path) -> None:
+def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
     dagger, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
     capture = "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1 --points 200 --out out/car-alone"
-    done = subprocess.run([sys.executable, "-c", dagger], cwd=checkout, capture_output=True, text=True)
+    done = warm.run("-c", dagger, cwd=checkout)
     assert done.returncode == 0, done.stderr
     assert "person reported from the other cameras, given_found" in done.stdout
     assert (checkout / "out" / "person" / "result.json").is_file()
-    subprocess.run([sys.executable, "-m", "attacks", *capture.split()], cwd=checkout, check=True, capture_output=True)
+    warm.run("-m", "attacks", *capture.split(), cwd=checkout, check=True)
     short = cloak.replace("iterations=2000", "iterations=8")
     assert short != cloak
-    done = subprocess.run([sys.executable, "-c", short], cwd=checkout, capture_output=True, text=True)
+    done = warm.run("-c", short, cwd=checkout)
     assert done.returncode == 0, done.stderr
 
 
-def test_the_scene_example_renders(tmp_path: Path) -> None:
+def test_the_scene_example_renders(tmp_path: Path, warm: Warm) -> None:
     (example,) = blocks("xml", README)
     for name in re.findall(r'name="filename" value="([^"]+)"', example):
         shutil.copy(ROOT / "scenes" / name, tmp_path)
@@ -64,10 +63,9 @@ picture = np.asarray(mi.render(scene))
 assert picture.shape == (240, 320, 3), picture.shape
 assert picture.std() > 0.05
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    done = warm.run("-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    command = [sys.executable, "-m", "attacks", "render", "example.xml", "--out", "street.png"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    done = warm.run("-m", "attacks", "render", "example.xml", "--out", "street.png", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "street.png").is_file()
 
