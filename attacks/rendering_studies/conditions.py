@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,23 +13,12 @@ from attacks.dagger.jobs import AttackScene
 from attacks.evaluation.file_forms import fewer_bands, half_precision, through_file
 from attacks.rendering_studies.config import JudgeTable, SunTable
 from mi_splat.cameras import RenderFn
-from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
-from mi_splat.comparison.methods import load_methods, method_names
+from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sun import clock, sun_direction
-
-NEAR = 3.0
-"""Distance of the variant of the near plane, world units; the shipped cameras stand about 6 from their object."""
-
-VARIANTS: dict[str, Callable[[RenderSettings], RenderFn]] = {
-    "tile-near-3": lambda settings: Renderer(dataclasses.replace(settings, near=NEAR)),
-    "tile-colours-in-0-1": lambda settings: cut_to_bytes(Renderer(settings)),
-    "tile-colours-not-cut": lambda settings: not_cut(Renderer(settings)),
-}
-"""Renderers that differ from `tile` in one thing, by name: the near plane, and where a Gaussian's colour is cut."""
 
 Change = Callable[[GaussianScene], GaussianScene]
 
@@ -48,25 +36,6 @@ class Condition:
     name: str
     render: RenderFn
     change: Change = lambda scene: scene
-
-
-def renderer_of(name: str, settings: RenderSettings) -> RenderFn:
-    """A renderer by its name.
-
-    Args:
-        name: One that `mi-splat compare` knows, or a key of `VARIANTS`.
-        settings: Background and near plane.
-
-    Raises:
-        InvalidValueError: There is none of this name, or it cannot work with the settings.
-    """
-    if name in VARIANTS:
-        return VARIANTS[name](settings)
-    if name not in method_names():
-        known = ", ".join((*method_names(), *VARIANTS))
-        raise InvalidValueError(message("renderer", f"one of {known}", name, "choose one"))
-    another = next(other for other in method_names() if other != name)
-    return load_methods((another, name), settings, {})[name].render
 
 
 def condition_names(judge: JudgeTable) -> tuple[str, ...]:
@@ -94,7 +63,7 @@ def conditions_of(judge: JudgeTable, place: AttackScene, name: str, settings: Re
         InvalidValueError: A renderer, a format or an hour cannot be.
         MiSplatError: The street of meshes cannot be read, or does not hold the object alone.
     """
-    found = [Condition(name=word, render=renderer_of(word, settings)) for word in judge.renderers]
+    found = [Condition(name=word, render=load_method(word, settings).render) for word in judge.renderers]
     own = Renderer(settings)
     changes: dict[str, Change] = {suffix: functools.partial(_stored, suffix=suffix) for suffix in judge.files}
     if judge.float16:

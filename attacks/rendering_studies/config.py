@@ -86,7 +86,7 @@ class JudgeTable:
 
     Attributes:
         own_renderer: Whether the renderer of the attack judges, and nothing else: conditions below stay empty.
-        renderers: Names of renderers, and the variants of `attacks.rendering_studies.conditions.VARIANTS`.
+        renderers: Names of renderers, as in `mi-splat compare`.
         files: Formats that the whole splat goes through, by their suffix.
         sh_degrees: Degrees that its SH is cut to.
         float16: Whether its SH is rounded to half precision.

@@ -22,10 +22,11 @@ from attacks.detectors.base import Detector
 from attacks.evaluation.views import detect_views, object_boxes
 from attacks.limits import SearchName
 from attacks.objectives import relabel
-from attacks.rendering_studies.conditions import Condition, condition_names, conditions_of, renderer_of
+from attacks.rendering_studies.conditions import Condition, condition_names, conditions_of
 from attacks.rendering_studies.config import OWN, AttackTable, Pair, RenderingStudy
 from attacks.rendering_studies.gradient_source import with_gradient_of
 from mi_splat.cameras import Camera, RenderFn
+from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer, RenderSettings
@@ -233,7 +234,7 @@ class StudyRunner:
     def _renderer(self, job: StudyAttack, name: str) -> RenderFn:
         key = (job.pair.scene, name)
         if key not in self._renderers:
-            self._renderers[key] = renderer_of(name, _settings(self._place(job)))
+            self._renderers[key] = load_method(name, _settings(self._place(job))).render
         return self._renderers[key]
 
     def _place(self, job: StudyAttack) -> AttackScene:

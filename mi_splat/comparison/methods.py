@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mi_splat.cameras import Camera, RenderFn
+from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.comparison.gsplat_renderer import GsplatRenderer
 from mi_splat.comparison.picture_folder import PictureFolder
 from mi_splat.errors import InvalidValueError, message
@@ -19,6 +20,8 @@ from mi_splat.volprim import Volprim
 
 FOLDER = "folder:"
 """Begins a method that is a folder of pictures."""
+NEAR = 3.0
+"""Near plane of `tile-near-3`, world units; the shipped cameras stand about 6 from their object."""
 MakeRender = Callable[[RenderSettings], RenderFn]
 """Makes a renderer for a background and a near plane."""
 
@@ -100,7 +103,7 @@ def load_methods(words: Sequence[str], settings: RenderSettings, cameras: Mappin
             pictures = PictureFolder(Path(word.removeprefix(FOLDER)), cameras, background=settings.background)
             found[name] = Method(render=pictures, differentiable=False, renders=False, bits=8)
         elif word in _MAKERS:
-            found[name] = Method(render=_MAKERS[word].make(settings), differentiable=_MAKERS[word].differentiable)
+            found[name] = load_method(word, settings)
         else:
             expected = f"one of {', '.join(_MAKERS)}, or {FOLDER}PATH"
             raise InvalidValueError(message("methods", expected, word, "choose one of them"))
@@ -108,6 +111,22 @@ def load_methods(words: Sequence[str], settings: RenderSettings, cameras: Mappin
         got = ", ".join(found) or "none"
         raise InvalidValueError(message("methods", "two or more", got, "name what to compare, for instance tile,ray"))
     return found
+
+
+def load_method(name: str, settings: RenderSettings) -> Method:
+    """One renderer by its name.
+
+    Args:
+        name: One of `method_names()`.
+        settings: Background and near plane.
+
+    Raises:
+        InvalidValueError: There is none of this name, or it cannot work with the settings.
+        MiSplatError: It cannot run here.
+    """
+    if name not in _MAKERS:
+        raise InvalidValueError(message("renderer", f"one of {', '.join(_MAKERS)}", name, "choose one of them"))
+    return Method(render=_MAKERS[name].make(settings), differentiable=_MAKERS[name].differentiable)
 
 
 def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False, antialiased: bool = False) -> Renderer:
@@ -125,6 +144,9 @@ def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False,
 
 register_method("tile", functools.partial(_own, method="tile"))
 register_method("tile-antialiased", functools.partial(_own, method="tile", antialiased=True))
+register_method("tile-near-3", lambda settings: _own(dataclasses.replace(settings, near=NEAR), method="tile"))
+register_method("tile-colours-in-0-1", lambda settings: cut_to_bytes(_own(settings, method="tile")))
+register_method("tile-colours-not-cut", lambda settings: not_cut(_own(settings, method="tile")))
 register_method("ray", functools.partial(_own, method="ray"))
 register_method("ray-to-mean", functools.partial(_own, method="ray", colour_to_mean=True))
 register_method("volprim", Volprim)

@@ -79,7 +79,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         (
             ["--methods", "tile,magic"],
             1,
-            "methods: expected one of tile, tile-antialiased, ray, ray-to-mean, volprim, gsplat",
+            "methods: expected one of tile, tile-antialiased, tile-near-3",
         ),
         (["--methods", "tile"], 1, "expected two or more, got tile"),
         (["--methods", "tile,folder:nowhere"], 1, "nowhere: expected a folder of pictures"),

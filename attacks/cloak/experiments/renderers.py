@@ -15,7 +15,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import load_methods
+from mi_splat.comparison.methods import load_method
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
@@ -29,11 +29,10 @@ def renderers_of(settings: RenderSettings) -> dict[str, RenderFn]:
     Args:
         settings: Background and near plane.
     """
-    found = {name: method.render for name, method in load_methods(_OWN, settings, {}).items()}
+    found = {name: load_method(name, settings).render for name in _OWN}
     black = replace(settings, background=(0.0, 0.0, 0.0))
-    for name, method in load_methods((_OWN[0], *_OTHERS), black, {}).items():
-        if name in _OTHERS:
-            found[name] = before(method.render, settings.background)
+    for name in _OTHERS:
+        found[name] = before(load_method(name, black).render, settings.background)
     return found
 
 
