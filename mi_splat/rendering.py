@@ -139,7 +139,8 @@ class Renderer:
             (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1 are not clipped.
 
         Raises:
-            InvalidValueError: The scene's tensors are not on the device of the variant, or something else was passed.
+            InvalidValueError: The scene's tensors are not on the device of the variant or not finite, or something else
+                was passed.
         """
         return self.batch(scene, [_one(camera)])[0]
 
@@ -170,16 +171,17 @@ class Renderer:
         variant.use(self.variant)
         device = "cuda" if self.variant.startswith("cuda") else "cpu"
         if scene.means.device.type != device:
-            raise InvalidValueError(
-                message(
-                    "scene", f"tensors on {device} for {self.variant}", scene.means.device, f'call scene.to("{device}")'
-                )
-            )
+            expected, do = f"tensors on {device} for {self.variant}", f'call scene.to("{device}")'
+            raise InvalidValueError(message("scene", expected, scene.means.device, do))
         tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
         try:
-            return list(_bridge(self.variant)(*tensors, job))
+            results = list(_bridge(self.variant)(*tensors, job))
+            if len(scene):
+                return results
+            nothing = torch.cat([t.flatten() for t in tensors]).sum()  # Dr.Jit has no gradient of size 0, torch has
+            return [result.detach() + nothing for result in results]
         except RuntimeError as error:
             own = _own(error)
             if own is None:
@@ -226,6 +228,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             return [
                 rasterize(layouts.TENSORS, arrays, camera, settings.background, depths=depths) for camera in cameras
             ]
+        layouts.check_finite(layouts.TENSORS, arrays)
         splats = prepare(layouts.TENSORS, arrays)
         return [raytrace(splats, camera, settings.background, to_mean=settings.colour_to_mean) for camera in cameras]
 
@@ -284,11 +287,8 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 self.set_grad_in(key, mi.TensorXf(total, shape))
 
         def forward(self) -> None:
-            raise InvalidValueError(
-                message(
-                    "Renderer", "reverse-mode differentiation", "forward mode", "use backward(), or jvp by two of them"
-                )
-            )
+            do = "use backward(), or jvp by two of them"
+            raise InvalidValueError(message("Renderer", "reverse-mode differentiation", "forward mode", do))
 
         def name(self) -> str:
             return "mi_splat.Render"

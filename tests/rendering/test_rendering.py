@@ -14,8 +14,8 @@ from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, save_splat
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.scene import GaussianScene, merge
+from mi_splat.rendering import Method, Renderer, RenderSettings, ScreenGradients
+from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
 from mi_splat.scene_files import read_scene
 from tests import oracle
 
@@ -180,3 +180,26 @@ def test_bad_scenes_say_why(tmp_path: Path) -> None:
     (tmp_path / "empty.xml").write_text('<scene version="3.0.0"><integrator type="splat_tile"/></scene>')
     with pytest.raises(InvalidValueError, match="gaussians shape"):
         read_scene(tmp_path / "empty.xml")
+
+
+@pytest.mark.parametrize("method", ["tile", "ray"])
+def test_a_scene_without_gaussians_has_an_empty_gradient(method: Method) -> None:
+    empty = oracle.random_scene(3, degree=1, seed=0).select(torch.zeros(3, dtype=torch.bool))
+    sh = empty.sh.clone().requires_grad_(True)
+    settings = RenderSettings(method=method, background=(0.2, 0.4, 0.6))
+    image = Renderer(settings)(empty.replace(sh=sh), VIEW)
+    torch.testing.assert_close(image.detach(), torch.tensor(settings.background).expand_as(image))
+    (gradient,) = torch.autograd.grad(image.sum(), [sh])
+    assert gradient.shape == empty.sh.shape
+
+
+@pytest.mark.parametrize("method", ["tile", "ray"])
+@pytest.mark.parametrize("name", ["means", "sh"])
+def test_what_is_not_finite_is_refused_by_name(name: str, method: Method) -> None:
+    scene = oracle.random_scene(9, degree=1, seed=0)
+    values = getattr(scene, name).clone()
+    values[4] = float("nan")
+    tensors = [values if own == name else old for own, old in zip(ATTRIBUTES, scene.tensors(), strict=True)]
+    broken = GaussianScene.unchecked(*tensors)
+    with pytest.raises(InvalidValueError, match=f"{name}: expected finite numbers"):
+        Renderer(RenderSettings(method=method))(broken, VIEW)
