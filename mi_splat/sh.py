@@ -121,7 +121,27 @@ def dc_to_colour(dc: Tensor) -> Tensor:
     return dc * _C0 + 0.5
 
 
-def _probes(count: int = 64) -> Tensor:
+def colours_by_direction(sh: Tensor, directions: Tensor, *, rows: int = 1 << 16) -> tuple[Tensor, Tensor]:
+    """Mean colour of all Gaussians in each direction, and the largest; an honest splat has nearly the same in all.
+
+    Args:
+        sh: (N, K, 3) coefficients, N at least 1.
+        directions: (M, 3) unit vectors from a camera to the splat.
+        rows: Gaussians that are looked at together.
+
+    Returns:
+        (M,) mean over Gaussians and channels, and (M,) largest value; sRGB, not clamped from above.
+    """
+    basis = sh_basis(directions.to(sh), degree_of(sh.shape[-2]))
+    means, most = sh.new_zeros(len(directions)), sh.new_zeros(len(directions))
+    for part in torch.split(sh, rows):
+        colours = (torch.einsum("mk,nkc->mnc", basis, part) + 0.5).clamp(min=0).flatten(1)
+        means += colours.sum(1) / (3 * len(sh))
+        most = torch.maximum(most, colours.amax(1))
+    return means, most
+
+
+def even_directions(count: int = 64) -> Tensor:
     """(count, 3) float64 directions spread evenly over the sphere (Fibonacci lattice, Swinbank and Purser 2006)."""
     index = torch.arange(count, dtype=torch.float64) + 0.5
     z = 1 - 2 * index / count
@@ -144,7 +164,7 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
         (K, K) float64 block-diagonal orthogonal matrix D on the CPU, K = (degree + 1)^2.
     """
     turn = rotation.detach().to("cpu", torch.float64)
-    probes = _probes()
+    probes = even_directions()
     # Row vectors: probes @ R is R^T d for each probe d.
     here, there = sh_basis(probes, degree), sh_basis(probes @ turn, degree)
     result = torch.zeros(here.shape[1], here.shape[1], dtype=torch.float64)

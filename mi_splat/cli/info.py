@@ -12,6 +12,7 @@ from mi_splat.cli.console import progress, show_json, show_table
 from mi_splat.cli.options import InfoOptions
 from mi_splat.io import SplatFileWarning, load_splat
 from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.sh import colours_by_direction, even_directions
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
@@ -52,7 +53,9 @@ def scene_facts(scene: GaussianScene) -> dict[str, object]:
 
     Of a captured scene `bounds` are those of the farthest floaters; `box`, of the middle 98 % along each axis, tells
     where the scene is, and `middle`, the median, where most of it is: often the object. Half of the Gaussians are
-    within `reach` of it.
+    within `reach` of it. `colour` is the mean colour of the Gaussians (1 is white) in the directions in which it is
+    least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
+    of what cameras saw alone.
     """
     facts: dict[str, object] = {"gaussians": len(scene), "sh_degree": scene.degree}
     if len(scene):
@@ -63,6 +66,7 @@ def scene_facts(scene: GaussianScene) -> dict[str, object]:
         facts["reach"] = float((scene.means - middle).norm(dim=1).median())
         facts["opacity"] = _quantiles(scene.opacities)
         facts["scale"] = _quantiles(scene.scales.flatten())
+        facts["colour"] = _colours(scene)
     return {**facts, "hash": scene_hash(scene)}
 
 
@@ -78,6 +82,12 @@ def _quantiles(values: Tensor) -> dict[str, float]:
     ordered = values.sort().values
     rows = [round(q * (len(ordered) - 1)) for q in QUANTILES]
     return {f"{q:.0%}": float(ordered[row]) for q, row in zip(QUANTILES, rows, strict=True)}
+
+
+def _colours(scene: GaussianScene) -> dict[str, float]:
+    """How bright the Gaussians are over all directions."""
+    means, most = colours_by_direction(scene.sh, even_directions())
+    return {"least mean": float(means.min()), "most mean": float(means.max()), "largest": float(most.max())}
 
 
 def _text(value: object) -> str:

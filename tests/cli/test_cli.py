@@ -194,6 +194,7 @@ def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str])
     assert facts["bounds"][0][2] < facts["box"][0][2] < facts["middle"][2] < facts["box"][1][2] < facts["bounds"][1][2]
     assert 0 < facts["reach"] < 3
     assert facts["parts"] is None
+    assert facts["colour"]["least mean"] < facts["colour"]["most mean"] < facts["colour"]["largest"]
     assert len(facts["hash"]) == 64
     assert cli.main(["info", str(splat)]) == 0
     assert "gaussians  200" in capsys.readouterr().out

@@ -15,8 +15,10 @@ from mi_splat.rotation import normalise, to_matrix
 from mi_splat.sh import (
     coefficient_count,
     colour_to_dc,
+    colours_by_direction,
     dc_to_colour,
     degree_of,
+    even_directions,
     rotate_sh,
     sh_basis,
     sh_rotation,
@@ -144,3 +146,23 @@ def test_unknown_counts_are_refused(count: int) -> None:
 def test_directions_have_three_components(shape: tuple[int, ...]) -> None:
     with pytest.raises(InvalidValueError, match="directions: expected shape"):
         sh_basis(torch.zeros(shape), 1)
+
+
+def test_colours_by_direction_are_those_of_each_gaussian() -> None:
+    sh = torch.randn(7, 16, 3, generator=torch.Generator().manual_seed(0))
+    directions = even_directions(5)
+    means, most = colours_by_direction(sh, directions, rows=3)
+    for place, direction in enumerate(directions.to(sh)):
+        colours = sh_to_colour(sh, direction.expand(7, 3))
+        torch.testing.assert_close(means[place], colours.mean())
+        torch.testing.assert_close(most[place], colours.max())
+
+
+def test_a_splat_that_is_bright_from_one_side_is_told_from_one_that_is_not() -> None:
+    honest = torch.zeros(3, 16, 3)
+    shining = honest.clone()
+    shining[:, 2] = 100.0  # degree 1 along z
+    for sh, ratio in ((honest, 1.0), (shining, 50.0)):
+        means, most = colours_by_direction(sh, even_directions())
+        assert (ratio == 1.0) == bool(means.max() == means.min() == most.max())
+        assert float(most.max() / 0.5) >= ratio
