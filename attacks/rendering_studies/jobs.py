@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import detect_views, object_boxes
 from attacks.limits import SearchName
-from attacks.objectives import relabel
+from attacks.objectives import Objective, relabel
 from attacks.rendering_studies.conditions import Condition, condition_names, conditions_of
 from attacks.rendering_studies.config import OWN, AttackTable, Pair, RenderingStudy
 from attacks.rendering_studies.gradient_source import with_gradient_of
@@ -161,12 +161,15 @@ class StudyRunner:
         """Attack, save the object's Gaussians, and return the summary without its views."""
         place = self._place(job)
         rows = place.objects[job.pair.object]
+        objective: Objective = replace(
+            relabel(job.pair.target), confidence=self._study.confidence, **SEARCHES[job.search].objective
+        )
         found = attack(
             place.scene,
             rows,
             [self._view(job)],
             [self._detector(job.detector)],
-            relabel(job.pair.target, confidence=self._study.confidence, **SEARCHES[job.search].objective),
+            objective,
             render=self._attackers_renderer(job),
             config=job.config,
         )

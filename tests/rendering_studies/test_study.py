@@ -15,6 +15,7 @@ from torch import Tensor
 from attacks import cli
 from attacks.cli import rendering_study
 from attacks.dagger.jobs import AttackScene
+from attacks.dagger.pairs import SEARCHES
 from attacks.detectors.base import Detector
 from attacks.rendering_studies.config import AttackTable, JudgeTable, Pair, RenderingStudy
 from attacks.rendering_studies.gradient_source import with_gradient_of
@@ -166,6 +167,16 @@ def test_the_command_writes_the_tables(tmp_path: Path, monkeypatch: pytest.Monke
     said = json.loads(capsys.readouterr().out)
     assert said["attacks"] == 1
     assert (tmp_path / "out" / "study.md").read_text().startswith("# Q?")
+
+
+def test_a_strong_search_has_its_own_objective(tmp_path: Path) -> None:
+    table = dataclasses.replace(STUDY.attacks[0], search="strong", eps=(12.0,), renderers=("blobs",))
+    study = dataclasses.replace(STUDY, attacks=(table,), confidence=0.3)
+    (job, _) = attacks_of(study)
+    found = runner(tmp_path, study).attack(job)
+    assert found["config"]["schedule"] == "cosine"
+    settings = {"confidence": 0.3, **SEARCHES["strong"].objective}
+    assert settings.items() <= found["config"]["objective"].items()
 
 
 @pytest.mark.parametrize(("camera", "match"), [(2, "0 to 1"), (0, None)])
