@@ -10,6 +10,7 @@ import hypothesis
 import pytest
 import torch
 
+from mi_splat.cameras import Camera
 from mi_splat.cli import console
 from tests.browser import CHROMIUM, SWITCHES
 from tests.rewriting import rewrite_once
@@ -73,6 +74,22 @@ def scalar() -> Iterator[None]:
 
     with scalar_variant():
         yield
+
+
+@pytest.fixture
+def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
+    """The cameras of all pictures that frozen views make during the test."""
+    from mi_splat.frozen_view import FrozenView
+
+    seen: list[Camera] = []
+    make = FrozenView.__call__
+
+    def noted(view: FrozenView, sh: torch.Tensor) -> torch.Tensor:
+        seen.append(view.camera)
+        return make(view, sh)
+
+    monkeypatch.setattr(FrozenView, "__call__", noted)
+    return seen
 
 
 @pytest.fixture(autouse=True)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from attacks.evaluation.figures import draw_figure
 from attacks.evaluation.rates import Rate
-from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_json, save_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Record = Mapping[str, Any]
 
@@ -190,31 +193,23 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
     paths = [out / "table.md", out / "table.json"]
     save_text(markdown(records), paths[0])
     save_json({"rows": rows(records), "by_radius": by_radius(records)}, paths[1])
-    draw = _plotter()
-    if draw is not None:
-        draw([line for line in by_radius(records) if line["group"] == "pairs"], out / "curve.png")
+    if _draw_curve([line for line in by_radius(records) if line["group"] == "pairs"], out / "curve.png"):
         paths.append(out / "curve.png")
     return paths
 
 
-def _plotter() -> Callable[[Sequence[Mapping[str, Any]], Path], None] | None:
-    """A function that draws the curve over eps; None without matplotlib (the `figures` extra)."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return None
+def _draw_curve(lines: Sequence[Mapping[str, Any]], path: Path) -> bool:
+    """Draw success over eps; False, and nothing is written, without matplotlib (the `figures` extra)."""
+    radii = [line["eps"] for line in lines]
+    rates = [Rate(successes=line["successes"], total=line["runs"]) for line in lines]
+    fractions = [rate.fraction for rate in rates]
+    margins = [
+        [max(0.0, rate.fraction - rate.interval[0]) for rate in rates],
+        [max(0.0, rate.interval[1] - rate.fraction) for rate in rates],
+    ]
+    noise = [line["noise_successes"] / max(line["noise_draws"], 1) for line in lines]
 
-    def draw(lines: Sequence[Mapping[str, Any]], path: Path) -> None:
-        radii = [line["eps"] for line in lines]
-        rates = [Rate(successes=line["successes"], total=line["runs"]) for line in lines]
-        fractions = [rate.fraction for rate in rates]
-        margins = [
-            [max(0.0, rate.fraction - rate.interval[0]) for rate in rates],
-            [max(0.0, rate.interval[1] - rate.fraction) for rate in rates],
-        ]
-        noise = [line["noise_successes"] / max(line["noise_draws"], 1) for line in lines]
-        figure = Figure(figsize=(5.5, 3.6), layout="constrained")
+    def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         axes.errorbar(radii, fractions, yerr=margins, marker="o", capsize=3, label="DAGGER, 95 % Wilson interval")
         axes.plot(radii, noise, marker="s", linestyle="--", label="random noise of the same size")
@@ -222,8 +217,5 @@ def _plotter() -> Callable[[Sequence[Mapping[str, Any]], Path], None] | None:
         axes.set_xticks(radii, [f"{radius:g}" for radius in radii], minor=False)
         axes.minorticks_off()
         axes.legend(loc="upper left")
-        canvas = FigureCanvasAgg(figure)
-        with atomic_write(path) as file:
-            canvas.print_png(file)  # type: ignore[no-untyped-call]
 
-    return draw
+    return draw_figure(path, (5.5, 3.6), draw)

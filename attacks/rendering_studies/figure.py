@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from attacks.evaluation.figures import draw_figure
 from attacks.rendering_studies.rates import Outcome
-from mi_splat.io.atomic import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+_PANELS = {"targeted": "wanted class reported", "untargeted": "own class gone"}
 _MARKS = "osD^vPX*"
 
 
@@ -26,29 +28,20 @@ def draw_rates(title: str, found: Sequence[Outcome], path: Path) -> bool:
     Returns:
         False, and nothing is written, where matplotlib (the `figures` extra) is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return False
     detectors = list(dict.fromkeys(outcome.group.detector for outcome in found))
     conditions = list(dict.fromkeys(outcome.condition for outcome in found))
-    size = (2 * (2.2 + 0.55 * len(conditions)), 1.2 + 2.6 * len(detectors))
-    figure = Figure(figsize=size, layout="constrained")
-    panels = figure.subplots(len(detectors), 2, sharex=True, sharey=True, squeeze=False)
-    for row, detector in zip(panels, detectors, strict=True):
-        own = [outcome for outcome in found if outcome.group.detector == detector]
-        for axes, kind, what in zip(
-            row, ("targeted", "untargeted"), ("wanted class reported", "own class gone"), strict=True
-        ):
-            _draw(axes, own, conditions, kind)
-            axes.set_title(f"{what} ({detector})", fontsize=9)
-    panels[0][0].legend(fontsize=7)
-    figure.suptitle(title, fontsize=10)
-    canvas = FigureCanvasAgg(figure)
-    with atomic_write(path) as file:
-        canvas.print_png(file)  # type: ignore[no-untyped-call]
-    return True
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(len(detectors), 2, sharex=True, sharey=True, squeeze=False)
+        for row, detector in zip(panels, detectors, strict=True):
+            own = [outcome for outcome in found if outcome.group.detector == detector]
+            for axes, (kind, what) in zip(row, _PANELS.items(), strict=True):
+                _draw(axes, own, conditions, kind)
+                axes.set_title(f"{what} ({detector})", fontsize=9)
+        panels[0][0].legend(fontsize=7)
+        figure.suptitle(title, fontsize=10)
+
+    return draw_figure(path, (2 * (2.2 + 0.55 * len(conditions)), 1.2 + 2.6 * len(detectors)), draw)
 
 
 def _draw(axes: Axes, found: Sequence[Outcome], conditions: Sequence[str], kind: str) -> None:

@@ -24,20 +24,6 @@ COUNT, STEPS = 40, 12
 SETTINGS = RenderSettings(background=(0.3, 0.4, 0.5))
 
 
-@pytest.fixture
-def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
-    """The cameras of all pictures that frozen views make."""
-    seen: list[Camera] = []
-    make = FrozenView.__call__
-
-    def noted(view: FrozenView, sh: Tensor) -> Tensor:
-        seen.append(view.camera)
-        return make(view, sh)
-
-    monkeypatch.setattr(FrozenView, "__call__", noted)
-    return seen
-
-
 def layers(trained: Tensor, *, iterations: int = STEPS) -> Layering:
     scene, render = oracle.random_scene(COUNT, degree=1, seed=4), Renderer(SETTINGS)
     poses = [orbit_pose((0.0, 0.0, 0.0), azimuth=90.0 * k, elevation=30.0, distance=3.0) for k in range(4)]

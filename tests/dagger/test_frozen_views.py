@@ -6,7 +6,6 @@ import functools
 from typing import Any
 
 import pytest
-from torch import Tensor
 
 from attacks.dagger import ensemble
 from attacks.dagger.attack import attack
@@ -15,27 +14,12 @@ from attacks.dagger.result import Result
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer
 from mi_splat.view_freezing import freeze_views
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
 
 CAMERAS = [camera(), camera(offset=0.5)]
 STEPS = 4
-
-
-@pytest.fixture
-def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
-    """The cameras of all pictures that frozen views make."""
-    seen: list[Camera] = []
-    make = FrozenView.__call__
-
-    def noted(view: FrozenView, sh: Tensor) -> Tensor:
-        seen.append(view.camera)
-        return make(view, sh)
-
-    monkeypatch.setattr(FrozenView, "__call__", noted)
-    return seen
 
 
 def unknown() -> RenderFn:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.dagger.transfer.matrix import Cell, attacked, noise, title
-from mi_splat.io.atomic import atomic_write
+from attacks.evaluation.figures import draw_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
 _PANELS = {"targeted": "reports the wanted class", "untargeted": "no longer reports the object's class"}
@@ -26,24 +27,17 @@ def draw_heat_maps(matrix: Sequence[Cell], path: Path) -> bool:
     Returns:
         False, and nothing is written, where matplotlib (the `figures` extra) is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return False
     names = list(dict.fromkeys(cell.detector for cell in matrix))
     sources = list(dict.fromkeys(cell.sources for cell in matrix))
-    width, height = 2 * (1.6 + 1.15 * len(names)), 1.6 + 0.42 * (len(sources) + 1)
-    figure = Figure(figsize=(width, height), layout="constrained")
-    panels = figure.subplots(1, 2, sharey=True)
-    for axes, (kind, what) in zip(panels, _PANELS.items(), strict=True):
-        _draw(axes, matrix, sources, names, kind)
-        axes.set_title(f"{kind}: {what}", fontsize=9)
-    panels[0].set_ylabel("attacked (frame: white box)", fontsize=8)
-    canvas = FigureCanvasAgg(figure)
-    with atomic_write(path) as file:
-        canvas.print_png(file)  # type: ignore[no-untyped-call]
-    return True
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (kind, what) in zip(panels, _PANELS.items(), strict=True):
+            _draw(axes, matrix, sources, names, kind)
+            axes.set_title(f"{kind}: {what}", fontsize=9)
+        panels[0].set_ylabel("attacked (frame: white box)", fontsize=8)
+
+    return draw_figure(path, (2 * (1.6 + 1.15 * len(names)), 1.6 + 0.42 * (len(sources) + 1)), draw)
 
 
 def _draw(
