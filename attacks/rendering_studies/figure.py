@@ -55,8 +55,8 @@ def _draw(axes: Axes, found: Sequence[Outcome], conditions: Sequence[str], kind:
             [places[outcome.condition] + shift for outcome in here],
             [rate.fraction for rate in rates],
             yerr=[
-                [rate.fraction - rate.interval[0] for rate in rates],
-                [rate.interval[1] - rate.fraction for rate in rates],
+                [max(0.0, rate.fraction - rate.interval[0]) for rate in rates],
+                [max(0.0, rate.interval[1] - rate.fraction) for rate in rates],
             ],
             fmt=_MARKS[number % len(_MARKS)],
             markersize=4,

@@ -17,10 +17,12 @@ from attacks.cli import rendering_study
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES
 from attacks.detectors.base import Detector
+from attacks.rate import Rate
 from attacks.rendering_studies.config import AttackTable, JudgeTable, Pair, RenderingStudy
+from attacks.rendering_studies.figure import draw_rates
 from attacks.rendering_studies.gradient_source import with_gradient_of
 from attacks.rendering_studies.jobs import StudyAttack, StudyRunner, attacks_of, looks_at
-from attacks.rendering_studies.rates import outcomes
+from attacks.rendering_studies.rates import Group, Outcome, outcomes
 from attacks.rendering_studies.run import run_study
 from attacks.rendering_studies.tables import markdown, write_study
 from mi_splat.cameras import Camera
@@ -121,6 +123,19 @@ def test_the_page_says_what_was_counted(done: tuple[Path, list[dict[str, Any]]],
     document = json.loads((tmp_path / "study.json").read_text())
     assert document["configuration"]["attacks"][0]["eps"] == [0.01, 12.0]
     assert {row["condition"] for row in document["outcomes"]} == {"blobs", "night"}
+
+
+def test_the_figure_takes_every_rate(tmp_path: Path) -> None:
+    """Also those at the ends, whose interval can end on their wrong side by a rounding error."""
+    pytest.importorskip("matplotlib", reason="the figure needs the extra figures")
+    group = Group(detector="a", renderer="tile", gradient="own", attribute="sh", sh_degree=3, norm="l2", eps=5.0)
+    found = []
+    for total in range(1, 40):
+        none, every = Rate(successes=0, total=total), Rate(successes=total, total=total)
+        rates = {"found": every, "targeted": every, "untargeted": none}
+        noise = {"noise_targeted": none, "noise_untargeted": none}
+        found.append(Outcome(group=group, condition=str(total), target_confidence=0.9, **rates, **noise))
+    assert draw_rates("?", found, tmp_path / "a.png")
 
 
 def test_what_is_done_is_not_done_again(done: tuple[Path, list[dict[str, Any]]]) -> None:
