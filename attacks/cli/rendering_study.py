@@ -25,6 +25,8 @@ def run(options: RenderingStudyOptions) -> int:
     toml = options.study.read_text("utf-8")
     if options.seeds is not None:
         study = dataclasses.replace(study, seeds=options.seeds)
+    if options.detectors:
+        study = dataclasses.replace(study, detectors=options.detectors)
     limit_threads((os.cpu_count() or 1) // 2)
     runner = StudyRunner(
         study, lambda name: read_attack_scene(options.scenes / f"{name}.xml"), load_detector, options.out

@@ -57,6 +57,8 @@ class RenderingStudyOptions:
 
     study: Positional[Path]
     """TOML file of the study."""
+    detectors: tuple[str, ...] = ()
+    """Names of detectors in the place of those of the file."""
     seeds: int | None = None
     """Number of seeds; none takes that of the file."""
     scenes: Path = Path("scenes")

@@ -38,10 +38,11 @@ def draw_rates(title: str, found: Sequence[Outcome], path: Path) -> bool:
             for axes, (kind, what) in zip(row, _PANELS.items(), strict=True):
                 _draw(axes, own, conditions, kind)
                 axes.set_title(f"{what} ({detector})", fontsize=9)
-        panels[0][0].legend(fontsize=7)
+        lines, names = panels[0][0].get_legend_handles_labels()
+        figure.legend(lines, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=7)
         figure.suptitle(title, fontsize=10)
 
-    return draw_figure(path, (2 * (2.2 + 0.55 * len(conditions)), 1.2 + 2.6 * len(detectors)), draw)
+    return draw_figure(path, (2 * (2.2 + 0.55 * len(conditions)), 1.6 + 2.6 * len(detectors)), draw)
 
 
 def _draw(axes: Axes, found: Sequence[Outcome], conditions: Sequence[str], kind: str) -> None:

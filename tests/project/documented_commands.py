@@ -47,7 +47,7 @@ NIGHTLY = {
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {
     *("docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"),
-    *("docs/report.md", "docs/transfer.md", "docs/how-to/resume-and-extend.md"),
+    *("docs/report.md", "docs/transfer.md", "docs/how-to/resume-and-extend.md", "docs/rendering-studies.md"),
 }
 """Pages whose lines need what long lines have made, or whose short lines are also on other pages."""
 ELSEWHERE = {
@@ -177,7 +177,7 @@ TINY: dict[str, dict[str, Change]] = {
     "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
     "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
-    "rendering-study": {"--seeds": to("1")},
+    "rendering-study": {"--seeds": to("1"), "--detectors": to("fasterrcnn_small")},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "dagger-eot-study": {
         "--groups": to("pairs"),
@@ -189,7 +189,7 @@ TINY: dict[str, dict[str, Change]] = {
     },
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
     "cloak": {"--vary": if_there("cleaning")},  # which trains no splat but those of the study
-    "cloak-experiment": {"--every": to("8"), "--detectors": if_there("fasterrcnn_small")},
+    "cloak-experiment": {"--every": to("60"), "--detectors": if_there("fasterrcnn_small")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
 

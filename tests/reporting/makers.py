@@ -88,7 +88,11 @@ def write_rendering_study(folder: Path) -> Path:
     ]
     document = {
         **{"study": "toy", "question": "Does it survive?", "toml": "name = 'toy'\n", "attacks": 12},
-        **{"configuration": {"seeds": 3}, "outcomes": outcomes, "image_psnr": [{**group, "psnr": 31.2}]},
+        **{
+            "configuration": {"seeds": 3, "detectors": ["a"]},
+            "outcomes": outcomes,
+            "image_psnr": [{**group, "psnr": 31.2}],
+        },
         "weights": {"a": "0123"},
     }
     save_json({**document, **provenance.origin()}, folder / "study.json")

@@ -28,7 +28,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     first = conditions[0]
     rate, noise = rates[first], _pooled(outcomes, "noise_targeted", first)
     name = f"{found['study']}.toml"
-    seeds = found["configuration"]["seeds"]
+    seeds, names = found["configuration"]["seeds"], found["configuration"]["detectors"]
     return Section(
         kind="attacks in other renderings",
         title=found["study"],
@@ -53,7 +53,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         tables=(*(_table(outcomes, conditions, kind) for kind in _PRETTY), _visibility(found["image_psnr"])),
         configuration=(*settings(found["configuration"]), *settings({"weights": found["weights"]})),
         versions=origin(found),
-        command=(command("rendering-study", name, *flag("seeds", seeds), *again(folder)),),
+        command=(command("rendering-study", name, *flag("detectors", names), *flag("seeds", seeds), *again(folder)),),
         file=(name, found["toml"]) if found.get("toml") else None,
     )
 
