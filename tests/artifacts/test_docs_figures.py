@@ -19,6 +19,7 @@ FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 WITHOUT = {
     *("cloak_car_colour.md", "cloak_car_occluder.md", "cloak_detection_curve.md", "cloak_variations.md"),
     *("dagger.md", "transfer.md"),
+    *("study_between_renderers.md", "study_files.md", "study_gradients.md", "study_sun.md"),
 }
 """Tables whose raw rows are not there any more."""
 
