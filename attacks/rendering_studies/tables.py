@@ -74,7 +74,7 @@ def markdown(study: RenderingStudy, records: Sequence[Record]) -> str:
     for detector, (kind, what) in itertools.product(study.detectors, KINDS.items()):
         own = [outcome for outcome in found if outcome.group.detector == detector]
         if own:
-            lines += [f"## {what}: {detector}", "", *_table(own, kind), ""]
+            lines += [f"## {what}: {detector}", "", *rate_table(own, kind), ""]
     lines += ["## How visible the attacks are", "", *_visibility(records), ""]
     marks = "; ".join(f"{name} {', '.join(some)}" for name, some in _weights(records).items())
     first = records[0]["attack"]
@@ -84,7 +84,7 @@ def markdown(study: RenderingStudy, records: Sequence[Record]) -> str:
     )
 
 
-def _table(found: Sequence[Outcome], kind: str) -> list[str]:
+def rate_table(found: Sequence[Outcome], kind: str) -> list[str]:
     """One row for each condition, one column for each group of attacks, and the noise of all of them."""
     groups = list(dict.fromkeys(outcome.group for outcome in found))
     by_place = {(outcome.group, outcome.condition): outcome for outcome in found}
