@@ -62,14 +62,14 @@ class MixedScene:
         """Render one picture.
 
         Args:
-            scene: What stands in the place of the file's Gaussians: as many, shape after shape.
+            scene: What stands in the place of the file's Gaussians: as many, shape after shape, with SH of any degree.
             camera: The camera.
 
         Returns:
             (H, W, 3) float32 tensor of sRGB values in [0, 1].
 
         Raises:
-            InvalidValueError: There is another number of Gaussians, or of SH coefficients than the file has.
+            InvalidValueError: There is another number of Gaussians than the file has.
         """
         import mitsuba as mi
 
@@ -90,10 +90,9 @@ class MixedScene:
         from mi_splat.plugins.shape import ellipsoid_arrays
 
         check_scene("scene", scene)
-        if len(scene) != len(self.splats.scene) or scene.sh.shape != self.splats.scene.sh.shape:
-            got = f"{len(scene):,} of degree {scene.degree}"
-            expected = f"{len(self.splats.scene):,} Gaussians of degree {self.splats.scene.degree}"
-            raise InvalidValueError(message("scene", expected, got, "take a changed copy of the file's own"))
+        if len(scene) != len(self.splats.scene):
+            expected, do = f"{len(self.splats.scene):,} Gaussians", "take a changed copy of the file's own"
+            raise InvalidValueError(message("scene", expected, f"{len(scene):,}", do))
         params = mi.traverse(self._loaded)
         for name, rows in self.splats.objects.items():
             for key, value in ellipsoid_arrays(scene.select(torch.arange(len(scene))[rows])).items():

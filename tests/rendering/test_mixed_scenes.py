@@ -14,6 +14,7 @@ from PIL import Image
 from attacks.cli import main
 from mi_splat import variant
 from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat, save_splat
 from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import read_scene, resized
@@ -76,8 +77,23 @@ def test_another_splat_stands_in_the_place_of_the_files() -> None:
     torch.testing.assert_close(street(scene, camera), before, rtol=0, atol=1e-5)  # sums of a film are in any order
     assert before.min() >= 0
     assert before.max() <= 1
-    with pytest.raises(InvalidValueError, match="Gaussians of degree"):
+    with pytest.raises(InvalidValueError, match="expected 10,075 Gaussians, got 10"):
         street(scene.select(torch.arange(10)), camera)
+
+
+def test_sh_of_any_degree_are_shown_whole(tmp_path: Path) -> None:
+    street = MixedScene(MIXED[0], samples=2)
+    scene, camera = street.splats.scene, resized(street.splats.cameras["side"], (24, 24))
+    before = street(scene, camera)
+    bands = 0.1 * torch.randn(len(scene), 16, 3, generator=torch.Generator().manual_seed(0))
+    save_splat(scene.replace(sh=scene.with_degree(3).sh + bands), tmp_path / "a.ply")
+    saved = load_splat(tmp_path / "a.ply")
+    shown = street(saved, camera)
+    assert (shown - street(saved.with_degree(1), camera)).abs().max() > 0.01
+    expected = MixedScene(MIXED[0], samples=2, car=str(tmp_path / "a.ply"))(saved, camera)
+    torch.testing.assert_close(shown, expected, rtol=0, atol=1e-5)
+    torch.testing.assert_close(street(scene.with_degree(3), camera), before, rtol=0, atol=1e-5)
+    torch.testing.assert_close(street(scene, camera), before, rtol=0, atol=1e-5)
 
 
 def test_a_mixed_scene_needs_splat_ray_and_samples(tmp_path: Path) -> None:
