@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -29,6 +32,37 @@ def holds_surfaces(path: Path) -> bool:
     except (OSError, ElementTree.ParseError):
         return False
     return any(shape.get("type") not in SPLATS for shape in root.iter("shape"))
+
+
+def contents_hash(path: Path) -> str:
+    """SHA-256 (hexadecimal) over a scene file and the files that it names: splats, meshes, pictures, other scenes.
+
+    They are looked for where Mitsuba does: beside the scene file, then in the working folder.
+
+    Raises:
+        InvalidValueError: The scene file cannot be read.
+    """
+    digest = hashlib.sha256()
+    for file in _with_named_files(path):
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _with_named_files(path: Path) -> list[Path]:
+    """A scene file and those that its strings and inclusions name, in their order."""
+    try:
+        elements = list(ElementTree.parse(path).iter())
+    except (OSError, ElementTree.ParseError) as error:
+        raise InvalidValueError(message(f"scene {path}", "a Mitsuba XML file", str(error), "check the path")) from error
+    defaults = {f"${one.get('name')}": one.get("value", "") for one in elements if one.tag == "default"}
+    words = [one.get("value" if one.tag == "string" else "filename", "") for one in elements]
+    found = [path]
+    for word in words:
+        name = re.sub(r"\$\w+", lambda part: defaults.get(part[0], part[0]), word)
+        places = [folder / name for folder in (path.parent, Path())]
+        for file in [place for place in places if os.path.isfile(place)][:1]:  # unlike `Path.is_file`, of any length
+            found += _with_named_files(file) if file.suffix == ".xml" else [file]
+    return found
 
 
 class MixedScene:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from attacks.cloak.study.study_file import read_table
 from attacks.dagger.config import check_share
+from attacks.evaluation.street import SunTable
 from attacks.limits import NormName, SearchName
 from mi_splat.attributes import Attribute
 from mi_splat.config_values import check_numbers
@@ -59,25 +60,6 @@ class AttackTable:
     sh_degree: int = 3
     renderers: tuple[str, ...] = ("tile",)
     gradients: tuple[str, ...] = (OWN,)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SunTable:
-    """A street of meshes at several hours of a day.
-
-    Attributes:
-        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and sun_z; north is +y.
-        hours: Local solar time, 12 is noon.
-        latitude: Of the place, degrees north.
-        declination: Of the sun, degrees; 0 at the equinoxes.
-        samples: Paths a pixel.
-    """
-
-    scene: str
-    hours: tuple[float, ...]
-    latitude: float = 45.0
-    declination: float = 0.0
-    samples: int = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

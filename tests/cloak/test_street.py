@@ -10,9 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.experiments import street
-from attacks.cloak.experiments.street import HOUSES, measure_street
+from attacks.cloak.experiments.street import HOUSES, STREET, measure_street
 from attacks.cloak.layered.config import LayersConfig
+from attacks.evaluation import street
+from attacks.evaluation.street import SunTable
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
@@ -43,6 +44,10 @@ class Street:
         return torch.tensor([1.0, 0.0, 0.0] if self._red else [0.5, 0.5, 0.5]).expand(48, 48, 3)
 
 
+def at(*hours: float) -> SunTable:
+    return replace(STREET, hours=hours)
+
+
 @pytest.fixture(autouse=True)
 def _street(monkeypatch: pytest.MonkeyPatch) -> None:
     made.clear()
@@ -53,7 +58,7 @@ def _street(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_object_alone_stands_there_hour_by_hour() -> None:
     car = one_gaussian(0.9).replace(means=torch.tensor([[0.0, 0.0, 0.7]]))
     far = one_gaussian(0.1).replace(means=torch.tensor([[30.0, 0.0, 0.0]]))
-    rows = measure_street(LAYERED, {"clean": merge(car, far)}, [Redness()], every=20, hours=(8.0, 12.0, 16.0))
+    rows = measure_street(LAYERED, {"clean": merge(car, far)}, [Redness()], every=20, sun=at(8.0, 12.0, 16.0))
     assert [len(one["scene"]) for one in made] == [1, 1, 1]
     assert torch.equal(made[0]["scene"].means, car.means)
     assert [one["sun_z"] for one in made] == pytest.approx([0.353553, 0.707107, 0.353553], abs=1e-5)
@@ -65,7 +70,7 @@ def test_the_object_alone_stands_there_hour_by_hour() -> None:
 
 
 def test_nobody_looks_out_of_a_house() -> None:
-    rows = measure_street(LAYERED, {"clean": one_gaussian(0.5)}, [Redness()], every=5, hours=(12.0,))
+    rows = measure_street(LAYERED, {"clean": one_gaussian(0.5)}, [Redness()], every=5, sun=at(12.0))
     assert len(looked) == sum(row["of"] for row in rows) > 4
     assert all(float(camera.position[1]) < HOUSES for camera in looked)
 
@@ -80,6 +85,6 @@ def test_another_car_can_stand_in_the_shipped_street(tmp_path: Path) -> None:
 
     scene = oracle.random_scene(20, degree=3, seed=1)
     save_splat(scene, tmp_path / "a.ply")
-    put = MixedScene(ROOT / street.STREET, samples=1, car=str(tmp_path / "a.ply"))
+    put = MixedScene(ROOT / STREET.scene, samples=1, car=str(tmp_path / "a.ply"))
     assert len(put.splats.scene) == 20
     torch.testing.assert_close(put.splats.scene.means, scene.means)

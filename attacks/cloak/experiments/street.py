@@ -16,18 +16,14 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.layering import object_rows
 from attacks.detectors.base import Detector
+from attacks.evaluation.street import SunTable, street_at
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
-from mi_splat.mixed_scenes import MixedScene
 from mi_splat.scene import GaussianScene
-from mi_splat.sun import clock, sun_direction
+from mi_splat.sun import clock
 
-STREET = Path("scenes/mixed/car_among_meshes.xml")
-HOURS = (7.0, 9.5, 12.0, 14.5, 17.0)
-"""Local solar time at the equinox."""
-LATITUDE = 45.0
-SAMPLES = 8
-"""Paths a pixel."""
+STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", hours=(7.0, 9.5, 12.0, 14.5, 17.0), samples=8)
+"""At the equinox."""
 HOUSES = 4.0
 """Cameras farther north than this, in world units, would stand in the houses."""
 
@@ -38,8 +34,7 @@ def measure_street(
     detectors: Sequence[Detector],
     *,
     every: int = 4,
-    street: Path = STREET,
-    hours: Sequence[float] = HOURS,
+    sun: SunTable = STREET,
 ) -> list[dict[str, Any]]:
     """From how many cameras the object is found, for each splat, hour, group of cameras and detector.
 
@@ -48,8 +43,7 @@ def measure_street(
         splats: Its splats by name, for instance clean and cloaked; the object is cut out of each.
         detectors: Those that look.
         every: Each so manieth of the held-out cameras is used.
-        street: XML scene with the parameters car, sun_x, sun_y and sun_z.
-        hours: When; local solar time.
+        sun: Where and when; its scene has the parameter car, too.
 
     Raises:
         InvalidValueError: The study has no layers, or no appearance that is seen from all around.
@@ -68,9 +62,8 @@ def measure_street(
             alone = scene.select(object_rows(study, scene, target))
             path = (Path(folder) / f"{splat}.ply").resolve()
             save_splat(alone, path)
-            for hour in hours:
-                east, north, up = sun_direction(hour, latitude=LATITUDE)
-                render = MixedScene(street, samples=SAMPLES, car=str(path), sun_x=east, sun_y=north, sun_z=up)
+            for hour in sun.hours:
+                render = street_at(sun, hour, car=str(path))
                 for name, cameras in groups.items():
                     place = {"splat": splat, "hour": clock(hour), "cameras": name, "of": len(cameras)}
                     counts = count_found(study, target, render.splats.scene, cameras, detectors, render=render)

@@ -1,0 +1,57 @@
+"""A street of meshes with a splat in it, path-traced under a sun that moves over a day."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mi_splat.config_values import check_numbers, finite_number
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.mixed_scenes import SAMPLES, MixedScene
+from mi_splat.sun import sun_direction
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunTable:
+    """A street of meshes at several hours of a day.
+
+    Attributes:
+        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and sun_z; north is +y.
+        hours: Local solar time, 12 is noon.
+        latitude: Of the place, degrees north.
+        declination: Of the sun, degrees; 0 at the equinoxes.
+        samples: Paths a pixel.
+
+    Raises:
+        InvalidValueError: There are no hours, the sun is not up at one of them, or a number is out of its range.
+    """
+
+    scene: str
+    hours: tuple[float, ...]
+    latitude: float = 45.0
+    declination: float = 0.0
+    samples: int = SAMPLES
+
+    def __post_init__(self) -> None:
+        check_numbers(self, {"samples": 1})
+        if not self.hours:
+            raise InvalidValueError(message("hours", "at least one", "none", "name some, for instance [9.0, 12.0]"))
+        for hour in self.hours:
+            sun_direction(finite_number("hour", hour), latitude=self.latitude, declination=self.declination)
+
+
+def street_at(sun: SunTable, hour: float, **parameters: Any) -> MixedScene:
+    """The street at one hour.
+
+    Args:
+        sun: The street.
+        hour: Local solar time.
+        parameters: Others of the scene file, for instance `car="a.ply"`.
+
+    Raises:
+        InvalidValueError: The sun is not up.
+        MiSplatError: The file cannot be read, or is no scene of splats among surfaces.
+    """
+    east, north, up = sun_direction(hour, latitude=sun.latitude, declination=sun.declination)
+    return MixedScene(Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up, **parameters)
