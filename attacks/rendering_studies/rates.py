@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from attacks.dagger.transfer.matrix import aim_rates, clean_is_found
 from attacks.rate import Rate
 from attacks.rendering_studies.config import OWN
 
@@ -114,24 +115,12 @@ def group_of(record: Record) -> Group:
 
 
 def _outcome(group: Group, condition: str, seen: Sequence[Record], confidence: float) -> Outcome:
-    def found(look: Record) -> bool:
-        return bool(look["clean"]["original"] >= confidence > look["clean"]["target"])
-
-    def targeted(kind: str) -> Rate:
-        return Rate.of(seen, lambda look: bool(look[kind]["target"] >= confidence), given=found)
-
-    def untargeted(kind: str) -> Rate:
-        return Rate.of(seen, lambda look: bool(look[kind]["original"] < confidence), given=found)
-
     return Outcome(
         group=group,
         condition=condition,
-        found=Rate.of(seen, found),
-        targeted=targeted("attacked"),
-        untargeted=untargeted("attacked"),
-        noise_targeted=targeted("noise"),
-        noise_untargeted=untargeted("noise"),
+        found=Rate.of(seen, lambda look: clean_is_found(look, confidence)),
         target_confidence=statistics.median(look["attacked"]["target"] for look in seen),
+        **aim_rates(seen, confidence),
     )
 
 

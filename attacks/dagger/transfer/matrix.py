@@ -62,24 +62,40 @@ def cells(records: Sequence[Record]) -> list[Cell]:
 
 
 def _cell(sources: tuple[str, ...], detector: str, seen: Sequence[Record]) -> Cell:
-    def found(one: Record) -> bool:
-        return bool(one["clean"]["original"] >= SUCCESS and one["clean"]["target"] < SUCCESS)
+    return Cell(sources=sources, detector=detector, runs=len(seen), **aim_rates(seen, SUCCESS))
+
+
+def aim_rates(looks: Sequence[Record], confidence: float) -> dict[str, Rate]:
+    """How often attacks reach their aims, and noise of their sizes does, of the runs whose clean object is found.
+
+    Args:
+        looks: What `AttackedObjects.seen` returns, for each run.
+        confidence: From which a class counts as reported.
+
+    Returns:
+        `targeted`, `untargeted`, `noise_targeted` and `noise_untargeted`, as in `Cell`.
+    """
+
+    def found(look: Record) -> bool:
+        return clean_is_found(look, confidence)
 
     def targeted(kind: str) -> Rate:
-        return Rate.of(seen, lambda one: bool(one[kind]["target"] >= SUCCESS), given=found)
+        return Rate.of(looks, lambda look: bool(look[kind]["target"] >= confidence), given=found)
 
     def untargeted(kind: str) -> Rate:
-        return Rate.of(seen, lambda one: bool(one[kind]["original"] < SUCCESS), given=found)
+        return Rate.of(looks, lambda look: bool(look[kind]["original"] < confidence), given=found)
 
-    return Cell(
-        sources=sources,
-        detector=detector,
-        targeted=targeted("attacked"),
-        untargeted=untargeted("attacked"),
-        noise_targeted=targeted("noise"),
-        noise_untargeted=untargeted("noise"),
-        runs=len(seen),
-    )
+    return {
+        "targeted": targeted("attacked"),
+        "untargeted": untargeted("attacked"),
+        "noise_targeted": targeted("noise"),
+        "noise_untargeted": untargeted("noise"),
+    }
+
+
+def clean_is_found(look: Record, confidence: float) -> bool:
+    """Whether the clean object is reported, and not taken for the target."""
+    return bool(look["clean"]["original"] >= confidence > look["clean"]["target"])
 
 
 def left_out(matrix: Sequence[Cell]) -> list[dict[str, Any]]:
