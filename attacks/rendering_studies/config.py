@@ -6,12 +6,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from attacks.cloak.study.study_file import read_table
+from attacks.cloak.study.value_checks import one_of
 from attacks.dagger.config import check_share
+from attacks.evaluation.file_forms import FORMATS
 from attacks.evaluation.street import SunTable
 from attacks.limits import NormName, SearchName
 from mi_splat.attributes import Attribute
 from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.sh import MAX_DEGREE
 
 OWN = "own"
 """Stands for the gradient of the renderer that makes the attacker's pictures."""
@@ -50,6 +53,9 @@ class AttackTable:
         sh_degree: SH degree of the attacked file, if SH may change; never below that of the clean one.
         renderers: Names of the renderers (as in `mi-splat compare`) whose pictures the attacker looks at.
         gradients: Names of the renderers whose gradients the attacker follows; "own" is that of the pictures.
+
+    Raises:
+        InvalidValueError: A list is empty.
     """
 
     attribute: Attribute = "sh"
@@ -60,6 +66,9 @@ class AttackTable:
     sh_degree: int = 3
     renderers: tuple[str, ...] = ("tile",)
     gradients: tuple[str, ...] = (OWN,)
+
+    def __post_init__(self) -> None:
+        _check_some(self, "eps", "renderers", "gradients")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +82,9 @@ class JudgeTable:
         sh_degrees: Degrees that its SH is cut to.
         float16: Whether its SH is rounded to half precision.
         sun: A street of meshes that the object is put into.
+
+    Raises:
+        InvalidValueError: A format is unknown, or a degree is not 0, 1, 2 or 3.
     """
 
     own_renderer: bool = False
@@ -81,6 +93,12 @@ class JudgeTable:
     sh_degrees: tuple[int, ...] = ()
     float16: bool = False
     sun: SunTable | None = None
+
+    def __post_init__(self) -> None:
+        for suffix in self.files:
+            one_of("files", suffix, FORMATS)
+        for degree in self.sh_degrees:
+            one_of("sh_degrees", degree, range(MAX_DEGREE + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,15 +130,20 @@ class RenderingStudy:
 
     def __post_init__(self) -> None:
         check_numbers(self, {"seeds": 1})
-        for name in ("pairs", "attacks", "detectors"):
-            if not getattr(self, name):
-                raise InvalidValueError(message(name, "at least one", "none", "add one to the study"))
+        _check_some(self, "pairs", "attacks", "detectors")
         check_share(self, "confidence")
         judge = self.judge
         others = bool(judge.renderers or judge.files or judge.sh_degrees or judge.float16 or judge.sun)
         if judge.own_renderer == others:
             do = "write own_renderer = true alone, or renderers, files, sh_degrees, float16 or [judge.sun]"
             raise InvalidValueError(message("judge", "conditions", "both kinds" if others else "none", do))
+
+
+def _check_some(table: object, *names: str) -> None:
+    """Raise unless each of these lists holds something."""
+    for name in names:
+        if not getattr(table, name):
+            raise InvalidValueError(message(name, "at least one", "none", "add one to the study"))
 
 
 def read_rendering_study(path: Path) -> RenderingStudy:

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from torch import Generator, Tensor
-
-from attacks.dagger.attack import attack
+from attacks.cloak.study.value_checks import one_of
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES
-from attacks.dagger.report import summary
-from attacks.dagger.transfer.jobs import ATTACKED, clean_and_attacked
-from attacks.dagger.transfer.scenes import AttackScenes
+from attacks.dagger.transfer.attacked_objects import AttackedObjects
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import detect_views, object_boxes
 from attacks.limits import SearchName
 from attacks.objectives import Objective, relabel
-from attacks.rendering_studies.conditions import Condition, condition_names, conditions_of
+from attacks.rendering_studies.conditions import condition_names, conditions_of, settings_of
 from attacks.rendering_studies.config import OWN, AttackTable, Pair, RenderingStudy
 from attacks.rendering_studies.gradient_source import with_gradient_of
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import RenderFn
 from mi_splat.comparison.methods import load_method
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat, save_splat
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene
+from mi_splat.mixed_scenes import contents_hash
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,12 +48,32 @@ class StudyAttack:
     config: DaggerConfig
 
     @property
+    def scene(self) -> str:
+        """Name of the scene file without its suffix."""
+        return self.pair.scene
+
+    @property
+    def object(self) -> str:
+        """Id of the object."""
+        return self.pair.object
+
+    @property
+    def target(self) -> str:
+        """Class wanted."""
+        return self.pair.target
+
+    @property
+    def camera(self) -> int:
+        """Position of the camera in the order of the scene file."""
+        return self.pair.camera
+
+    @property
     def name(self) -> str:
         """File name, unique within a study."""
         config = self.config
-        words = [self.renderer, self.gradient, self.detector, self.pair.object, self.pair.target, *config.attributes]
+        words = [self.renderer, self.gradient, self.detector, self.object, self.target, *config.attributes]
         words += [config.norm, f"{config.eps[0]:g}", f"degree{config.sh_degree}", f"{config.steps}", self.search]
-        words += [f"camera{self.pair.camera}", str(config.seed)]
+        words += [f"camera{self.camera}", str(config.seed)]
         return "-".join(word.replace(" ", "_") for word in words)
 
 
@@ -82,8 +96,8 @@ class StudyLook:
 
 
 def attacks_of(study: RenderingStudy) -> list[StudyAttack]:
-    """Every attack of a study, all of a seed before the next."""
-    return [
+    """Every attack of a study, each once, all of a seed before the next."""
+    every = (
         StudyAttack(
             pair=pair,
             detector=detector,
@@ -96,7 +110,8 @@ def attacks_of(study: RenderingStudy) -> list[StudyAttack]:
         for table in study.attacks
         for detector, pair, eps in itertools.product(study.detectors, study.pairs, table.eps)
         for renderer, gradient in itertools.product(table.renderers, table.gradients)
-    ]
+    )
+    return list(dict.fromkeys(every))
 
 
 def _config(table: AttackTable, eps: float, seed: int) -> DaggerConfig:
@@ -137,97 +152,68 @@ class StudyRunner:
         load: Callable[[str], Detector],
         out: Path,
     ) -> None:
-        self._study, self._scenes, self._load, self._out = study, AttackScenes(read), load, out
-        self._detectors: dict[str, Detector] = {}
+        self._study, self._objects = study, AttackedObjects(read, load, out)
         self._renderers: dict[tuple[str, str], RenderFn] = {}
-        self._conditions: dict[tuple[str, str], dict[str, Condition]] = {}
-        self._boxes: dict[tuple[str, str, int, int], Tensor] = {}
-        self._clean: dict[tuple[Pair, str, int, str, int], dict[str, float]] = {}
+        self._conditions: dict[tuple[str, str], Mapping[str, RenderFn]] = {}
+
+    def check(self, jobs: Iterable[StudyAttack]) -> None:
+        """Make all that the attacks and the looks at them need, so that what cannot be is found before the first one.
+
+        Raises:
+            InvalidValueError: A detector does not know a wanted class; or there is no such object, camera or renderer.
+            MiSplatError: A scene cannot be read, a renderer cannot run here, or a detector cannot be loaded.
+        """
+        for job in jobs:
+            one_of(f"target for {job.detector}", job.target, self._objects.detector(job.detector).classes)
+            self._objects.view(job)
+            self._attackers_renderer(job)
+            for look in looks_at(self._study, job):
+                self._condition(look)
 
     def path(self, job: StudyAttack) -> Path:
         """File of the attacked object."""
-        return self._out / ATTACKED / f"{job.name}.ply"
+        return self._objects.path(job)
 
     def fingerprint(self, job: StudyAttack) -> str:
-        """Hash of the scene, its cameras and the weights of the detector."""
-        return self._scenes.fingerprint(job.pair.scene, job.pair.object, self._detector(job.detector))
+        """Hash of the scene, its cameras and settings, the detector's weights, and the settings of the objective."""
+        place = self._objects.place(job)
+        words = (
+            self._objects.fingerprint(job, [job.detector]),
+            str(place.objects[job.object]),
+            str(settings_of(place)),
+            str(self._study.confidence),
+            json.dumps(asdict(SEARCHES[job.search]), sort_keys=True),
+        )
+        return _hash_of(words)
 
     def look_fingerprint(self, look: StudyLook) -> str:
         """The same, with what a condition is made of."""
-        words = (self.fingerprint(look.attack), repr(self._study.judge.sun))
-        return hashlib.sha256("\n".join(words).encode()).hexdigest()
+        return _hash_of((self.fingerprint(look.attack), self._street))
+
+    @functools.cached_property
+    def _street(self) -> str:
+        """The street under the sun, and what its files hold."""
+        sun = self._study.judge.sun
+        return "" if sun is None else f"{sun} {contents_hash(Path(sun.scene))}"
 
     def attack(self, job: StudyAttack) -> dict[str, Any]:
         """Attack, save the object's Gaussians, and return the summary without its views."""
-        place = self._place(job)
-        rows = place.objects[job.pair.object]
-        objective: Objective = replace(
-            relabel(job.pair.target), confidence=self._study.confidence, **SEARCHES[job.search].objective
-        )
-        found = attack(
-            place.scene,
-            rows,
-            [self._view(job)],
-            [self._detector(job.detector)],
-            objective,
-            render=self._attackers_renderer(job),
-            config=job.config,
-        )
-        self.path(job).parent.mkdir(parents=True, exist_ok=True)
-        save_splat(found.scene.select(rows), self.path(job))
-        left_out = ("views", "zero_gradient_fraction", "trace", "noise")
-        return {name: value for name, value in summary(found).items() if name not in left_out}
+        settings = SEARCHES[job.search].objective
+        objective: Objective = replace(relabel(job.target), confidence=self._study.confidence, **settings)
+        return self._objects.attack(job, [job.detector], objective, render=self._attackers_renderer(job))
 
     def look(self, look: StudyLook) -> dict[str, Any]:
-        """What the detector reports on the object: clean, attacked, and with random noise of the attack's size.
+        """What the detector reports on the object, as `AttackedObjects.seen` returns it."""
+        job, render = look.attack, self._condition(look)
+        return self._objects.seen(job, job.detector, render=render, condition=look.condition)
 
-        Returns:
-            For each of the three its confidence in the class that the object has (`original`) and in the `target`.
-        """
-        job, condition = look.attack, self._condition(look)
-        place = self._place(job)
-        clean, attacked = clean_and_attacked(
-            place.scene, place.objects[job.pair.object], load_splat(self.path(job)), job.config.attributes
-        )
-        reference, moved = (subset.parameters(job.config.attributes) for subset in (clean, attacked))
-        generator = Generator().manual_seed(job.config.seed + 1)
-        noisy = clean.applied(job.config.budget.noise(moved, reference, generator))
-        key = (job.pair, job.detector, job.config.seed, look.condition, clean.scene.degree)
-        if key not in self._clean:
-            self._clean[key] = self._seen(clean.scene, job, condition)
-        return {
-            "clean": self._clean[key],
-            "attacked": self._seen(attacked.scene, job, condition),
-            "noise": self._seen(noisy, job, condition),
-        }
-
-    def _seen(self, scene: GaussianScene, job: StudyAttack, condition: Condition) -> dict[str, float]:
-        pair, place, camera = job.pair, self._place(job), self._view(job)
-        key = (pair.scene, pair.object, pair.camera, job.config.seed)
-        if key not in self._boxes:
-            (box,) = object_boxes(place.scene, place.objects[pair.object], [camera], render=place.render)
-            if box is None:
-                do = "choose another seed"
-                raise InvalidValueError(message(job.name, "a view that shows the object", "none of it", do))
-            self._boxes[key] = box
-        shown, boxes = condition.change(scene), [self._boxes[key]]
-        (view,) = detect_views(shown, [camera], [self._detector(job.detector)], render=condition.render, boxes=boxes)
-        return {
-            "original": view.confidence(pair.object.replace("_", " ")),
-            "target": view.confidence(pair.target),
-        }
-
-    def _view(self, job: StudyAttack) -> Camera:
-        return self._scenes.view(job.pair.scene, job.pair.object, job.config.seed, job.pair.camera)
-
-    def _condition(self, look: StudyLook) -> Condition:
+    def _condition(self, look: StudyLook) -> RenderFn:
         job = look.attack
         if self._study.judge.own_renderer:
-            return Condition(name=look.condition, render=self._renderer(job, look.condition))
-        key = (job.pair.scene, job.pair.object)
+            return self._renderer(job, look.condition)
+        key = (job.scene, job.object)
         if key not in self._conditions:
-            place = self._place(job)
-            self._conditions[key] = conditions_of(self._study.judge, place, job.pair.object, _settings(place))
+            self._conditions[key] = conditions_of(self._study.judge, self._objects.place(job), job.object)
         return self._conditions[key][look.condition]
 
     def _attackers_renderer(self, job: StudyAttack) -> RenderFn:
@@ -235,19 +221,11 @@ class StudyRunner:
         return picture if job.gradient == OWN else with_gradient_of(self._renderer(job, job.gradient), picture)
 
     def _renderer(self, job: StudyAttack, name: str) -> RenderFn:
-        key = (job.pair.scene, name)
+        key = (job.scene, name)
         if key not in self._renderers:
-            self._renderers[key] = load_method(name, _settings(self._place(job))).render
+            self._renderers[key] = load_method(name, settings_of(self._objects.place(job))).render
         return self._renderers[key]
 
-    def _place(self, job: StudyAttack) -> AttackScene:
-        return self._scenes.of(job.pair.scene, job.pair.object)
 
-    def _detector(self, name: str) -> Detector:
-        if name not in self._detectors:
-            self._detectors[name] = self._load(name)
-        return self._detectors[name]
-
-
-def _settings(place: AttackScene) -> RenderSettings:
-    return place.render.settings if isinstance(place.render, Renderer) else RenderSettings()
+def _hash_of(words: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()

@@ -33,7 +33,11 @@ def run_study(
 
     Returns:
         A record for each attack, see `attacks.rendering_studies.rates.Record`.
+
+    Raises:
+        MiSplatError: Something that an attack or a look needs cannot be (`StudyRunner.check`); nothing was done yet.
     """
+    runner.check(jobs)
     records = []
     for job in jobs:
         attacked = run_with_file(job, out, runner.attack, fingerprint=runner.fingerprint, file=runner.path(job))

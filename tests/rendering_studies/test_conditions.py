@@ -9,8 +9,9 @@ import torch
 
 from attacks.cli.attack_scenes import read_attack_scene
 from attacks.evaluation.file_forms import fewer_bands, half_precision, through_file
+from attacks.evaluation.street import SunTable
 from attacks.rendering_studies.conditions import condition_names, conditions_of
-from attacks.rendering_studies.config import JudgeTable, RenderingStudy, SunTable, read_rendering_study
+from attacks.rendering_studies.config import JudgeTable, RenderingStudy, read_rendering_study
 from attacks.rendering_studies.jobs import attacks_of
 from mi_splat.cameras import Camera, look_at
 from mi_splat.comparison.methods import load_method
@@ -62,7 +63,7 @@ def test_conditions_have_the_names_of_the_tables() -> None:
     judge = JudgeTable(renderers=("tile", "ray"), files=(".spz",), sh_degrees=(1, 0), float16=True)
     names = ("tile", "ray", ".spz", "SH in float16", "SH of degree 1", "SH of degree 0")
     assert condition_names(judge) == names
-    assert tuple(conditions_of(judge, toy(), "thing", SETTINGS)) == names
+    assert tuple(conditions_of(judge, toy(), "thing")) == names
     assert condition_names(JudgeTable(sun=SunTable(scene="a", hours=(7.0, 9.5)))) == ("07:00", "09:30")
 
 
@@ -103,22 +104,22 @@ def test_files_and_bands() -> None:
 def test_the_car_stands_in_the_street_by_the_hour() -> None:
     place = read_attack_scene(ROOT / "scenes" / "car_street.xml")
     sun = SunTable(scene=STREET, hours=(8.0, 16.0), samples=1)
-    found = conditions_of(JudgeTable(sun=sun), place, "car", SETTINGS)
+    found = conditions_of(JudgeTable(sun=sun), place, "car")
     assert list(found) == ["08:00", "16:00"]
     for condition in found.values():
-        inside = condition.change(place.scene.with_degree(3))
         assert isinstance(condition.render, MixedScene)
+        inside = condition.change(place.scene.with_degree(3))  # the scene's file has degree 1
+        assert inside.sh.shape == (len(condition.render.splats.scene), 16, 3)
         assert torch.equal(inside.means, condition.render.splats.scene.means)
-        assert inside.sh.shape == condition.render.splats.scene.sh.shape
     with pytest.raises(InvalidValueError, match="the Gaussians of street and no others"):
-        conditions_of(JudgeTable(sun=sun), place, "street", SETTINGS)
+        conditions_of(JudgeTable(sun=sun), place, "street")
     with pytest.raises(InvalidValueError, match="when the sun is up"):
-        conditions_of(JudgeTable(sun=SunTable(scene=STREET, hours=(3.0,))), place, "car", SETTINGS)
+        conditions_of(JudgeTable(sun=SunTable(scene=STREET, hours=(3.0,))), place, "car")
 
 
 def test_stored_splats_are_rendered_as_the_scene_is() -> None:
     place = toy()
-    condition = conditions_of(JudgeTable(files=(".ply",)), place, "thing", SETTINGS)[".ply"]
+    condition = conditions_of(JudgeTable(files=(".ply",)), place, "thing")[".ply"]
     changed = condition.change(place.scene)
     camera = place.cameras[0]
     torch.testing.assert_close(condition.render(changed, camera), Renderer(SETTINGS)(place.scene, camera))

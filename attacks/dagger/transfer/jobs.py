@@ -10,25 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from torch import Generator, Tensor
-
-from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import AttackScene
-from attacks.dagger.report import summary
 from attacks.dagger.study import PAIRS
-from attacks.dagger.transfer.scenes import AttackScenes
+from attacks.dagger.transfer.attacked_objects import AttackedObjects
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import detect_views, object_boxes
-from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
-from mi_splat.attributes import ATTRIBUTES
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat, save_splat
-from mi_splat.scene import GaussianScene
-
-ATTACKED = "attacked"
-"""Folder of the attacked objects."""
 
 SUCCESS = 0.5
 """Confidence from which a class counts as reported, for every detector alike."""
@@ -63,6 +50,11 @@ class SourceJob:
     def original(self) -> str:
         """The object's class."""
         return self.object.replace("_", " ")
+
+    @property
+    def camera(self) -> int:
+        """Position of the camera in the order of the scene file."""
+        return 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,26 +108,6 @@ def transfer_jobs(
     ]
 
 
-def clean_and_attacked(
-    scene: GaussianScene, rows: slice, saved: GaussianScene, attributes: Sequence[str]
-) -> tuple[GaussianSubset, GaussianSubset]:
-    """An object in the clean scene, with as many coefficients as the attacked one has, and in the attacked scene.
-
-    Args:
-        scene: The clean scene.
-        rows: The object.
-        saved: Its Gaussians after the attack, as they were loaded from their file.
-        attributes: What of them was attacked; all else is taken from the clean scene.
-    """
-    clean = GaussianSubset.of(scene.with_degree(max(saved.degree, scene.degree)), rows)
-    values = {
-        name: whole.clone().index_put((clean.rows,), part)
-        for name, whole, part in zip(ATTRIBUTES, clean.scene.tensors(), saved.tensors(), strict=True)
-        if name in attributes
-    }
-    return clean, GaussianSubset.of(clean.scene.replace(**values), rows)
-
-
 class TransferRunner:
     """Attacks and judges; scenes are read and detectors loaded once.
 
@@ -146,85 +118,25 @@ class TransferRunner:
     """
 
     def __init__(self, read: Callable[[str], AttackScene], load: Callable[[str], Detector], out: Path) -> None:
-        self._scenes, self._load, self._out = AttackScenes(read), load, out
-        self._detectors: dict[str, Detector] = {}
-        self._boxes: dict[tuple[str, str, int], Tensor] = {}
-        self._clean: dict[tuple[str, str, int, str, str], dict[str, float]] = {}
+        self._objects = AttackedObjects(read, load, out)
 
     def path(self, job: SourceJob) -> Path:
         """File of the attacked object."""
-        return self._out / ATTACKED / f"{job.name}.ply"
+        return self._objects.path(job)
 
     def attack_fingerprint(self, job: SourceJob) -> str:
         """Hash of the scene, its cameras and the weights of the detectors attacked."""
-        return self._scenes.fingerprint(job.scene, job.object, *map(self._detector, job.sources))
+        return self._objects.fingerprint(job, job.sources)
 
     def attack(self, job: SourceJob) -> dict[str, Any]:
         """Attack, save the object's Gaussians, and return the summary without its views."""
-        place = self._scenes.of(job.scene, job.object)
-        rows = place.objects[job.object]
-        found = attack(
-            place.scene,
-            rows,
-            [self._scenes.view(job.scene, job.object, job.config.seed)],
-            [self._detector(name) for name in job.sources],
-            relabel(job.target, confidence=SUCCESS),
-            render=place.render,
-            config=job.config,
-        )
-        self.path(job).parent.mkdir(parents=True, exist_ok=True)
-        save_splat(found.scene.select(rows), self.path(job))
-        left_out = ("views", "zero_gradient_fraction", "trace", "noise")
-        return {name: value for name, value in summary(found).items() if name not in left_out}
+        objective = relabel(job.target, confidence=SUCCESS)
+        return self._objects.attack(job, job.sources, objective, render=self._objects.place(job).render)
 
     def judge_fingerprint(self, job: JudgeJob) -> str:
         """Hash of the scene, its cameras, and the weights of all detectors that play a part."""
-        names = (*job.source.sources, job.detector)
-        return self._scenes.fingerprint(job.source.scene, job.source.object, *map(self._detector, names))
+        return self._objects.fingerprint(job.source, (*job.source.sources, job.detector))
 
     def judge(self, job: JudgeJob) -> dict[str, Any]:
-        """What the detector reports on the object: clean, attacked, and with random noise of the attack's size.
-
-        Returns:
-            For each of the three its confidence in the class that the object has (`original`) and in the `target`.
-        """
-        source, config = job.source, job.source.config
-        place = self._scenes.of(source.scene, source.object)
-        clean, attacked = self._subsets(source, place)
-        reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
-        noisy = clean.applied(config.budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
-        key = (source.scene, source.object, config.seed, job.detector, source.target)
-        if key not in self._clean:
-            self._clean[key] = self._seen(place.scene, job)
-        return {
-            "clean": self._clean[key],
-            "attacked": self._seen(attacked.scene, job),
-            "noise": self._seen(noisy, job),
-        }
-
-    def _subsets(self, job: SourceJob, place: AttackScene) -> tuple[GaussianSubset, GaussianSubset]:
-        """The object in the clean scene and in the attacked one."""
-        return clean_and_attacked(
-            place.scene, place.objects[job.object], load_splat(self.path(job)), job.config.attributes
-        )
-
-    def _seen(self, scene: GaussianScene, job: JudgeJob) -> dict[str, float]:
-        source = job.source
-        place = self._scenes.of(source.scene, source.object)
-        camera = self._scenes.view(source.scene, source.object, source.config.seed)
-        key = (source.scene, source.object, source.config.seed)
-        if key not in self._boxes:
-            (box,) = object_boxes(place.scene, place.objects[source.object], [camera], render=place.render)
-            if box is None:
-                do = "choose another seed"
-                raise InvalidValueError(message(source.name, "a view that shows the object", "none of it", do))
-            self._boxes[key] = box
-        (view,) = detect_views(
-            scene, [camera], [self._detector(job.detector)], render=place.render, boxes=[self._boxes[key]]
-        )
-        return {"original": view.confidence(source.original), "target": view.confidence(source.target)}
-
-    def _detector(self, name: str) -> Detector:
-        if name not in self._detectors:
-            self._detectors[name] = self._load(name)
-        return self._detectors[name]
+        """What the detector reports on the object, as `AttackedObjects.seen` returns it."""
+        return self._objects.seen(job.source, job.detector, render=self._objects.place(job.source).render)
