@@ -17,7 +17,9 @@ from attacks.cli import rendering_study
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES
 from attacks.detectors.base import Detector
+from attacks.evaluation.street import SunTable
 from attacks.rate import Rate
+from attacks.rendering_studies import jobs as study_jobs
 from attacks.rendering_studies.config import AttackTable, JudgeTable, Pair, RenderingStudy
 from attacks.rendering_studies.figure import draw_rates
 from attacks.rendering_studies.gradient_source import with_gradient_of
@@ -29,6 +31,7 @@ from mi_splat.cameras import Camera
 from mi_splat.comparison import methods
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
+from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.dagger.test_study import toy
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -203,3 +206,40 @@ def test_a_camera_that_is_not_there(camera: int, match: str | None, tmp_path: Pa
         return
     with pytest.raises(InvalidValueError, match=match):
         runner(tmp_path).attack(job)
+
+
+def test_fingerprints_follow_all_that_a_job_does_not_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = attacks_of(STUDY)[0]
+    look = looks_at(STUDY, job)[0]
+    (tmp_path / "street.xml").write_text('<scene version="3.0.0"><string name="filename" value="car.ply"/></scene>')
+    (tmp_path / "car.ply").write_text("ply")
+    sun = SunTable(scene=str(tmp_path / "street.xml"), hours=(12.0,))
+    sunny = dataclasses.replace(STUDY, judge=JudgeTable(sun=sun))
+    marks = {runner(tmp_path).fingerprint(job), runner(tmp_path).fingerprint(attacks_of(STUDY)[-1])}
+    assert len(marks) == 1
+    marks.add(runner(tmp_path, dataclasses.replace(STUDY, confidence=0.3)).fingerprint(job))
+    other = dataclasses.replace(place(), render=Renderer(RenderSettings(background=(0.0, 0.0, 1.0))))
+    marks.add(StudyRunner(STUDY, lambda name: other, DETECTORS.__getitem__, tmp_path).fingerprint(job))
+    other = dataclasses.replace(place(), objects={"car": slice(10, 39)})
+    marks.add(StudyRunner(STUDY, lambda name: other, DETECTORS.__getitem__, tmp_path).fingerprint(job))
+    with monkeypatch.context() as patch:
+        search = dataclasses.replace(SEARCHES["paper"], objective={"near": 0.9})
+        patch.setattr(study_jobs, "SEARCHES", {**SEARCHES, "paper": search})
+        marks.add(runner(tmp_path).fingerprint(job))
+    assert len(marks) == 5
+    looks = {runner(tmp_path, study).look_fingerprint(look) for study in (STUDY, sunny)}
+    looks.add(runner(tmp_path, dataclasses.replace(sunny, confidence=0.3)).look_fingerprint(look))
+    for name in ("car.ply", "street.xml"):
+        (tmp_path / name).write_text((tmp_path / name).read_text() + "\n")
+        looks.add(runner(tmp_path, sunny).look_fingerprint(look))
+    assert len(looks) == 5
+
+
+def test_another_confidence_is_another_attack(tmp_path: Path) -> None:
+    jobs = attacks_of(STUDY)[:1]
+    first, again, other = (
+        run_study(study, jobs, tmp_path, runner(tmp_path, study))[0]["attack"]
+        for study in (STUDY, STUDY, dataclasses.replace(STUDY, confidence=0.3))
+    )
+    assert first["seconds"] == again["seconds"] != other["seconds"]
+    assert (first["config"]["objective"]["confidence"], other["config"]["objective"]["confidence"]) == (0.5, 0.3)
