@@ -35,7 +35,10 @@ Runs = tuple[Callable[[], None], Callable[[], None]]
 
 
 def shell(count: int, *, seed: int = 0) -> GaussianScene:
-    """`count` Gaussians of SH degree 3 on a noisy unit sphere, about as large as their distance from each other."""
+    """`count` Gaussians of SH degree 3 on a noisy unit sphere, about as large as their distance from each other.
+
+    In torch's own memory: NumPy's may not be aligned as Dr.Jit wants it, and is then copied for every picture.
+    """
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
     means = means / np.linalg.norm(means, axis=1, keepdims=True) + rng.normal(size=(count, 3)) * 0.02
@@ -43,7 +46,7 @@ def shell(count: int, *, seed: int = 0) -> GaussianScene:
     rotations = rng.normal(size=(count, 4))
     rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
     opacities, sh = rng.uniform(0.1, 1.0, count), rng.normal(size=(count, 16, 3)) * 0.2
-    return GaussianScene(*(torch.from_numpy(a.astype(np.float32)) for a in (means, scales, rotations, opacities, sh)))
+    return GaussianScene(*(torch.tensor(a, dtype=torch.float32) for a in (means, scales, rotations, opacities, sh)))
 
 
 def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Runs:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import json
 import os
 import resource
@@ -86,27 +87,30 @@ def watched(clock: Clock) -> Iterator[None]:
     """Let a clock look before and after each stage of the rasteriser."""
     import drjit as dr
 
-    from mi_splat.rasterization import frozen, pipeline
+    from mi_splat.rasterization import frozen, pipeline, sorting
 
-    argsort = dr.argsort
-    sorts = ["sort by depth", "sort by tile"]
+    def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any) -> Any:
+            clock.look("between stages")
+            found = call(*arguments)
+            dr.eval(found)
+            clock.look(name)
+            return found
+
+        return run
 
     def run(stage: Callable[..., Any], *arguments: Any) -> Any:
-        clock.look("between stages")
-        found = frozen.run(stage, *arguments)
-        dr.eval(found)
-        clock.look(stage.__name__.replace("_", " "))
-        return found
+        return timed(stage.__name__.replace("_", " "), functools.partial(frozen.run, stage))(*arguments)
 
-    def sort(array: Any) -> Any:
-        clock.look("between stages")
-        found = argsort(array)
-        dr.eval(found)
-        clock.look(sorts[0])
-        sorts.reverse()
-        return found
-
-    with mock.patch.object(pipeline, "run", run), mock.patch.object(dr, "argsort", sort):
+    sorts = [
+        (dr, "argsort", "sort by depth"),
+        (sorting, "order_below", "sort by tile"),
+        (sorting, "by_length", "sort tiles"),
+    ]
+    with contextlib.ExitStack() as patches:
+        patches.enter_context(mock.patch.object(pipeline, "run", run))
+        for module, function, name in sorts:
+            patches.enter_context(mock.patch.object(module, function, timed(name, getattr(module, function))))
         yield
 
 
@@ -124,6 +128,8 @@ def measure(scene: GaussianScene, camera: Camera, rounds: int) -> dict[str, Any]
     weights = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
 
     def picture() -> None:
+        for leaf in leaves:
+            leaf.grad = None
         clock.start()
         image = render(learnt, camera)
         clock.look("between stages")

@@ -164,6 +164,7 @@ class FrozenView:
         import mitsuba as mi
 
         from mi_splat.rasterization import layouts, pinhole
+        from mi_splat.rasterization.frozen import aligned
         from mi_splat.rasterization.pipeline import rasterize
         from mi_splat.rasterization.weights import HIDDEN_DC, freeze_pairs
 
@@ -173,7 +174,7 @@ class FrozenView:
         sh[self.rows, 0] = HIDDEN_DC
         settings = self.settings
         hole = pinhole.from_camera(self.camera, near=settings.near, antialiased=settings.antialiased)
-        arrays = tuple(mi.Float(tensor.flatten()) for tensor in (*self._kept[:4], sh))
+        arrays = tuple(aligned(mi.Float(tensor.flatten())) for tensor in (*self._kept[:4], sh))
         picture = rasterize(layouts.TENSORS, arrays, hole, settings.background)
         towards = self._kept[0][self.rows].double() - self.camera.position.to(self._device, torch.float64)
         directions = torch.nn.functional.normalize(towards, dim=1).to(torch.float32)

@@ -39,6 +39,7 @@ from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.settings import TILE_SETTINGS, SettingValues, name_integrator, setting_property
 from mi_splat.rasterization.colour import develop, develop_backward
+from mi_splat.rasterization.frozen import aligned
 from mi_splat.rasterization.layouts import ELLIPSOIDS
 from mi_splat.rasterization.picture import Picture
 from mi_splat.rasterization.pinhole import Pinhole
@@ -111,7 +112,7 @@ def integrator_class(variant: str) -> Any:
             camera, held = self._camera_of(sensor), shapes.detached()
             key = tuple(array.index for array in held), camera.key(), self.background
             if key not in self._pictures:
-                picture = rasterize(ELLIPSOIDS, shapes.joined(), camera, self.background)
+                picture = rasterize(ELLIPSOIDS, tuple(map(aligned, shapes.joined())), camera, self.background)
                 self._pictures[key] = CachedPicture(held, camera, picture)
                 while len(self._pictures) > _CACHED_PICTURES:
                     self._pictures.popitem(last=False)

@@ -1,4 +1,4 @@
-"""Stages 5 to 7, from the gradient of a picture to that of the Gaussians; `pipeline.rasterize_backward` calls them.
+"""Stages 6 to 9, from the gradient of a picture to that of the Gaussians; `pipeline.rasterize_backward` calls them.
 
 The same rules as for the stages in `forward` hold. The chain is picture, pixels in tile order, moments of each pair,
 2D splat, 3D Gaussian.
@@ -16,7 +16,7 @@ from mi_splat.rasterization import blending, pinhole
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
-from mi_splat.rasterization.picture import PictureBuffers, tile_columns, tiled_index, width_and_height
+from mi_splat.rasterization.picture import PictureBuffers, tile_columns, width_and_height
 from mi_splat.rasterization.pinhole import KernelCamera, StageCamera
 from mi_splat.rasterization.projection import Gaussians, Splat, project
 
@@ -24,7 +24,7 @@ _LN2 = math.log(2.0)
 
 
 def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], grad_tiles: tuple[Any, ...]) -> None:
-    """Stage 5: the gradient of the picture, tile after tile.
+    """Stage 6: the gradient of the picture, tile after tile.
 
     Args:
         buffers: The finished picture.
@@ -34,9 +34,7 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
             everything that reached the pixel, background included, of its weight times dL/dweight. The third has 2:
             dL/d(expected depth) over the sum of weights, and the expected depth.
     """
-    width, _ = width_and_height(buffers.size)
-    pixel = buffers.pixels
-    where = tiled_index(mi.Int32(pixel), width)
+    pixel, where = buffers.pixels, buffers.places
     grad_colour = dr.gather(mi.ArrayXf, grad_picture[0], pixel, shape=(3, dr.width(pixel)))
     value = dr.gather(mi.ArrayXf, buffers.colour, pixel, shape=(3, dr.width(pixel)))
     weighted = grad_colour[0] * value[0] + grad_colour[1] * value[1] + grad_colour[2] * value[2]
@@ -54,24 +52,25 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
 
 def blend_backward(
     records: tuple[Any, ...],
-    pairs: tuple[Any, Any],
-    pair_ranges: tuple[Any, Any],
+    lists: tuple[Any, Any, Any, Any],
+    order: Any,
     buffers: PictureBuffers,
     grad_tiles: tuple[Any, ...],
     moments: tuple[Any, ...],
 ) -> None:
-    """Stage 6: each pair's moments of the gradient, in the pair's own row.
+    """Stage 8: each pair's moments of the gradient, in the pair's own row.
 
     Args:
         records: The Gaussians' records.
-        pairs: In tile order: Gaussian, and row.
-        pair_ranges: First and one-past-last pair of each tile.
+        lists: Gaussian and row of each pair in tile order, and first and one-past-last pair of each tile.
+        order: UInt32, places in `buffers.tiles`: in which order tiles are worked on.
         buffers: The picture; only its size and tiles are read.
-        grad_tiles: What stage 5 wrote.
+        grad_tiles: What stage 6 wrote.
         moments: Two buffers, of 8 floats a row and of 1, and with gradients of depth a third, of 1; filled.
     """
     width, _ = width_and_height(buffers.size)
-    tile = buffers.tiles
+    tile = dr.gather(mi.UInt32, buffers.tiles, order)
+    first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[2:])
     n = TILE * TILE
     v = dr.gather(mi.ArrayXf, grad_tiles[0], tile, shape=(4 * n, dr.width(tile)))
     grad_colour = [v[4 * p + channel] for channel in range(3) for p in range(n)]
@@ -80,15 +79,44 @@ def blend_backward(
     grad_opacity = list(dr.gather(mi.ArrayXf, grad_tiles[1], tile, shape=(n, dr.width(tile)))) if with_opacity else []
     both = list(dr.gather(mi.ArrayXf, grad_tiles[2], tile, shape=(2 * n, dr.width(tile)))) if with_depth else []
     grad_depth = list(zip(both[::2], both[1::2], strict=True))
-    blending.blend_tile_backward(
+    reached = blending.blend_tile_backward(
         records,
-        pairs,
-        pair_ranges,
+        lists[:2],
+        (first, last),
         blending.first_pixel(mi.Int32(tile), tile_columns(width)),
         (grad_colour, grad_opacity, grad_depth, weighted),
         moments,
     )
+    dr.eval(moments, reached, last)
+    blending.clear_rows(lists[1], (reached, last), moments)
     dr.eval(moments)
+
+
+def rows_by_gaussian(
+    depth_order: Any, row_ranges: tuple[Any, Any], pairs: tuple[Any, Any], scratch: tuple[Any, Any]
+) -> tuple[Any, tuple[Any, Any]]:
+    """Stage 7: rows for the moments, in the order of the Gaussians and not of their depths.
+
+    So that stage 9, whose lanes are the Gaussians in their order, reads all of its memory from one end to the other.
+
+    Args:
+        depth_order: UInt32, Gaussians from near to far.
+        row_ranges: First and one-past-last row of each of them.
+        pairs: In tile order: Gaussian, and row.
+        scratch: Two buffers of one UInt32 a Gaussian.
+
+    Returns:
+        UInt32 row of each pair in tile order; and first and one-past-last row of each Gaussian.
+    """
+    first, last = row_ranges
+    count, shift = scratch
+    dr.scatter(count, last - first, depth_order)
+    dr.eval(count)
+    begin = dr.prefix_sum(count)
+    dr.eval(begin)
+    dr.scatter(shift, dr.gather(mi.UInt32, begin, depth_order) - first, depth_order)
+    dr.eval(shift)
+    return pairs[1] + dr.gather(mi.UInt32, shift, pairs[0]), (begin, begin + count)
 
 
 def project_backward(
@@ -101,15 +129,15 @@ def project_backward(
     gradients: tuple[Any, ...],
     screen: Any | None,
 ) -> None:
-    """Stage 7: sum every Gaussian's moments and take them back through the projection.
+    """Stage 9: sum every Gaussian's moments and take them back through the projection.
 
     Args:
         layout: What lies where in `arrays` and `gradients`.
         terms: SH coefficients a Gaussian and channel.
         arrays: The Gaussians.
         stage_camera: The camera.
-        rows: Gaussians in depth order, and their first and one-past-last rows.
-        moments: What stage 6 wrote.
+        rows: The Gaussians, 0, 1, 2, ..., and their first and one-past-last rows.
+        moments: What stage 8 wrote.
         gradients: Buffers like `arrays`; filled.
         screen: Buffer of three floats a Gaussian, or None; filled with dL/d(centre on the screen) in pixels, and 1
             where the Gaussian touches a tile.

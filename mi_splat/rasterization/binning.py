@@ -16,6 +16,9 @@ from mi_splat.rasterization.projection import CUTOFF, Splat
 TILE = 4
 """Pixels along one side of a tile."""
 
+NO_TILE = 0xFFFFFFFF
+"""Sorts behind every tile and every depth."""
+
 _SLACK = 4e-3  # px; keeps rounding from dropping a pixel whose alpha is just above 1/255
 
 
@@ -99,39 +102,42 @@ def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any
     return total
 
 
-def emit_pairs(
-    splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[Any, Any], keys: Any, values: Any
-) -> None:
-    """Write the pairs of every Gaussian into its slots of `keys` (tile numbers) and `values` (Gaussian numbers).
+def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[Any, Any], pairs: Any) -> None:
+    """Write the pairs of every Gaussian into its slots.
 
     Args:
         splat: One Gaussian a lane.
         gaussian: UInt32 number of the lane's Gaussian.
         slots: First and one-past-last slot of the lane, as `count_tiles` counted them.
         size: Width and height of the picture in pixels, Int32.
-        keys: Buffer of UInt32; slots that stay unused (rounding differed from the count's) keep what they hold.
-        values: Buffer of UInt32.
+        pairs: Buffer of two UInt32 a slot, tile and Gaussian; slots that stay unused (rounding differed from the
+            count's) keep what they hold.
     """
     width, height = size
     columns = (width + (TILE - 1)) // TILE
     reach = dr.sqrt(splat.level - CUTOFF) / splat.v1
     first, last = tile_rows(splat, mi.Vector2f(reach), height)
 
-    def body(slot: Any, row: Any, column: Any, end: Any) -> tuple[Any, Any, Any, Any]:
-        fresh = column > end
-        left, right = tiles_of_row(splat, row + 1, height, width)
-        row = dr.select(fresh, row + 1, row)
-        column, end = dr.select(fresh, left, column), dr.select(fresh, right, end)
-        write = column <= end
-        dr.scatter(keys, mi.UInt32(row * columns + column), slot, write)
-        dr.scatter(values, gaussian, slot, write)
-        return slot + mi.UInt32(dr.select(write, 1, 0)), row, column + 1, end
+    def write_row(slot: Any, row: Any) -> tuple[Any, Any]:
+        left, right = tiles_of_row(splat, row, height, width)
+
+        def write(slot: Any, column: Any) -> tuple[Any, Any]:
+            dr.scatter(pairs, mi.ArrayXu([mi.UInt32(row * columns + column), gaussian]), slot)
+            return slot + 1, column + 1
+
+        slot, _ = dr.while_loop(
+            (slot, left),
+            lambda slot, column: (slot < stop) & (column <= right),
+            write,
+            label="emit pairs of a row",
+        )
+        return slot, row + 1
 
     start, stop = slots
     dr.while_loop(
-        (mi.UInt32(start), first - 1, mi.Int32(1), mi.Int32(0)),
-        lambda slot, row, column, end: (slot < stop) & ((row < last) | (column <= end)),
-        body,
+        (mi.UInt32(start), mi.Int32(first)),
+        lambda slot, row: (slot < stop) & (row <= last),
+        write_row,
         label="emit pairs",
     )
 
@@ -151,3 +157,19 @@ def lower_bound(sorted_keys: Any, count: Any, key: Any) -> Any:
         label="tile bounds",
     )
     return low
+
+
+def bounds_of_tiles(tile: Any, index: Any, total: Any, ranges: tuple[Any, Any]) -> None:
+    """Write where each tile's pairs begin and end; tiles without pairs keep what the buffers hold.
+
+    Args:
+        tile: UInt32, tile of the lane's pair; pairs are in tile order, those that stayed unused last (`NO_TILE`).
+        index: UInt32, number of the lane's pair.
+        total: UInt32, number of pairs.
+        ranges: Two buffers of one UInt32 a tile.
+    """
+    before = dr.gather(mi.UInt32, tile, index - 1, index > 0)
+    fresh = (index > 0) & (before != tile)
+    dr.scatter(ranges[0], index, tile, fresh & (tile != NO_TILE))
+    dr.scatter(ranges[1], index, before, fresh)
+    dr.scatter(ranges[1], total, tile, (index + 1 == total) & (tile != NO_TILE))

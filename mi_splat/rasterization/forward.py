@@ -1,4 +1,4 @@
-"""Stages 1 to 4, from Gaussians to a picture; `pipeline.rasterize` calls them in this order.
+"""Stages 1 to 5, from Gaussians to a picture; `pipeline.rasterize` calls them in this order.
 
 Each stage is recorded once by `frozen.run` and replayed. README.md says what a stage may and may not do for a replay to
 stay right when sizes change.
@@ -12,15 +12,13 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.rasterization import binning, blending, pinhole
-from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
-from mi_splat.rasterization.picture import PictureBuffers, tile_columns, tiled_index, width_and_height
+from mi_splat.rasterization.picture import PictureBuffers, tile_columns, width_and_height
 from mi_splat.rasterization.pinhole import StageCamera
 from mi_splat.rasterization.projection import Splat, project
-
-NO_TILE = 0xFFFFFFFF
-"""Sorts behind every tile and every depth."""
+from mi_splat.rasterization.sorting import length_key
 
 BROKEN = 0xFFFFFFFF
 """In place of a number of tiles: a number of the Gaussian is not finite."""
@@ -89,7 +87,7 @@ def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
     return first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
 
 
-def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: tuple[Any, Any]) -> None:
+def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> None:
     """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far.
 
     Args:
@@ -98,53 +96,73 @@ def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any
         first: UInt32, first row of each of them.
         last: UInt32, one-past-last row of each of them.
         size: `PictureBuffers.size`.
-        pairs: Two buffers of one UInt32 a row, for tiles and Gaussians.
+        pairs: Buffer of two UInt32 a row, tile and Gaussian.
     """
     v = dr.gather(mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order)))
     splat = Splat(mi.Point2f(v[0], v[1]), v[2], v[3], v[4], v[5], mi.Color3f(0))
-    binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), *pairs)
+    binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), pairs)
+
+
+def find_lists(
+    pairs: Any, rows: Any, index: Any, total: Any, buffers: PictureBuffers, ranges: tuple[Any, Any]
+) -> tuple[Any, Any]:
+    """Stage 4: where the list of each tile lies.
+
+    Args:
+        pairs: What `write_pairs` left.
+        rows: UInt32, row of each pair in tile order.
+        index: UInt32, number of the lane's pair in tile order: 0, 1, 2, ...
+        total: UInt64, number of pairs.
+        buffers: The picture; only its tiles are read.
+        ranges: Two buffers of one UInt32 a tile, all 0, to be filled with the first and one-past-last of its pairs.
+
+    Returns:
+        UInt32 Gaussian of each pair in tile order, and keys for `sorting.by_length`.
+    """
+    tile, gaussians = dr.gather(mi.ArrayXu, pairs, rows, shape=(2, dr.width(rows)))
+    gaussians = dr.select(tile == NO_TILE, 0, gaussians)
+    dr.eval(gaussians, tile)
+    binning.bounds_of_tiles(tile, index, mi.UInt32(total), ranges)
+    dr.eval(ranges)
+    first, last = (dr.gather(mi.UInt32, edge, buffers.tiles) for edge in ranges)
+    return gaussians, length_key(last - first)
 
 
 def blend_tiles(
     records: tuple[Any, ...],
-    pairs: tuple[Any, Any],
-    rows: Any,
-    total: Any,
+    lists: tuple[Any, Any, Any],
+    order: Any,
     buffers: PictureBuffers,
     canvas: tuple[Any, ...],
-) -> tuple[Any, Any, Any]:
-    """Stage 4: blend every tile, then lay the tiles out as a row-major picture over the background.
+    walked: Any,
+) -> None:
+    """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the background.
 
     Args:
         records: The Gaussians' records.
-        pairs: Tiles and Gaussians, as `write_pairs` left them.
-        rows: UInt32, row of each pair in tile order.
-        total: UInt64, number of pairs.
+        lists: Gaussian of each pair in tile order, and first and one-past-last pair of each tile.
+        order: UInt32, places in `buffers.tiles`: in which order tiles are worked on.
         buffers: The picture; filled.
         canvas: Buffers that hold tile after tile: colour and transmittance, 4 floats a pixel; and, if depths are
             wanted, what `blend_tile` returns of them, 3 floats a pixel.
-
-    Returns:
-        UInt32 Gaussian of each pair in tile order, and first and one-past-last pair of each tile.
+        walked: Buffer of one UInt32 a tile, to be filled with keys for `sorting.by_length`: the length of each list up
+            to where all pixels have stopped.
     """
-    gaussians, keys = dr.gather(mi.UInt32, pairs[1], rows), dr.gather(mi.UInt32, pairs[0], rows)
-    dr.eval(gaussians, keys)
-    tile = buffers.tiles
-    start = binning.lower_bound(keys, total, tile)
-    stop = binning.lower_bound(keys, total, tile + 1)
-    dr.eval(start, stop)
+    tile = dr.gather(mi.UInt32, buffers.tiles, order)
+    first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[1:])
     width, _ = width_and_height(buffers.size)
     corner = blending.first_pixel(mi.Int32(tile), tile_columns(width))
-    colours, transmittances, depths = blending.blend_tile(records, gaussians, (start, stop), corner)
+    colours, transmittances, depths, reached = blending.blend_tile(records, lists[0], (first, last), corner)
+    dr.scatter(walked, length_key(reached - first), order)
     n = TILE * TILE
     values = [v for p in range(n) for v in (colours[p], colours[n + p], colours[2 * n + p], transmittances[p])]
     dr.scatter(canvas[0], mi.ArrayXf(values), tile)
     if depths:
         dr.scatter(canvas[1], mi.ArrayXf([depths[k * n + p] for p in range(n) for k in range(3)]), tile)
-    dr.eval(canvas)
+    dr.eval(canvas, walked)
 
     pixel = buffers.pixels
-    where = tiled_index(mi.Int32(pixel), width)
+    where = buffers.places
     value = dr.gather(mi.ArrayXf, canvas[0], where, shape=(4, dr.width(where)))
     rgb = [dr.fma(value[3], dr.gather(mi.Float, buffers.background, mi.UInt32(c)), value[c]) for c in range(3)]
     dr.scatter(buffers.colour, mi.ArrayXf(rgb), pixel)
@@ -155,4 +173,3 @@ def blend_tiles(
         for array, values in zip(buffers.depths, (expected, median, total), strict=True):
             dr.scatter(array, values, pixel)
     dr.eval(buffers.colour, buffers.opacity, buffers.depths)
-    return gaussians, start, stop

@@ -66,6 +66,11 @@ def buffer(size: int, dtype: Any = None, value: float | None = None) -> Any:
 @functools.lru_cache(maxsize=16)
 def numbers(variant: str, count: int) -> Any:
     """0, 1, 2, ... in memory."""
+    return index_of(count)
+
+
+def index_of(count: int) -> Any:
+    """0, 1, 2, ... in memory, for a count that is another one in every picture."""
     found = dr.arange(mi.UInt32, count)
     dr.make_opaque(found)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import buffer, numbers
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.pinhole import StageCamera
+from mi_splat.rasterization.sorting import tiles_by_block
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
@@ -19,8 +21,9 @@ class PictureBuffers:
     """The picture that is made: its size, its tiles, and the arrays that it is written to."""
 
     size: Any  # Int32, width and height
-    tiles: Any  # UInt32, 0, 1, 2, ...
+    tiles: Any  # UInt32, numbers of the tiles, neighbours together
     pixels: Any  # UInt32, 0, 1, 2, ...
+    places: Any  # UInt32, where each pixel lies tile after tile, see `tiled_index`
     background: Any  # Float, 3 values
     colour: Any  # Float, row-major, 3 a pixel
     opacity: Any  # Float, row-major
@@ -38,6 +41,7 @@ class BackwardState:
     row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian, in depth order
     pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
     pair_ranges: tuple[Any, Any]  # first and one-past-last pair of each tile
+    walked: Any  # UInt32, keys for `sorting.by_length`: how much of its list each tile has walked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,13 +76,22 @@ def new_buffers(
     pixels = width * height
     return PictureBuffers(
         size=mi.Int32([width, height]),
-        tiles=numbers(mi.variant(), -(-width // TILE) * -(-height // TILE)),
+        tiles=tiles_by_block(mi.variant(), -(-width // TILE), -(-height // TILE)),
         pixels=numbers(mi.variant(), pixels),
+        places=_places(mi.variant(), width, pixels),
         background=mi.Float(background),
         colour=buffer(3 * pixels),
         opacity=buffer(pixels, value=0.0),
         depths=tuple(buffer(pixels, value=0.0) for _ in range(3 if depths else 0)),
     )
+
+
+@functools.lru_cache(maxsize=16)
+def _places(variant: str, width: int, pixels: int) -> Any:
+    """The places of all pixels in memory: two integer divisions a pixel cost more than reading the result."""
+    found = tiled_index(mi.Int32(numbers(variant, pixels)), mi.Int32(width))
+    dr.make_opaque(found)
+    return found
 
 
 def sh_terms(arrays: tuple[Any, ...]) -> int:

@@ -12,10 +12,10 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.errors import MiSplatError, message
-from mi_splat.rasterization import backward, forward
-from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization import backward, forward, sorting
+from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
-from mi_splat.rasterization.frozen import aligned, buffer, numbers, run
+from mi_splat.rasterization.frozen import aligned, buffer, index_of, numbers, run
 from mi_splat.rasterization.layouts import Layout, check_finite
 from mi_splat.rasterization.picture import BackwardState, Picture, PictureBuffers, new_buffers, sh_terms
 from mi_splat.rasterization.pinhole import Pinhole
@@ -36,7 +36,8 @@ def rasterize(
 
     Args:
         layout: What lies where in `arrays`.
-        arrays: Flat Float arrays, detached; the last holds SH, the one before it has one opacity a Gaussian.
+        arrays: Flat Float arrays, detached and `aligned`; the last holds SH, the one before it has one opacity a
+            Gaussian.
         camera: The camera.
         background: sRGB colour behind everything.
         depths: Fill `Picture.depths`, too.
@@ -45,7 +46,6 @@ def rasterize(
         InvalidValueError: A number of a Gaussian is not finite.
         MiSplatError: The picture needs more than MAX_PAIRS (tile, Gaussian) pairs.
     """
-    arrays = tuple(aligned(array) for array in arrays)
     buffers = new_buffers(camera.size, background, depths=depths)
     count = len(arrays[-2])
     if count == 0:
@@ -67,12 +67,15 @@ def rasterize(
         raise MiSplatError(
             message("picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians")
         )
-    pairs = (buffer(number, mi.UInt32, forward.NO_TILE), buffer(number, mi.UInt32, 0))
+    pairs = buffer(2 * number, mi.UInt32, NO_TILE)
     run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
-    rows = dr.argsort(pairs[0])
-    pixels = TILE * TILE * len(buffers.tiles)
-    canvas = tuple(buffer(width * pixels) for width in ((4, 3) if depths else (4,)))
-    gaussians, start, stop = run(forward.blend_tiles, records, pairs, rows, total, buffers, canvas)
+    tiles = len(buffers.tiles)
+    place, ranges = index_of(number), tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2))
+    rows = sorting.order_below(dr.gather(mi.UInt32, pairs, 2 * place), tiles)
+    gaussians, length_key = run(forward.find_lists, pairs, rows, place, total, buffers, ranges)
+    order, walked = sorting.by_length(length_key), buffer(tiles, mi.UInt32)
+    canvas = tuple(buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,)))
+    run(forward.blend_tiles, records, (gaussians, *ranges), order, buffers, canvas, walked)
     state = BackwardState(
         buffers=buffers,
         camera=stage_camera,
@@ -80,7 +83,8 @@ def rasterize(
         depth_order=depth_order,
         row_ranges=(first, last),
         pairs=(gaussians, rows),
-        pair_ranges=(start, stop),
+        pair_ranges=ranges,
+        walked=walked,
     )
     return Picture(buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state)
 
@@ -112,24 +116,28 @@ def rasterize_backward(
         One Float array for each of `picture.arrays`. The same bits every time, on any number of threads.
     """
     arrays, state = picture.arrays, picture.state
-    gradients = tuple(buffer(len(array), value=0.0) for array in arrays)
     if state is None:
-        return gradients
+        return tuple(buffer(len(array), value=0.0) for array in arrays)
+    gradients = tuple(buffer(len(array)) for array in arrays)
     grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity, grad_depth) if grad is not None)
     pixels_of_tiles = TILE * TILE * len(state.buffers.tiles)
     grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1, 2)[: len(grad_picture)])
+    run(backward.gradient_to_tiles, state.buffers, grad_picture, grad_tiles)
     pairs = len(state.pairs[0])
     moments = (buffer(RECORD * pairs), *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)))
-    terms, rows = sh_terms(arrays), (state.depth_order, *state.row_ranges)
-    run(backward.gradient_to_tiles, state.buffers, grad_picture, grad_tiles)
-    run(backward.blend_backward, state.records, state.pairs, state.pair_ranges, state.buffers, grad_tiles, moments)
+    gaussians = len(state.depth_order)
+    scratch = tuple(buffer(gaussians, mi.UInt32) for _ in range(2))
+    rows, row_ranges = run(backward.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
+    lists, order = (state.pairs[0], rows, *state.pair_ranges), sorting.by_length(state.walked)
+    run(backward.blend_backward, state.records, lists, order, state.buffers, grad_tiles, moments)
+    index = numbers(mi.variant(), gaussians)
     run(
         backward.project_backward,
         picture.layout,
-        terms,
+        sh_terms(arrays),
         arrays,
         state.camera,
-        rows,
+        (index, *row_ranges),
         moments,
         gradients,
         screen,

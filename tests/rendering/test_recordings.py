@@ -26,8 +26,9 @@ from mi_splat.rasterization import backward, forward, pinhole  # noqa: E402
 from mi_splat.rasterization.frozen import aligned, frozen  # noqa: E402
 
 STAGES = (
-    *(forward.project_gaussians, forward.allot_rows, forward.write_pairs, forward.blend_tiles),
-    *(backward.gradient_to_tiles, backward.blend_backward, backward.project_backward),
+    *(forward.project_gaussians, forward.allot_rows, forward.write_pairs, forward.find_lists),
+    *(forward.blend_tiles, backward.gradient_to_tiles, backward.rows_by_gaussian, backward.blend_backward),
+    backward.project_backward,
 )
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
