@@ -69,6 +69,11 @@ def test_variations_change_one_thing_and_keep_all_seeds() -> None:
     assert [study.attack[1].emphasis for study in varied(SEEDS, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
     assert [study.training.outliers for study in varied(SEEDS, "outliers").values()] == [0, 1000, 4000]
     assert [study.training.iterations for study in varied(SEEDS, "iterations").values()] == [26, 80, 160]
+    objects = varied(SEEDS, "object")
+    assert list(objects) == ["car", "elephant", "bird", "train"]
+    assert objects["car"] == SEEDS
+    assert objects["bird"].scene.ground_size < 0.2 * SEEDS.scene.ground_size  # 0.45 m across and not 5.4 m
+    assert 2 < objects["train"].cameras.height < 3  # half of 5.1 m, as the car's is half of 1.5 m
     cameras = varied(SEEDS, "cameras")
     assert {name: study.cameras.train for name, study in cameras.items()} == {
         **{"60": 60, "120": 120},

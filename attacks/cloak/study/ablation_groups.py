@@ -14,5 +14,6 @@ AblationGroup = Literal[
     "outliers",
     "cameras",
     "cleaning",
+    "object",
 ]
 """See `attacks.cloak.study.ablations.varied`."""

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from attacks.cloak.cleaning import CleaningConfig
 from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.cloak.study.ablation_tables import tables
@@ -18,6 +20,7 @@ from attacks.cloak.study.pipeline import OnStep
 from attacks.cloak.study.plots import write_variation
 from attacks.cloak.study.report import STUDY
 from attacks.cloak.study.run import check, check_disk, check_folder, forecast, run_study
+from attacks.cloak.study.setup import target_of
 from attacks.cloak.study.snapshots import snapshot
 from attacks.detectors.base import Detector
 from mi_splat.io.documents import save_json, save_text
@@ -30,6 +33,7 @@ OUTLIERS = (0, 1000, 4000)
 CAMERAS = (60, 120, 210, 420)
 APPEARANCES = ("occluder", "remove", "ground", "blend in", "road", "grass", "clock", "football")
 """Appearances of the hiding attacks: an occluder of road, three without a texture, four painted."""
+OBJECTS = ("elephant", "bird", "train")
 CLEANINGS: dict[str, CleaningConfig | None] = {
     "nothing": None,
     "opacity 0.05": CleaningConfig(lowest_opacity=0.05),
@@ -51,7 +55,8 @@ def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
     `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks. `strategy`:
     of the densification. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as many, with the
     raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start. `cameras`: number
-    of training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its own.
+    of training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its own. `object`: the study's own and
+    those of `OBJECTS`; ground, cameras and their distance grow with what stands there.
     """
     training = study.training
 
@@ -77,9 +82,27 @@ def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
         return {str(count): replace(study, cameras=replace(study.cameras, train=count)) for count in CAMERAS}
     if group == "cleaning":
         return {name: replace(study, cleaning=cleaning) for name, cleaning in CLEANINGS.items()}
+    if group == "object":
+        return {name: _with_object(study, name) for name in dict.fromkeys((study.scene.class_name, *OBJECTS))}
     steps = (max(training.iterations // 3, 1), training.iterations, 2 * training.iterations)
     every = training.sh_degree_interval / training.iterations
     return {f"{count:,}": trained(iterations=count, sh_degree_interval=round(every * count)) for count in steps}
+
+
+def _with_object(study: StudyConfig, name: str) -> StudyConfig:
+    """The study of another asset, which fills as much of the pictures and of the ground as the study's object does."""
+    if name == study.scene.class_name:
+        return study
+    scene = replace(study.scene, object=name, label=None)
+    (_, own), (_, other) = (target_of(one).bounds for one in (study.scene, scene))
+    size = float(np.linalg.norm(other) / np.linalg.norm(own))  # both stand on the ground, around the origin
+    cameras, distance = study.cameras, study.cameras.distance
+    height, distance = float(other[2] / own[2]) * cameras.height, None if distance is None else size * distance
+    return replace(
+        study,
+        scene=replace(scene, ground_size=size * scene.ground_size),
+        cameras=replace(cameras, distance=distance, height=height),
+    )
 
 
 def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
