@@ -9,7 +9,7 @@ from typing import Any
 from mi_splat.config_values import check_numbers, finite_number
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
-from mi_splat.sun import sun_direction
+from mi_splat.sun import clock, sun_direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +24,8 @@ class SunTable:
         samples: Paths a pixel.
 
     Raises:
-        InvalidValueError: There are no hours, the sun is not up at one of them, or a number is out of its range.
+        InvalidValueError: There are no hours, two show the same minute, the sun is not up at one of them, or a number
+            is out of its range.
     """
 
     scene: str
@@ -39,6 +40,9 @@ class SunTable:
             raise InvalidValueError(message("hours", "at least one", "none", "name some, for instance [9.0, 12.0]"))
         for hour in self.hours:
             sun_direction(finite_number("hour", hour), latitude=self.latitude, declination=self.declination)
+        shown = [clock(hour) for hour in self.hours]
+        if len(set(shown)) < len(shown):
+            raise InvalidValueError(message("hours", "different minutes", ", ".join(shown), "leave the second out"))
 
 
 def street_at(sun: SunTable, hour: float, **parameters: Any) -> MixedScene:

@@ -24,6 +24,7 @@ from attacks.rendering_studies.config import OWN, AttackTable, Pair, RenderingSt
 from attacks.rendering_studies.gradient_source import with_gradient_of
 from mi_splat.cameras import RenderFn
 from mi_splat.comparison.methods import load_method
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.mixed_scenes import contents_hash
 
 
@@ -96,7 +97,11 @@ class StudyLook:
 
 
 def attacks_of(study: RenderingStudy) -> list[StudyAttack]:
-    """Every attack of a study, each once, all of a seed before the next."""
+    """Every attack of a study, each once, all of a seed before the next.
+
+    Raises:
+        InvalidValueError: Two of them would be kept under one name.
+    """
     every = (
         StudyAttack(
             pair=pair,
@@ -111,7 +116,14 @@ def attacks_of(study: RenderingStudy) -> list[StudyAttack]:
         for detector, pair, eps in itertools.product(study.detectors, study.pairs, table.eps)
         for renderer, gradient in itertools.product(table.renderers, table.gradients)
     )
-    return list(dict.fromkeys(every))
+    attacks = list(dict.fromkeys(every))
+    kept: dict[str, StudyAttack] = {}
+    for one in attacks:
+        other = kept.setdefault(one.name, one)
+        if other != one:
+            got = f'"{one.object}" in {other.scene} and in {one.scene}, for the same target'
+            raise InvalidValueError(message("pairs", "different objects", got, "make two studies of them"))
+    return attacks
 
 
 def _config(table: AttackTable, eps: float, seed: int) -> DaggerConfig:

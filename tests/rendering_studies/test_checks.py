@@ -15,7 +15,7 @@ from attacks.dagger.jobs import AttackScene
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.rendering_studies.config import read_rendering_study
-from attacks.rendering_studies.jobs import StudyAttack, StudyRunner
+from attacks.rendering_studies.jobs import StudyAttack, StudyRunner, attacks_of
 from mi_splat.errors import InvalidValueError
 from tests.dagger.test_study import toy
 from tests.fakes import ColourDetector
@@ -37,6 +37,7 @@ SUN = '[judge.sun]\nscene = "{}"\nhours = [12.0]\n'
         ("", "sh_degrees = [0, 4]", "sh_degrees: expected 0 or 1 or 2 or 3, got 4"),
         ("", '[judge.sun]\nscene = "a"\nhours = []', "hours: expected at least one, got none"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0, 3.0]', "hour: expected an hour when the sun is up, got 3"),
+        ("", '[judge.sun]\nscene = "a"\nhours = [12.0, 12.001]', "hours: expected different minutes, got 12:00, 12:00"),
         ("", '[judge.sun]\nscene = "a"\nhours = [nan]', "hour: expected a finite number, got nan"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0]\nsamples = 0', "samples: expected a number >= 1, got 0"),
     ],
@@ -46,6 +47,13 @@ def test_a_table_that_cannot_be_is_refused(attacks: str, judge: str, match: str,
     path.write_text(f"{HEAD}{PAIR}[[attacks]]\n{attacks}\n[judge]\n{judge}\n")
     with pytest.raises(InvalidValueError, match=match):
         read_rendering_study(path)
+
+
+def test_one_object_in_two_scenes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(f"{HEAD}{PAIR}{PAIR.replace('toy', 'other')}{TABLE}{OWN}")
+    with pytest.raises(InvalidValueError, match='pairs: expected different objects, got "car" in toy and in other'):
+        attacks_of(read_rendering_study(path))
 
 
 def read(path: Path) -> AttackScene:
@@ -75,7 +83,7 @@ def wrong(pair: str = "", table: str = "", judge: str = OWN, detectors: str = '"
         (wrong(judge='[judge]\nrenderers = ["tile", "unreal"]\n'), "renderer: expected one of tile, "),
         (wrong(judge=SUN.format("none.xml")), "scene: expected a Mitsuba XML file, got no file none.xml"),
         (wrong(judge=SUN.format("{here}/s.toml")), "s.toml: expected a Mitsuba scene"),
-        (wrong('scene = "none"\nobject = "car"\ntarget = "person"'), "got no file scenes/none.xml"),
+        (wrong('scene = "none"\nobject = "bus"\ntarget = "person"'), "got no file scenes/none.xml"),
         (wrong('scene = "toy"\nobject = "bus"\ntarget = "person"'), "object of toy: expected one of car, got bus"),
         (wrong('scene = "toy"\nobject = "car"\ntarget = "person"\ncamera = 2'), "camera: expected 0 to 1, got 2"),
         (wrong('scene = "toy"\nobject = "car"\ntarget = "bus"'), "target for fake_colour: expected car or person or"),
