@@ -43,7 +43,9 @@ from mi_splat.plugins.mixed import Mixed, MixedCache
 from mi_splat.plugins.paths import radiance
 from mi_splat.plugins.settings import RAY_SETTINGS, SettingValues, name_integrator, setting_property
 from mi_splat.plugins.stretches import Adjoint, PathSettings
+from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.colour import linear_value
+from mi_splat.rasterization.sorting import by_block
 from mi_splat.raytracing.splats import gradients, zero_sums
 
 
@@ -138,8 +140,16 @@ def integrator_class(variant: str) -> Any:
             return found, mi.Bool(True), [alpha] if self.alpha else [], state
 
         def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:
-            """Camera rays; with alpha, their weight is one number, since Mitsuba's gradient multiplies it to alpha."""
+            """Camera rays; with alpha, their weight is one number, since Mitsuba's gradient multiplies it to alpha.
+
+            They come in blocks of pixels and not row by row, so that the lanes of a packet take the same way.
+            """
             ray, weight, place = super().sample_rays(scene, sensor, sampler)
+            samples = sampler.sample_count()
+            if samples < TILE * TILE:  # else all lanes of a packet are in one pixel
+                order = _by_blocks_of_pixels(sensor.film(), samples)
+                ray = mi.Ray3f(*(_gathered(one, order) for one in (ray.o, ray.d, ray.maxt, ray.time)), ray.wavelengths)
+                weight, place = _gathered(weight, order), _gathered(place, order)
             return ray, mi.Float(dr.mean(weight)) if self.alpha else weight, place
 
         def render_backward(
@@ -193,6 +203,20 @@ def integrator_class(variant: str) -> Any:
             return f"SplatRay[{self.settings}, max_depth = {self.max_depth}, rr_depth = {self.rr_depth}]"
 
     return SplatRay
+
+
+def _by_blocks_of_pixels(film: Any, samples: int) -> Any:
+    """UInt32, the samples of a film block after block of pixels, in place of row after row as Mitsuba has them."""
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = (int(side) + border for side in film.crop_size())
+    lane = dr.arange(mi.UInt32, width * height * samples)
+    pixel = dr.gather(mi.UInt32, by_block(mi.variant(), width, height, TILE), lane // samples)
+    return pixel * samples + lane % samples
+
+
+def _gathered(values: Any, order: Any) -> Any:
+    """Values in another order; one value for all lanes stays so."""
+    return values if dr.width(values) == 1 else dr.gather(type(values), values, order)
 
 
 def _check_differentiable(params: Any, shapes: GaussianShapes) -> None:

@@ -13,7 +13,7 @@ from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import buffer, numbers
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.pinhole import StageCamera
-from mi_splat.rasterization.sorting import tiles_by_block
+from mi_splat.rasterization.sorting import by_block
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
@@ -76,7 +76,7 @@ def new_buffers(
     pixels = width * height
     return PictureBuffers(
         size=mi.Int32([width, height]),
-        tiles=tiles_by_block(mi.variant(), -(-width // TILE), -(-height // TILE)),
+        tiles=by_block(mi.variant(), -(-width // TILE), -(-height // TILE)),
         pixels=numbers(mi.variant(), pixels),
         places=_places(mi.variant(), width, pixels),
         background=mi.Float(background),

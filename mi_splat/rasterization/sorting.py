@@ -39,17 +39,18 @@ def order_below(keys: Any, values: int) -> Any:
     return order
 
 
-@functools.lru_cache(maxsize=16)
-def tiles_by_block(variant: str, columns: int, rows: int) -> Any:
-    """UInt32, the numbers of the tiles of a picture, block after block of BLOCK x BLOCK tiles.
+@functools.lru_cache(maxsize=32)
+def by_block(variant: str, columns: int, rows: int, side: int = BLOCK) -> Any:
+    """UInt32, the numbers of the tiles or pixels of a picture, block after block of side x side of them.
 
     Args:
         variant: Variant that the array is for, the current one.
-        columns: Tiles beside each other in the picture.
-        rows: Tiles above each other.
+        columns: How many lie beside each other in the picture.
+        rows: How many lie above each other.
+        side: Side of a block.
     """
     row, column = np.divmod(np.arange(columns * rows), columns)
-    order = np.lexsort((column // BLOCK, row // BLOCK))
+    order = np.lexsort((column // side, row // side))
     found = mi.UInt32(order.astype(np.uint32).tolist())
     dr.make_opaque(found)
     return found

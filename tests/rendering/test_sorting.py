@@ -43,7 +43,7 @@ def test_unused_pairs_come_last(tiles: int) -> None:
 
 @pytest.mark.parametrize(("columns", "rows"), [(1, 1), (5, 3), (16, 16), (17, 33), (160, 40)])
 def test_every_tile_is_worked_on_once_with_its_neighbours(columns: int, rows: int) -> None:
-    tiles = sorting.tiles_by_block(mi.variant(), columns, rows).numpy()
+    tiles = sorting.by_block(mi.variant(), columns, rows).numpy()
     assert sorted(tiles) == list(range(columns * rows))
     first = tiles[: min(sorting.BLOCK, columns) * min(sorting.BLOCK, rows)]
     assert (first % columns).max() < sorting.BLOCK
