@@ -3,7 +3,9 @@
 The picture is in sRGB, as that of `Renderer`, and every pixel is looked at through its centre. What is Mitsuba's stays
 so: a Gaussian ends at 3 standard deviations, Gaussians are met in the order in which a ray enters these shells, 64 at
 most on each ray, and what is behind 99 % opacity is left out. After each entry the search goes on 1e-4 world units
-farther on, so shells that are entered closer together are missed, and the picture depends on the unit of length.
+farther on, so shells that are entered closer together are missed. Whether a ray meets a shell that is
+small beside its distance is decided nearly at random, the more so the smaller its numbers are
+(`benchmarks/mitsuba_ellipsoids.py`). So the picture depends on the unit of length.
 """
 
 from __future__ import annotations
