@@ -12,6 +12,7 @@ from attacks.cloak.study.markdown import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
 from attacks.cloak.study.study_file import read_study
 from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn
+from mi_splat.errors import InvalidValueError, message
 
 _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 
@@ -19,6 +20,9 @@ _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
     limit_threads(1)
+    if options.values and not options.vary:
+        do = "add --vary with the group that they are of, or leave --values out"
+        raise InvalidValueError(message("--values", "values of a group", f"{' '.join(options.values)} alone", do))
     study = read_study(options.study)
     study = replace(study, seeds=options.seeds or study.seeds)
     if options.detectors:
@@ -27,7 +31,7 @@ def run(options: CloakOptions) -> int:
         detectors = load_detectors(study.evaluation.detectors, options.weights)
         stages = options.stages or options.out / "stages"
         if options.vary:
-            plans = check_variations(study, options.vary, detectors, options.out, stages)
+            plans = check_variations(study, options.vary, detectors, options.out, stages, values=options.values)
             studies = {f", {group} {name}": one for group, some in plans.items() for name, one in some.items()}
         else:
             check(study, detectors, options.out, stages)
@@ -49,7 +53,15 @@ def run(options: CloakOptions) -> int:
             advance(f"{text}, {done:,} of {total:,}")
 
         if options.vary:
-            found = vary(study, options.vary, detectors, options.out, stages=options.stages, on_step=follow)
+            found = vary(
+                study,
+                options.vary,
+                detectors,
+                options.out,
+                values=options.values,
+                stages=options.stages,
+                on_step=follow,
+            )
         else:
             summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
     if options.json:

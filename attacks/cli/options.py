@@ -188,6 +188,8 @@ class CloakOptions:
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     vary: tuple[AblationGroup, ...] = ()
     """Do the study once for each value of these instead, with all its seeds, and write tables of what comes of it."""
+    values: tuple[str, ...] = ()
+    """Those values of --vary that are to be done, for instance 90%; none is all. Tables keep what was done before."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
     json: bool = False

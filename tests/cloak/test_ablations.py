@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 
+from attacks import cli
 from attacks.cloak.study import ablations
 from attacks.cloak.study.ablation_tables import tables
-from attacks.cloak.study.ablations import CLEANINGS, varied, vary
+from attacks.cloak.study.ablations import CLEANINGS, check_variations, varied, vary
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.plots import write_variation
 from attacks.cloak.study.study_file import from_table
+from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, Redness
 from tests.reporting.results import STUDIED, cloak_summary, rate
 
@@ -48,6 +52,40 @@ def test_variations_share_what_they_can_and_take_every_seed(
     assert len(table) == 2 + 1 + 1 + 2 + 1
     assert table[2].startswith("| classic | redness | ")
     assert table[6].startswith("| classic | 2 | ")
+
+
+@pytest.mark.parametrize(
+    ("groups", "values", "match"),
+    [
+        (["poison_fraction"], ["90"], r"values: expected 5% or 25% .* got '90'; did you mean 90%"),
+        (["poison_fraction", "strategy"], ["90%"], r"values: expected some of strategy \(classic or mcmc\), got 90%"),
+    ],
+)
+def test_values_that_cannot_be_are_refused(groups: Any, values: list[str], match: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match=match):
+        check_variations(SEEDS, groups, [Redness()], tmp_path, tmp_path / "stages", values=values)
+
+
+def test_values_need_a_group(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["cloak", "scenes/cloak_demo.toml", "--values", "90%", "--out", str(tmp_path / "out")]) == 1
+    assert "--values: expected values of a group, got 90% alone; add --vary" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_some_values_are_done_and_join_those_done_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    places: list[str] = []
+
+    def done(study: StudyConfig, detectors: object, place: Path, **_: object) -> dict[str, Any]:
+        places.append(place.name)
+        return {"iterations": study.training.iterations}
+
+    monkeypatch.setattr(ablations, "run_study", done)
+    monkeypatch.setattr(ablations, "tables", lambda found: "")
+    monkeypatch.setattr(ablations, "write_variation", lambda *_: None)
+    assert list(vary(SEEDS, ["iterations"], [Redness()], tmp_path, values=["160"])["iterations"]) == ["160"]
+    found = vary(SEEDS, ["iterations"], [Redness()], tmp_path, values=["26"])
+    assert found == {"iterations": {"26": {"iterations": 26}, "160": {"iterations": 160}}}
+    assert places == ["2", "0"]
 
 
 def test_variations_change_one_thing_and_keep_all_seeds() -> None:

@@ -22,7 +22,9 @@ from attacks.cloak.study.report import STUDY
 from attacks.cloak.study.run import check, check_disk, check_folder, forecast, run_study
 from attacks.cloak.study.setup import target_of
 from attacks.cloak.study.snapshots import snapshot
+from attacks.cloak.study.value_checks import one_of
 from attacks.detectors.base import Detector
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
 
 VARIATIONS = "variations.json"
@@ -122,18 +124,20 @@ def vary(
     detectors: Sequence[Detector],
     folder: Path,
     *,
+    values: Sequence[str] = (),
     stages: Path | None = None,
     on_step: OnStep = lambda text, done, total: None,
 ) -> dict[str, dict[str, Any]]:
     """Do the studies of some groups and write tables and plots; returns what variations.json holds.
 
-    Writes variations.md, variations.json, to which it adds groups, and a PNG named by each.
+    Writes variations.md, variations.json, to which it adds groups and values, and a PNG named by each group.
 
     Args:
         study: What is varied.
         groups: See `varied`.
         detectors: Those that the study names, in its order.
         folder: For a folder of results for each, and for the tables.
+        values: Those of the groups' values that are to be done; all if empty.
         stages: For the stages; None is a folder in `folder`.
         on_step: Told of the progress.
 
@@ -141,16 +145,17 @@ def vary(
         MiSplatError: As `run_study`; all studies are checked before the first is done.
     """
     stages = folder / "stages" if stages is None else stages
-    plans = check_variations(study, groups, detectors, folder, stages)
+    plans = check_variations(study, groups, detectors, folder, stages, values=values)
     folder.mkdir(parents=True, exist_ok=True)
     save_json(snapshot(study), folder / STUDY)
     earlier = folder / VARIATIONS
     found: dict[str, dict[str, Any]] = json.loads(earlier.read_text()) if earlier.is_file() else {}
     for group, studies in plans.items():
-        found[group] = {}
-        for number, (name, one) in enumerate(studies.items()):
-            place = folder / group / str(number)
-            found[group][name] = run_study(one, detectors, place, stages=stages, on_step=on_step)
+        order = list(varied(study, group))
+        for name, one in studies.items():
+            place = folder / group / str(order.index(name))
+            done = found.get(group, {}) | {name: run_study(one, detectors, place, stages=stages, on_step=on_step)}
+            found[group] = {known: done[known] for known in order if known in done}
             save_json(found, folder / VARIATIONS)
             save_text(tables(found), folder / "variations.md")
         write_variation(group, found[group], folder / f"{group}.png")
@@ -158,7 +163,13 @@ def vary(
 
 
 def check_variations(
-    study: StudyConfig, groups: Iterable[AblationGroup], detectors: Sequence[Detector], folder: Path, stages: Path
+    study: StudyConfig,
+    groups: Iterable[AblationGroup],
+    detectors: Sequence[Detector],
+    folder: Path,
+    stages: Path,
+    *,
+    values: Sequence[str] = (),
 ) -> dict[AblationGroup, dict[str, StudyConfig]]:
     """The studies of some groups by the value that they have, all of which can be done.
 
@@ -168,15 +179,26 @@ def check_variations(
         detectors: Those that the study names.
         folder: For the results.
         stages: For the stages.
+        values: Those of the groups' values that are to be done; all if empty.
 
     Raises:
-        InvalidValueError: As `attacks.cloak.study.run.check` of each, or the disk is too small for all of them.
+        InvalidValueError: As `attacks.cloak.study.run.check` of each, the disk is too small for all of them, a value is
+            of none of the groups, or a group has none of the values.
     """
     check_folder(study, folder)
-    plans = {group: varied(study, group) for group in groups}
+    every = {group: varied(study, group) for group in groups}
+    for value in values:
+        one_of("values", value, [name for studies in every.values() for name in studies])
+    plans = {
+        group: {name: one for name, one in studies.items() if not values or name in values}
+        for group, studies in every.items()
+    }
     for group, studies in plans.items():
-        for number, one in enumerate(studies.values()):
-            check(one, detectors, folder / group / str(number), stages)
+        if not studies:
+            expected, do = " or ".join(every[group]), "name one of it, or leave the group out"
+            raise InvalidValueError(message("values", f"some of {group} ({expected})", " ".join(values), do))
+        for name, one in studies.items():
+            check(one, detectors, folder / group / str(list(every[group]).index(name)), stages)
     trained = {replace(one, cleaning=None): None for studies in plans.values() for one in studies.values()}
     check_disk(sum(forecast(one).megabytes for one in trained), stages)
     return plans
