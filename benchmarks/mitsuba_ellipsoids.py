@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from render import shell
+from stages import camera_of
 
 from mi_splat import variant
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import to_matrix
@@ -33,6 +34,8 @@ from mi_splat.scene import GaussianScene
 from mi_splat.volprim import Volprim
 
 UNITS = (0.1, 1.0, 10.0, 100.0, 1000.0)
+SIZE = (256, 256)
+"""Width and height of the pictures."""
 SIDE = 33
 """Rays along one side of the grid around a Gaussian."""
 SAME = 999.0
@@ -76,9 +79,7 @@ def hits(one: GaussianScene, origin: NDArray[np.float64]) -> tuple[NDArray[np.bo
 
 def measure(count: int) -> tuple[list[dict[str, Any]], int]:
     """What is found in each unit, and the Gaussian with most errors where the unit is 1."""
-    scene, worst = shell(10_000), (0, 0)
-    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
-    camera = Camera(to_world=pose, focal=256.0, width=256, height=256)
+    scene, camera, worst = shell(10_000), camera_of(SIZE), (0, 0)
     chosen = np.random.default_rng(0).choice(len(scene), count, replace=False)
     rows = []
     with torch.no_grad():
@@ -109,15 +110,13 @@ def _ray(near: float) -> Renderer:
 
 
 def draw(number: int, path: Path) -> None:
-    """The rays around a Gaussian in two units: white where both say that it is met, red and blue where Mitsuba errs."""
+    """The rays around a Gaussian in three units: white where both say that it is met, red and blue in case of error."""
     import matplotlib.pyplot as plt
 
     scene = shell(10_000).select(torch.tensor([number]))
-    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
-    camera = Camera(to_world=pose, focal=256.0, width=256, height=256)
     figure, axes = plt.subplots(1, 3, figsize=(8, 3.2))
     for axis, unit in zip(axes, (0.1, 1.0, 10.0), strict=True):
-        splat, view = in_unit(scene, camera, unit)
+        splat, view = in_unit(scene, camera_of(SIZE), unit)
         expected, found = hits(splat, view.position.numpy())
         colours = np.zeros((SIDE, SIDE, 3))
         colours[expected & found] = 1.0
