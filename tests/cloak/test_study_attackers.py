@@ -20,6 +20,7 @@ from attacks.cloak.study.pipeline import StudyPipeline
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
+from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, Redness, done
 
 pytestmark = pytest.mark.slow
@@ -49,6 +50,23 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
         for item in observe(pipeline, trained, [Redness()])
     )
     assert sum(hidden) < 0.5 * sum(control)
+
+
+def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> None:
+    layers = LayersConfig(attacks=("overhead",), geometry=True, iterations=300)
+    study = replace(STUDY, layers=layers)
+    pipeline = StudyPipeline(study=study, folder=finished / "stages")
+    poisoned = pipeline.poison(pipeline.capture())
+    clean, cloaked = (one.load() for one in pipeline.train(pipeline.capture(), poisoned))
+    views = pipeline.views(poisoned[0])
+    layering = layer_object(study, clean, pipeline.mesh_scene.target, views, render=pipeline.renderer())
+    assert layering.geometry
+    assert bool(layering.trained.all())
+    assert len(cloaked) > len(layering.scene)
+    assert torch.dist(cloaked.means[: len(clean)], clean.means) > 0
+    few = replace(study, layers=replace(layers, max_gaussians=len(clean)))
+    with pytest.raises(InvalidValueError, match=r"layers.max_gaussians: expected room for the layers, got"):
+        layer_object(few, clean, pipeline.mesh_scene.target, views, render=pipeline.renderer())
 
 
 def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:

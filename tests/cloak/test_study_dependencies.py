@@ -99,6 +99,8 @@ LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
     "making": (LayerConfig(gap=7.0), OWN),
     "margin": (0.1, OWN),
     "surroundings": (True, OWN),
+    "geometry": (True, OWN),
+    "max_gaussians": (1000, OWN),
     "clearance": (0.02, OWN),
     "iterations": (50, OWN),
     "lr_sh": (0.02, OWN),

@@ -67,6 +67,9 @@ class LayersConfig:
         making: How the layers are made.
         margin: How much larger than the object the box is whose Gaussians have layers, metres.
         surroundings: Whether the colours of all other Gaussians are trained, too, for instance to hide a shadow.
+        geometry: Whether all attributes of all Gaussians are trained, and Gaussians added where a look has details that
+            those of the clean splat are too large for.
+        max_gaussians: With `geometry`, no Gaussians are added beyond this number; the layers come before any is added.
         clearance: Height above the ground under which they have none, metres.
         iterations: Steps of the training of colours.
         lr_sh: Its learning rate, as in `FitConfig`. The switches' coefficients are large, so that it is high.
@@ -81,13 +84,15 @@ class LayersConfig:
     making: LayerConfig = field(default_factory=LayerConfig)
     margin: float = 0.05
     surroundings: bool = False
+    geometry: bool = False
+    max_gaussians: int = 100_000
     clearance: float = 0.0
     iterations: int = 3000
     lr_sh: float = 0.04
     lr_sh_final: float = 0.004
 
     def __post_init__(self) -> None:
-        check_numbers(self, {"margin": 0, "iterations": 1, "lr_sh": 0, "lr_sh_final": 0})
+        check_numbers(self, {"margin": 0, "max_gaussians": 1, "iterations": 1, "lr_sh": 0, "lr_sh_final": 0})
         check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
         if not math.isfinite(self.clearance):
             raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))

@@ -7,19 +7,23 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from attacks.cloak.cleaning import CleaningConfig
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig, TrainingConfig
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera
 from mi_splat.training.checkpoints import to_json
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import FixedConfig, strategy_config
+from mi_splat.training.strategies import ClassicConfig, FixedConfig, strategy_config
 
 _POISONING_ONLY = ("name", "poison_fraction", "emphasis", "emphasis_depth", "target_class")
 """Fields of an attack that have no part in what its appearance looks like."""
+
+_REFINE_FROM = 100
+"""Step from which Gaussians are added to layers, which begin as a splat that is trained already."""
 
 
 def fit_config(training: TrainingConfig) -> FitConfig:
@@ -34,9 +38,9 @@ def fit_config(training: TrainingConfig) -> FitConfig:
 
 
 def layered_fit_config(study: StudyConfig) -> FitConfig:
-    """How the colours of layers are trained; nothing else of the splat changes."""
+    """How layers are trained: their colours alone, or everything."""
     assert study.layers is not None
-    return FitConfig(
+    colours = FitConfig(
         iterations=study.layers.iterations,
         trainable=("sh",),
         strategy=FixedConfig(),
@@ -46,6 +50,15 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
         lr_sh_final=study.layers.lr_sh_final,
         eval_interval=0,
     )
+    if not study.layers.geometry:
+        return colours
+    strategy = ClassicConfig(
+        max_gaussians=study.layers.max_gaussians,
+        densify_from=_REFINE_FROM,
+        densify_until=study.layers.iterations * 2 // 3,
+        opacity_reset_interval=0,
+    )
+    return replace(colours, trainable=ATTRIBUTES, strategy=strategy)
 
 
 def _given(attack: AttackConfig) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from attacks.cloak.study.config import StudyConfig
 from mi_splat.assets.mesh import Asset
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.frozen_view import FrozenView
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.masks import box_mask
@@ -35,19 +36,23 @@ class Layering:
         trained: (N,) bool, those of the layers, and all others if the study wants it.
         views: The poisoned pictures, without those from where a look changes: a layer may show there what it likes.
         iterations: Steps of the training; each looks at one picture.
+        geometry: Whether more than colours is trained.
     """
 
     scene: GaussianScene
     trained: Tensor
     views: list[View]
     iterations: int
+    geometry: bool
 
     def rendered_by(self, render: RenderFn) -> RenderFn:
-        """The same renderer for a training of colours alone, through which gradients reach those that are trained.
+        """The same renderer, through which gradients reach what is trained.
 
-        The pictures of `views` come from frozen views as far as these fit; they are made with the first picture, of the
-        scene as it is trained.
+        Where that is colours alone, the pictures of `views` come from frozen views as far as these fit; they are made
+        with the first picture, of the scene as it is trained.
         """
+        if self.geometry:
+            return render
         frozen: dict[Camera, FrozenView] | None = None
         rows = None if bool(self.trained.all()) else self.trained.nonzero().flatten()
 
@@ -76,6 +81,9 @@ def layer_object(
         target: The object.
         views: The poisoned pictures.
         render: The renderer, by which it is known which Gaussian is seen from where.
+
+    Raises:
+        InvalidValueError: The layers alone are more Gaussians than the study allows.
     """
     assert study.layers is not None
     making, centre = study.layers.making, setup.centre_of(study)
@@ -101,14 +109,19 @@ def layer_object(
         seen=contributions(clean, cameras, render=render, rows=rows),
         config=making,
     )
+    most = study.layers.max_gaussians
+    if study.layers.geometry and len(scene) > most:
+        got = f"{most:,}, and the layers make the splat one of {len(scene):,}"
+        raise InvalidValueError(message("layers.max_gaussians", "room for the layers", got, "raise it"))
     trained = torch.arange(len(scene)) >= len(clean)
     trained[rows] = True
     kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]
     return Layering(
         scene=scene,
-        trained=trained | study.layers.surroundings,
+        trained=trained | study.layers.surroundings | study.layers.geometry,
         views=kept,
         iterations=study.layers.iterations,
+        geometry=study.layers.geometry,
     )
 
 
