@@ -153,7 +153,7 @@ def vary(
     for group, studies in plans.items():
         order = list(varied(study, group))
         for name, one in studies.items():
-            place = folder / group / str(order.index(name))
+            place = _place(folder, group, order, name)
             done = found.get(group, {}) | {name: run_study(one, detectors, place, stages=stages, on_step=on_step)}
             found[group] = {known: done[known] for known in order if known in done}
             save_json(found, folder / VARIATIONS)
@@ -198,7 +198,12 @@ def check_variations(
             expected, do = " or ".join(every[group]), "name one of it, or leave the group out"
             raise InvalidValueError(message("values", f"some of {group} ({expected})", " ".join(values), do))
         for name, one in studies.items():
-            check(one, detectors, folder / group / str(list(every[group]).index(name)), stages)
+            check(one, detectors, _place(folder, group, list(every[group]), name), stages)
     trained = {replace(one, cleaning=None): None for studies in plans.values() for one in studies.values()}
     check_disk(sum(forecast(one).megabytes for one in trained), stages)
     return plans
+
+
+def _place(folder: Path, group: AblationGroup, order: Sequence[str], name: str) -> Path:
+    """Folder of one value's results, by its number, as its name may hold what file names may not."""
+    return folder / group / str(order.index(name))

@@ -43,7 +43,7 @@ class Layering:
     trained: Tensor
     views: list[View]
     iterations: int
-    geometry: bool
+    geometry: bool = False
 
     def rendered_by(self, render: RenderFn) -> RenderFn:
         """The same renderer, through which gradients reach what is trained.
