@@ -60,7 +60,7 @@ class LayerConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayersConfig:
-    """CLOAK in the finished file: the clean splat's object in layers, whose colours are trained on poisoned pictures.
+    """CLOAK in the finished file: the clean splat's object in layers, trained on poisoned pictures.
 
     Attributes:
         attacks: Names of the attacks whose appearances have layers of their own; the benign layer shows all others.
@@ -71,8 +71,8 @@ class LayersConfig:
             those of the clean splat are too large for.
         max_gaussians: With `geometry`, no Gaussians are added beyond this number; the layers come before any is added.
         clearance: Height above the ground under which they have none, metres.
-        iterations: Steps of the training of colours.
-        lr_sh: Its learning rate, as in `FitConfig`. The switches' coefficients are large, so that it is high.
+        iterations: Steps of the training.
+        lr_sh: Its learning rate of SH, as in `FitConfig`. The switches' coefficients are large, so that it is high.
         lr_sh_final: Last one.
 
     Raises:
