@@ -1,7 +1,8 @@
-"""What a victim may do to a finished splat before anybody looks at it: none of it needs pictures or a training.
+"""What a victim may clean: the points before a training, or the finished splat before anybody looks at it.
 
-Each function takes a splat and gives a new one. What is removed is judged by the Gaussians alone, so that a hidden
-appearance made of odd Gaussians may go with them; what is cut from the colours may take a switch in them away.
+None of it needs pictures or a training. Most functions take a splat and give a new one. What is removed is judged by
+the Gaussians alone, so that a hidden appearance made of odd Gaussians may go with them; what is cut from the colours
+may take a switch in them away.
 """
 
 from __future__ import annotations
@@ -109,13 +110,28 @@ def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
 
 
 def remove_outliers(scene: GaussianScene, deviations: float = 2.0, *, neighbours: int = NEIGHBOURS) -> GaussianScene:
-    """The Gaussians that lie about as near to their neighbours as others do.
-
-    One is removed whose mean distance to its nearest neighbours is more than some standard deviations above the mean of
-    all: the statistical outlier removal of point clouds (Rusu et al. 2008; `StatisticalOutlierRemoval` of PCL).
+    """The Gaussians whose means are no outliers, see `inliers`.
 
     Args:
-        scene: N Gaussians, of which the means count alone.
+        scene: N Gaussians.
+        deviations: Standard deviations above the mean, >= 0.
+        neighbours: Nearest neighbours of each, 1 to 31.
+
+    Raises:
+        InvalidValueError: A value is out of range.
+    """
+    keep = inliers(scene.means, deviations, neighbours=neighbours)
+    return _kept(scene, keep, f"outlier_deviations {deviations:g}")
+
+
+def inliers(points: Tensor, deviations: float = 2.0, *, neighbours: int = NEIGHBOURS) -> Tensor:
+    """Which points lie about as near to their neighbours as others do, as a (N,) bool tensor.
+
+    The others' mean distance to their nearest neighbours is more than some standard deviations above the mean of all:
+    the statistical outlier removal of point clouds (Rusu et al. 2008; `StatisticalOutlierRemoval` of PCL).
+
+    Args:
+        points: (N, 3), world units.
         deviations: Standard deviations above the mean, >= 0.
         neighbours: Nearest neighbours of each, 1 to 31.
 
@@ -124,9 +140,8 @@ def remove_outliers(scene: GaussianScene, deviations: float = 2.0, *, neighbours
     """
     _check("outlier_deviations", deviations, 0.0, math.inf)
     _check("neighbours", whole_number("neighbours", neighbours), 1, 31)
-    gaps = _gaps(scene, neighbours)
-    keep = gaps <= gaps.mean() + deviations * gaps.std(correction=0)
-    return _kept(scene, keep, f"outlier_deviations {deviations:g}")
+    gaps = _gaps(points, neighbours)
+    return gaps <= gaps.mean() + deviations * gaps.std(correction=0)
 
 
 def remove_floaters(
@@ -151,7 +166,7 @@ def remove_floaters(
     _check("floater_voxel", voxel, 0.0, math.inf, open_low=True)
     _check("mass", mass, 0.0, 1.0, open_low=True)
     _check("least_neighbours", whole_number("least_neighbours", least_neighbours), 0, 26)
-    side = voxel * float(_gaps(scene, NEIGHBOURS).median())
+    side = voxel * float(_gaps(scene.means, NEIGHBOURS).median())
     if not side > 0:  # one Gaussian, or all in one place
         return scene
     keys = _voxel_keys(scene.means.detach().cpu().double(), side)
@@ -217,9 +232,9 @@ def _kept(scene: GaussianScene, keep: Tensor, what: str) -> GaussianScene:
     return scene.select(keep)
 
 
-def _gaps(scene: GaussianScene, neighbours: int) -> Tensor:
-    """(N,) float64 mean distance of each Gaussian to its nearest neighbours; 0 of the only one."""
-    distances, _ = nearest_neighbours(scene.means, neighbours)
+def _gaps(points: Tensor, neighbours: int) -> Tensor:
+    """(N,) float64 mean distance of each point to its nearest neighbours; 0 of the only one."""
+    distances, _ = nearest_neighbours(points, neighbours)
     found = distances.isfinite()
     return distances.where(found, 0.0).sum(1) / found.sum(1).clamp(min=1)
 

@@ -106,6 +106,7 @@ def test_variations_change_one_thing_and_keep_all_seeds() -> None:
     assert [study.training.sh_degree for study in varied(SEEDS, "sh_degree").values()] == [0, 1, 2, 3]
     assert [study.attack[1].emphasis for study in varied(SEEDS, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
     assert [study.training.outliers for study in varied(SEEDS, "outliers").values()] == [0, 1000, 4000]
+    assert [study.training.point_deviations for study in varied(SEEDS, "points").values()] == [None, 2.0]
     assert [study.training.iterations for study in varied(SEEDS, "iterations").values()] == [26, 80, 160]
     objects = varied(SEEDS, "object")
     assert list(objects) == ["car", "elephant", "bird", "train"]

@@ -14,15 +14,20 @@ from attacks.cloak.cleaning import (
     CleaningConfig,
     cleaned,
     cut_sh,
+    inliers,
     prune_opacity,
     quantise_sh,
     remove_floaters,
     remove_outliers,
 )
+from attacks.cloak.study.config import TrainingConfig
 from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.cloak.study.trained_splats import starting_cloud
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene, scene_hash
 from tests.cloak.tiny_study import STUDY
+from tests.training.sets import views_of
 
 
 def splat(means: Tensor, opacities: Tensor | float = 0.5, *, degree: int = 1) -> GaussianScene:
@@ -70,6 +75,20 @@ def test_the_limit_of_outliers_is_mean_and_deviations() -> None:
     wanted = nearest <= nearest.mean() + nearest.std(correction=0)
     assert 0 < int((~wanted).sum()) < 20
     assert same(remove_outliers(scene, 1.0, neighbours=5), scene.select(wanted))
+
+
+def test_outliers_are_removed_from_the_points_before_a_training() -> None:
+    _, views = views_of()
+    surface = block(0, 0, 0, side=8) * 0.02
+    cloud = PointCloud(surface.float(), torch.rand(512, 3, generator=torch.Generator().manual_seed(3)))
+    every = starting_cloud(TrainingConfig(outliers=5), cloud, views, seed=1)
+    assert len(every.points) == 517
+    kept = starting_cloud(TrainingConfig(outliers=5, point_deviations=2.0), cloud, views, seed=1)
+    stays = inliers(every.points, 2.0)
+    assert bool(stays[:512].all())
+    assert not bool(stays[512:].any())
+    assert torch.equal(kept.points, cloud.points)
+    assert torch.equal(kept.colours, cloud.colours)
 
 
 def test_pieces_apart_from_the_rest_are_floaters() -> None:
@@ -151,6 +170,7 @@ SCENE = splat(block(0, 0, 0, side=2))
         (lambda: prune_opacity(SCENE, 1.5), "lowest_opacity"),
         (lambda: prune_opacity(SCENE, 0.9), "cleaning by lowest_opacity 0.9: expected a Gaussian that stays, got none"),
         (lambda: remove_outliers(SCENE, -0.5), "outlier_deviations"),
+        (lambda: inliers(SCENE.means, float("inf")), "outlier_deviations"),
         (lambda: remove_outliers(SCENE, neighbours=32), "neighbours"),
         (lambda: remove_floaters(SCENE, -1.0), "floater_voxel"),
         (lambda: remove_floaters(SCENE, mass=0.0), "mass"),

@@ -231,6 +231,7 @@ def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
         (lambda: EvaluationConfig(meridian_step=0.0), "meridian_step"),
         (lambda: EvaluationConfig(meridians=-1), "meridians"),
         (lambda: TrainingConfig(outliers=-1), "outliers"),
+        (lambda: TrainingConfig(point_deviations=-0.5), "point_deviations"),
         (lambda: AttackConfig(name="a", appearance="occluder", elevation=(40, 90)), "a.*texture"),
         (lambda: AttackConfig(name="a", appearance="remove", elevation=(40, 90), reach=-1), "a.*reach"),
         (

@@ -80,6 +80,7 @@ TRAINING: dict[str, tuple[Any, frozenset[str]]] = {
     "sh_degree": (2, SPLAT),
     "sh_degree_interval": (20, SPLAT),
     "outliers": (10, SPLAT),
+    "point_deviations": (2.0, SPLAT),
     "near": (0.1, SPLAT | {"observations", "layers"}),
 }
 OBSERVED = frozenset({"observations"})
@@ -228,6 +229,7 @@ def test_defaults_are_part_of_what_a_stage_depends_on() -> None:
     splat = json.loads(keys(STUDY)["splat"])
     assert splat["fit"]["lr_sh"] == 2.5e-3
     assert splat["outliers"] == 0
+    assert "point_deviations" not in splat  # as stages of before there was one
     poisoned = json.loads(keys(STUDY)["poisoned"])
     assert poisoned["attack"][0]["emphasis_depth"] == 20.0
 

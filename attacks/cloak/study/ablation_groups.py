@@ -12,6 +12,7 @@ AblationGroup = Literal[
     "emphasis",
     "iterations",
     "outliers",
+    "points",
     "cameras",
     "cleaning",
     "object",

@@ -32,6 +32,8 @@ VARIATIONS = "variations.json"
 POISON_FRACTIONS = (0.05, 0.25, 0.5, 0.75, 0.9, 1.0)
 EMPHASES = (1.0, 1.5, 2.2, 3.0, 4.5)
 OUTLIERS = (0, 1000, 4000)
+POINT_CLEANINGS = {"all points": None, "outliers, 2 deviations": 2.0}
+"""Outliers that a victim removes from the point cloud before the training, by their name in tables."""
 CAMERAS = (60, 120, 210, 420)
 APPEARANCES = ("occluder", "remove", "ground", "blend in", "road", "grass", "clock", "football")
 """Appearances of the hiding attacks: an occluder of road, three without a texture, four painted."""
@@ -56,9 +58,10 @@ def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
 
     `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks. `strategy`:
     of the densification. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as many, with the
-    raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start. `cameras`: number
-    of training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its own. `object`: the study's own and
-    those of `OBJECTS`; ground, cameras and their distance grow with what stands there.
+    raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start. `points`: see
+    `POINT_CLEANINGS`. `cameras`: number of training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its
+    own. `object`: the study's own and those of `OBJECTS`; ground, cameras and their distance grow with what stands
+    there.
     """
     training = study.training
 
@@ -80,6 +83,8 @@ def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
         return {f"{gain:g}": attacked(partial(replace, emphasis=gain)) for gain in EMPHASES}
     if group == "outliers":
         return {f"{count:,}": trained(outliers=count) for count in OUTLIERS}
+    if group == "points":
+        return {name: trained(point_deviations=deviations) for name, deviations in POINT_CLEANINGS.items()}
     if group == "cameras":
         return {str(count): replace(study, cameras=replace(study.cameras, train=count)) for count in CAMERAS}
     if group == "cleaning":

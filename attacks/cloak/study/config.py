@@ -120,6 +120,8 @@ class TrainingConfig:
         sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
         outliers: Points in the air that the cloud has besides those on surfaces; see
             `mi_splat.training.initialization.with_outliers`.
+        point_deviations: The victim removes outliers from the cloud before the training, of so many standard
+            deviations; see `attacks.cloak.cleaning.inliers`. None keeps all points.
         near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
     """
 
@@ -129,6 +131,7 @@ class TrainingConfig:
     sh_degree: int = _PUBLISHED.sh_degree
     sh_degree_interval: int = _PUBLISHED.sh_degree_interval
     outliers: int = 0
+    point_deviations: float | None = None
     near: float | None = None
 
     def __post_init__(self) -> None:
@@ -136,6 +139,8 @@ class TrainingConfig:
             in_range("training.near", self.near, 1e-9, 1e9)
         one_of("training.strategy", self.strategy, strategy_names())
         in_range("training.outliers", self.outliers, 0, math.inf)
+        if self.point_deviations is not None:
+            in_range("training.point_deviations", self.point_deviations, 0, math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

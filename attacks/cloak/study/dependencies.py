@@ -126,13 +126,14 @@ def of_poisoned(
 
 
 def of_splat(study: StudyConfig, pictures: str, seed: int) -> dict[str, Any]:
-    """A trained splat.
+    """A trained splat; a cleaning of its points has no part in it where there is none.
 
     Args:
         study: The study.
         pictures: Content of the set that it is trained on.
         seed: Of the training.
     """
+    deviations = study.training.point_deviations
     return {
         "pictures": pictures,
         "background": study.scene.background,
@@ -140,6 +141,7 @@ def of_splat(study: StudyConfig, pictures: str, seed: int) -> dict[str, Any]:
         "outliers": study.training.outliers,
         "near": study.training.near,
         "seed": seed,
+        **({} if deviations is None else {"point_deviations": deviations}),
     }
 
 

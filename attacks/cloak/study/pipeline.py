@@ -18,7 +18,7 @@ from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config, layered_fit_config
 from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, kept_renders, read_rgba, to_rgba
 from attacks.cloak.study.layering import layer_object
-from attacks.cloak.study.trained_splats import TrainedSplat, cleaned_splat, trained_splat
+from attacks.cloak.study.trained_splats import TrainedSplat, cleaned_splat, starting_cloud, trained_splat
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.capture.settings import CaptureSettings
@@ -29,7 +29,7 @@ from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, pict
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.training.initialization import from_points, with_outliers
+from mi_splat.training.initialization import from_points
 from mi_splat.training.resume import SPLAT, train
 
 CLEAN, CLOAKED = "clean", "cloaked"
@@ -185,7 +185,7 @@ class StudyPipeline:
             render: RenderFn = self.renderer(screen_gradients=config.strategy.needs_screen_gradients)
             if clean is None:
                 assert found.points is not None  # a capture writes them
-                cloud = with_outliers(found.points, found, study.training.outliers, seed=seed)
+                cloud = starting_cloud(study.training, found.points, found, seed=seed)
                 start = from_points(cloud.points, cloud.colours)
             else:
                 self.on_step(f"making the layers, seed {seed}", 0, 1)

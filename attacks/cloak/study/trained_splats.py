@@ -1,15 +1,20 @@
-"""A trained splat and the stage that it is in; the same after a cleaning, which is a stage of its own."""
+"""A trained splat and the stage that it is in: what its training starts from, and what a cleaning leaves of it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from attacks.cloak.cleaning import CleaningConfig, cleaned
+from attacks.cloak.cleaning import CleaningConfig, cleaned, inliers
 from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import Stage, StageCache
+from attacks.cloak.study.config import TrainingConfig
+from mi_splat.cameras import View
 from mi_splat.io import load_splat, save_splat
+from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.training.initialization import with_outliers
 from mi_splat.training.resume import SPLAT
 
 SPLAT_STAGES = ("splat", "layers", "cleaned")
@@ -41,6 +46,22 @@ class TrainedSplat:
     def load(self) -> GaussianScene:
         """The splat from its file."""
         return load_splat(self.file)
+
+
+def starting_cloud(training: TrainingConfig, surfaces: PointCloud, views: Sequence[View], *, seed: int) -> PointCloud:
+    """The points that a training starts from, after the cleaning that the victim does before it.
+
+    Args:
+        training: How many outliers there are, and which points the victim removes.
+        surfaces: The points of the set.
+        views: Where the cameras are; pictures are not read.
+        seed: Of the training.
+    """
+    cloud = with_outliers(surfaces, views, training.outliers, seed=seed)
+    if training.point_deviations is None:
+        return cloud
+    kept = inliers(cloud.points, training.point_deviations)
+    return PointCloud(cloud.points[kept], cloud.colours[kept])
 
 
 def trained_splat(which: str, seed: int, stage: Stage) -> TrainedSplat:
