@@ -102,7 +102,7 @@ def rows_by_gaussian(
     Args:
         depth_order: UInt32, Gaussians from near to far.
         row_ranges: First and one-past-last row of each of them.
-        pairs: In tile order: Gaussian, and row.
+        pairs: In tile order: Gaussian, and row. Rows of those that stayed unused mean nothing; no list has them.
         scratch: Two buffers of one UInt32 a Gaussian.
 
     Returns:

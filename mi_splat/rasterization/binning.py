@@ -102,7 +102,7 @@ def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any
     return total
 
 
-def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[Any, Any], pairs: Any) -> None:
+def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[Any, Any], pairs: Any) -> Any:
     """Write the pairs of every Gaussian into its slots.
 
     Args:
@@ -112,6 +112,9 @@ def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[
         size: Width and height of the picture in pixels, Int32.
         pairs: Buffer of two UInt32 a slot, tile and Gaussian; slots that stay unused (rounding differed from the
             count's) keep what they hold.
+
+    Returns:
+        UInt32 one-past-last slot of each lane that is used.
     """
     width, height = size
     columns = (width + (TILE - 1)) // TILE
@@ -134,12 +137,13 @@ def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[
         return slot, row + 1
 
     start, stop = slots
-    dr.while_loop(
+    used, _ = dr.while_loop(
         (mi.UInt32(start), mi.Int32(first)),
         lambda slot, row: (slot < stop) & (row <= last),
         write_row,
         label="emit pairs",
     )
+    return used
 
 
 def lower_bound(sorted_keys: Any, count: Any, key: Any) -> Any:

@@ -87,7 +87,7 @@ def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
     return first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
 
 
-def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> None:
+def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> Any:
     """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far.
 
     Args:
@@ -97,10 +97,13 @@ def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any
         last: UInt32, one-past-last row of each of them.
         size: `PictureBuffers.size`.
         pairs: Buffer of two UInt32 a row, tile and Gaussian.
+
+    Returns:
+        UInt32 one-past-last row of each Gaussian that holds a pair, in depth order.
     """
     v = dr.gather(mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order)))
     splat = Splat(mi.Point2f(v[0], v[1]), v[2], v[3], v[4], v[5], mi.Color3f(0))
-    binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), pairs)
+    return binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), pairs)
 
 
 def find_lists(

@@ -38,7 +38,7 @@ class BackwardState:
     camera: StageCamera
     records: tuple[Any, ...]
     depth_order: Any  # UInt32, Gaussians from near to far
-    row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian, in depth order
+    row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian that holds a pair, in depth order
     pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
     pair_ranges: tuple[Any, Any]  # first and one-past-last pair of each tile
     walked: Any  # UInt32, keys for `sorting.by_length`: how much of its list each tile has walked

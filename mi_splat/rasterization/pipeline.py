@@ -68,7 +68,7 @@ def rasterize(
             message("picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians")
         )
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
-    run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
+    used = run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
     tiles = len(buffers.tiles)
     place, ranges = index_of(number), tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2))
     rows = sorting.order_below(dr.gather(mi.UInt32, pairs, 2 * place), tiles)
@@ -81,7 +81,7 @@ def rasterize(
         camera=stage_camera,
         records=records,
         depth_order=depth_order,
-        row_ranges=(first, last),
+        row_ranges=(first, used),
         pairs=(gaussians, rows),
         pair_ranges=ranges,
         walked=walked,
