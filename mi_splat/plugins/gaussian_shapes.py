@@ -10,6 +10,7 @@ import mitsuba as mi
 import torch
 
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.plugins.own_values import own_values
 from mi_splat.scene import GaussianScene, merge
 
 _KEYS = ("data", "opacities", "sh_coeffs")
@@ -47,13 +48,13 @@ class GaussianShapes:
 
     @staticmethod
     def _arrays_of(shape: Any) -> tuple[Any, ...]:
-        params = mi.traverse(shape)
-        missing = [key for key in _KEYS if key not in params]
+        values = own_values(shape)
+        missing = [key for key in _KEYS if key not in values]
         if missing:
             raise InvalidValueError(
                 message(f'shape "{shape.id()}"', "a splat", f"no {', '.join(missing)}", 'use type="gaussians"')
             )
-        return tuple(params[key] for key in _KEYS)
+        return tuple(values[key] for key in _KEYS)
 
     def detached(self) -> list[Any]:
         """All arrays of all shapes, without their gradients."""

@@ -15,6 +15,7 @@ import torch
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.plugins.own_values import own_values
 from mi_splat.rasterization.pinhole import Pinhole
 
 _LENS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
@@ -23,25 +24,28 @@ _MITSUBA_TO_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 def is_pinhole(sensor: Any) -> bool:
     """Whether a sensor is a perspective one, of which `camera` can be had."""
-    params = mi.traverse(sensor)
-    return "x_fov" in params and "principal_point_offset_x" in params
+    return _has_lens(own_values(sensor))
+
+
+def _has_lens(values: dict[str, Any]) -> bool:
+    return all(name in values for name in _LENS)
 
 
 def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]:
     """Pose (OpenCV, rigid), focal length and principal point in pixels of the whole film, crop offset, crop size."""
-    if not is_pinhole(sensor):
+    values = own_values(sensor)
+    if not _has_lens(values):
         raise InvalidValueError(
             message(
                 f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
             )
         )
-    params = mi.traverse(sensor)
     pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     film = sensor.film()
     width, height = (int(v) for v in film.size())
-    focal = 0.5 * width / math.tan(math.radians(float(np.array(params["x_fov"]).item())) / 2)
-    offset = [float(np.array(params[f"principal_point_offset_{axis}"]).item()) for axis in "xy"]
+    focal = 0.5 * width / math.tan(math.radians(float(np.array(values["x_fov"]).item())) / 2)
+    offset = [float(np.array(values[f"principal_point_offset_{axis}"]).item()) for axis in "xy"]
     principal = ((0.5 - offset[0]) * width, (0.5 - offset[1]) * height)
     return pose, focal, principal, film.crop_offset(), film.crop_size()
 
@@ -52,8 +56,8 @@ def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
     Reading a sensor's arrays waits for every kernel in flight. Dr.Jit's arrays never change under a given index while
     someone holds them, so indices tell as well whether anything has changed.
     """
-    params = mi.traverse(sensor)
-    held = [sensor.world_transform().matrix, *(params[key] for key in _LENS if key in params)]
+    values = own_values(sensor)
+    held = [sensor.world_transform().matrix, *(values[name] for name in _LENS if name in values)]
     film = sensor.film()
     sizes = (tuple(film.size()), tuple(film.crop_offset()), tuple(film.crop_size()))
     return (*(dr.detach(array).index for array in _flat(held)), *sizes), held

@@ -22,6 +22,7 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 from mi_splat.plugins import sensor as sensors  # noqa: E402
+from mi_splat.plugins.own_values import own_values  # noqa: E402
 from mi_splat.plugins.shape import shape_dict  # noqa: E402
 
 FILM = '<integer name="width" value="61"/><integer name="height" value="43"/>'
@@ -168,6 +169,14 @@ def test_an_update_is_seen_by_the_next_picture() -> None:
     params["splat.opacities"] = params["splat.opacities"] * 0.5
     params.update()
     assert not np.allclose(before, np.array(mi.render(loaded)))
+
+
+def test_own_values_are_those_of_traverse_without_those_of_objects_within() -> None:
+    scene = dict_scene(oracle.random_scene(60, degree=1, seed=4))
+    for node in (scene.sensors()[0], scene.shapes()[0]):
+        params, found = mi.traverse(node), own_values(node)
+        assert set(found) == {name for name in params.keys() if "." not in name}  # noqa: SIM118 (no dict)
+        assert all(np.array_equal(np.array(value), np.array(params[name])) for name, value in found.items())
 
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])
