@@ -84,24 +84,15 @@ def train(
     check_own_folder(folder, CONFIG, CHECKPOINT)
     folder.mkdir(parents=True, exist_ok=True)
     sweep_temporary(folder)
-    path, data = folder / CHECKPOINT, _digest(views, start)
+    path, digest = folder / CHECKPOINT, _digest(views, start)
     if path.is_file():
-        state, threads = load_state(path)
-        _check_same(state, config, seed, data, folder)
-        _check_settings(state, settings or {}, folder)
-        if state.config != config:  # more iterations
-            state.config = config
-            save_json(_described(config, seed, views), folder / CONFIG)
+        state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
         if on_resume is not None:
             on_resume(state)
-        if threads != torch.get_num_threads():
-            now = torch.get_num_threads()
-            text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
-            warnings.warn(text, stacklevel=2)
     else:
         state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
-        state.data_digest, state.settings = data, dict(settings or {})
-        save_json(_described(config, seed, views), folder / CONFIG)
+        state.data_digest, state.settings = digest, dict(settings or {})
+    save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
     with _deferred_interrupt() as interrupted:
 
@@ -119,9 +110,28 @@ def train(
     return found
 
 
-def _described(config: FitConfig, seed: int, views: Sequence[View]) -> dict[str, object]:
-    """What config.json says of a run."""
-    return {"config": to_json(config), "seed": seed, "views": len(views)}
+def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
+    """The run that was stopped in a folder; it may go on to more iterations than it began with.
+
+    Args:
+        folder: Where it is.
+        config: As it is to go on, like all that follows.
+        seed: Of everything random.
+        digest: See `_digest`.
+        settings: What else the pictures depend on.
+
+    Raises:
+        CheckpointError: It is another run.
+    """
+    state, threads = load_state(folder / CHECKPOINT)
+    _check_same(state, config, seed, digest, folder)
+    _check_settings(state, settings, folder)
+    state.config = config
+    if threads != torch.get_num_threads():
+        now = torch.get_num_threads()
+        text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
+        warnings.warn(text, stacklevel=3)
+    return state
 
 
 def _digest(views: Sequence[View], start: GaussianScene) -> str:
