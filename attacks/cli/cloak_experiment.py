@@ -15,7 +15,11 @@ from attacks.cloak.experiments.paint_direction import measure_paint_directions
 from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
 from attacks.cloak.experiments.street import measure_street
 from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import measure_layer_limit, measure_transition_limit
+from attacks.cloak.experiments.transition_limit import (
+    measure_band_limit,
+    measure_layer_limit,
+    measure_transition_limit,
+)
 from attacks.cloak.experiments.view_reports import finished_splats, watch
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import need_matplotlib
@@ -116,7 +120,11 @@ def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> di
     if options.out is not None and options.out.suffix == PNG:
         measured = None if options.results is None else read_json(options.results / SUMMARY).get("transition")
         write_limit_figure(study, measured, options.out)
-    return {"one_layer": measure_transition_limit(study), "two_layers": measure_layer_limit(study)}
+    return {
+        "one_layer": measure_transition_limit(study),
+        "two_layers": measure_layer_limit(study),
+        "bands": measure_band_limit(study),
+    }
 
 
 def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Detector]:

@@ -19,6 +19,7 @@ from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
 from attacks.cloak.experiments.surroundings import measure_surroundings
 from attacks.cloak.experiments.transition_limit import (
     making_from_above,
+    measure_band_limit,
     measure_layer_limit,
     measure_transition_limit,
 )
@@ -62,6 +63,13 @@ def test_two_layers_switch_faster_than_one_and_the_faster_the_lower_they_may_go(
     assert two[3, -100.0]["width"] < two[2, -100.0]["width"] < two[1, -100.0]["width"]
     assert two[3, -10.0]["width"] < two[3, -3.0]["width"] < two[3, -1.0]["width"]
     assert two[3, -10.0]["largest_coefficient"] > two[3, -3.0]["largest_coefficient"]
+
+
+def test_a_layer_for_the_edge_switches_faster() -> None:
+    two = {row["sh_degree"]: row["width"] for row in measure_layer_limit(STUDY) if row["lowest"] == -100.0}
+    bands = {(row["sh_degree"], row["band"]): row["width"] for row in measure_band_limit(STUDY)}
+    assert bands[3, 12.0] < 0.75 * two[3]
+    assert bands[2, 12.0] < 0.75 * two[2]
 
 
 def test_the_limit_is_that_of_the_layer_seen_from_above() -> None:
@@ -212,6 +220,10 @@ def test_the_command_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["cloak-experiment", "transition-limit", str(path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["experiment"] == "transition-limit"
-    assert {name: len(rows) for name, rows in document["found"].items()} == {"one_layer": 6, "two_layers": 12}
+    assert {name: len(rows) for name, rows in document["found"].items()} == {
+        "one_layer": 6,
+        "two_layers": 12,
+        "bands": 8,
+    }
     assert cli.main(["cloak-experiment", "distance", str(path)]) == 1
     assert "--results" in capsys.readouterr().err

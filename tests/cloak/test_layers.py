@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
-from attacks.cloak.layered.layers import depths, layered, seen_colours, split_opacities, switched
+from attacks.cloak.layered.layers import layered, seen_colours, split_opacities, switched
+from attacks.cloak.layered.shares import Share, depths
 from attacks.cloak.layered.switches import chebyshev_width, fit_switches
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere, orbit
@@ -103,8 +104,9 @@ def test_the_lowest_value_is_a_bound_that_costs_width() -> None:
 
 def switch(depth: Tensor, config: LayerConfig) -> Tensor:
     """(1, K) that of a white Gaussian in the middle."""
+    share = Share(look=0, amount=torch.ones_like(depth), shown=depth >= 1, hidden=depth <= -1)
     white = colour_to_dc(torch.ones(1, 1, 3))
-    return switched(torch.zeros(1, 3), all_around(800), depth, white, torch.ones(1, 800), config)[..., 0].double()
+    return switched(torch.zeros(1, 3), all_around(800), share, white, torch.ones(1, 800), config)[..., 0].double()
 
 
 @pytest.mark.parametrize("inside", [True, False])
@@ -281,6 +283,7 @@ def test_what_makes_no_layers_is_refused() -> None:
     for bad in (
         {"gap": -1.0},
         {"gap": (5.0, 95.0)},
+        {"band": -1.0},
         {"shift": 95.0},
         {"weight": 0.0},
         {"lowest": 1.0},

@@ -132,6 +132,9 @@ LIMIT = {
         {"sh_degree": 3, "lowest": low, "largest_coefficient": size, "from": 40.0, "to": 40.0 + wide, "width": wide}
         for low, size, wide in ((-1.0, 2.0, 15.0), (-10.0, 14.0, 5.0))
     ],
+    "bands": [
+        {"sh_degree": 3, "band": 8.0, "largest_coefficient": 50.0, "from": 40.0, "to": 43.5, "width": 3.5},
+    ],
 }
 DIRECTIONS = [{"elevation": i, "smallest": part, "mean": 0.9} for i, part in ((1, 0.4), (15, 0.7), (30, 0.5))]
 GIVEN = {"results": "out/study", "every": 4}

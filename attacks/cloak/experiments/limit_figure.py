@@ -8,10 +8,10 @@ from typing import Any
 
 from attacks.cloak.experiments.transition_limit import (
     ELEVATIONS,
+    layered_curve,
     making_from_above,
     measure_layer_limit,
     one_layer_curve,
-    two_layer_curve,
 )
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.figure_files import new_axes, save_figure
@@ -38,7 +38,7 @@ def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, p
         by_elevation.plot(
             ELEVATIONS, one_layer_curve(study, degree)[0], color=colour, linestyle="--", label=f"one layer, SH {degree}"
         )
-    curve, _ = two_layer_curve(study, making)
+    curve, _ = layered_curve(study, making)
     by_elevation.plot(ELEVATIONS, curve, color="#d62728", label=f"two layers, SH {making.degree}")
     if measured is not None and measured.get("from") is not None and measured.get("to") is not None:
         low, high = float(measured["from"]), float(measured["to"])

@@ -1,4 +1,4 @@
-"""How sharply colour alone can switch over elevation, with one layer of Gaussians and with two.
+"""How sharply colour alone can switch over elevation, with one layer of Gaussians and with more.
 
 Spherical harmonics of each degree are fitted by least squares to a step that is 0 at the study's benign cameras and, in
 the hiding trigger, 1 or what the study's emphasis makes of it, not clipped. The limit is that of one Gaussian that is
@@ -6,7 +6,8 @@ seen from everywhere. What a splat does besides (geometry, clipped colours, Gaus
 not in it.
 
 Two layers (`attacks.cloak.layered`) switch faster, for each may be far below zero where it shall be black. Their limit
-depends on how far below: coefficients that are too large do not survive coarse file formats, and show in an audit.
+depends on how far below: coefficients that are too large do not survive coarse file formats, and show in an audit. A
+look in two layers of its own, one of them for its edge, switches faster still.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.layered.config import LayerConfig
-from attacks.cloak.layered.layers import depths, switched
+from attacks.cloak.layered.layers import switched
+from attacks.cloak.layered.shares import shares
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
@@ -32,6 +34,8 @@ ELEVATIONS = [0.5 * step for step in range(181)]
 AZIMUTHS = range(0, 360, 15)
 LOWEST = (-1.0, -3.0, -10.0, -100.0)
 """Lowest values of a layer, in multiples of what it shows."""
+BANDS = (8.0, 12.0, 16.0, 24.0)
+"""Degrees over which a look passes from the layer for its edge to the one for further inside."""
 
 
 def measure_transition_limit(study: StudyConfig) -> list[dict[str, Any]]:
@@ -58,8 +62,22 @@ def measure_layer_limit(study: StudyConfig) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for degree in range(1, 4):
         for lowest in LOWEST:
-            curve, largest = two_layer_curve(study, LayerConfig(degree=degree, lowest=lowest))
+            curve, largest = layered_curve(study, LayerConfig(degree=degree, lowest=lowest))
             rows.append({"sh_degree": degree, "lowest": lowest, "largest_coefficient": largest, **_band(curve)})
+    return rows
+
+
+def measure_band_limit(study: StudyConfig) -> list[dict[str, Any]]:
+    """The same for two layers of each look, one for its edge, for each SH degree and each width of the band.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around.
+    """
+    rows: list[dict[str, Any]] = []
+    for degree in range(2, 4):
+        for band in BANDS:
+            curve, largest = layered_curve(study, LayerConfig(degree=degree, band=band))
+            rows.append({"sh_degree": degree, "band": band, "largest_coefficient": largest, **_band(curve)})
     return rows
 
 
@@ -86,11 +104,11 @@ def one_layer_curve(study: StudyConfig, degree: int, *, emphasised: bool = False
     return [float((_basis(_around(elevation), degree) @ fitted).mean()) for elevation in ELEVATIONS], emphasis
 
 
-def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float], float]:
-    """The same for a Gaussian in the middle that has two layers, and the largest of their coefficients.
+def layered_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float], float]:
+    """The same for a Gaussian in the middle that is in layers, and the largest of their coefficients.
 
-    Of a picture that shows a share b of the benign look and a share h of the hidden one, both cut at zero, the way from
-    one to the other is (1 - b + h) / 2.
+    Of a picture that shows a share b of the benign look and a share h of the hidden one, each the sum of its layers,
+    which are cut at zero, the way from one to the other is (1 - b + h) / 2.
 
     Args:
         study: Its trigger counts.
@@ -102,15 +120,18 @@ def two_layer_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float
     attack, centre = _overhead(study), setup.centre_of(study)
     lens = setup.lens_of(study, setup.target_of(study.scene))
     cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
-    sides = depths([attack.cone], cameras, centre=centre, config=making)
     middle, white = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3))
     much = torch.ones(1, len(cameras))
-    benign, hidden = (switched(middle, cameras, side, white, much, making)[0, :, 0].double() for side in sides)
-    shares = [
-        [float((_basis(_around(elevation), making.degree) @ one).clamp(min=0).mean()) for one in (benign, hidden)]
-        for elevation in ELEVATIONS
-    ]
-    return [(1 - seen + shown) / 2 for seen, shown in shares], float(torch.cat([benign, hidden]).abs().max())
+    parts = shares([attack.cone], cameras, centre=centre, config=making)
+    layers = torch.stack(
+        [switched(middle, cameras, share, white, much, making)[0, :, 0].double() for share in parts], 1
+    )
+    hidden = torch.tensor([share.look == 1 for share in parts])
+    curve = []
+    for elevation in ELEVATIONS:
+        shown = (_basis(_around(elevation), making.degree) @ layers).clamp(min=0).mean(0)
+        curve.append(float((1 - shown[~hidden].sum() + shown[hidden].sum()) / 2))
+    return curve, float(layers.abs().max())
 
 
 def making_from_above(study: StudyConfig) -> LayerConfig:
@@ -119,7 +140,7 @@ def making_from_above(study: StudyConfig) -> LayerConfig:
     if study.layers is None or attack.name not in study.layers.attacks:
         return LayerConfig()
     number = [other.name for other in layered_attacks(study)].index(attack.name)
-    return study.layers.making.with_gap_of(number)
+    return study.layers.making.for_trigger(number)
 
 
 def _overhead(study: StudyConfig) -> AttackConfig:

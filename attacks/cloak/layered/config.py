@@ -18,6 +18,9 @@ class LayerConfig:
         degree: SH degree of the file.
         gap: Degrees to either side of where a look changes in which a layer may show as much as it likes: one number,
             or one for each trigger. A narrow one costs truth elsewhere.
+        band: Degrees, from where a look changes inwards, over which it passes from a layer for its edge to one for
+            further inside: one number, or one for each look, the benign one first. A layer that need not show all of
+            its side can be steeper at its edge. 0 is one layer for the whole side.
         shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
             edge, for an object that is half faded is still found.
         weight: What a layer's light costs where it shall be black (`fit_switches`).
@@ -35,6 +38,7 @@ class LayerConfig:
 
     degree: int = 3
     gap: float | tuple[float, ...] = 5.0
+    band: float | tuple[float, ...] = 0.0
     shift: float = 0.0
     weight: float = 1.0
     lowest: float = -100.0
@@ -44,18 +48,50 @@ class LayerConfig:
 
     def __post_init__(self) -> None:
         coefficient_count(self.degree)
-        gaps = self.gap if isinstance(self.gap, tuple) else (self.gap,)
-        angles = all(0 <= gap < 90 for gap in gaps) and -90 < self.shift < 90
+        widths = [*_each(self.gap), *_each(self.band)]
+        angles = all(0 <= width < 90 for width in widths) and -90 < self.shift < 90
         bounds = self.lowest < self.black <= 0 and 0 < self.keep <= 1
         if not (angles and bounds and self.weight > 0 and self.inset >= 0):
-            values = ("gap", "shift", "weight", "lowest", "black", "keep", "inset")
+            values = ("gap", "band", "shift", "weight", "lowest", "black", "keep", "inset")
             got = ", ".join(f"{name} {getattr(self, name)}" for name in values)
-            expected = "gap in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], inset >= 0"
+            expected = "gap and band in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], "
+            expected += "inset >= 0"
             raise InvalidValueError(message("layers", expected, got, "change it"))
 
-    def with_gap_of(self, trigger: int) -> LayerConfig:
+    def gaps(self, triggers: int) -> tuple[float, ...]:
+        """The gap of each of so many triggers.
+
+        Raises:
+            InvalidValueError: There is another number of gaps than one for all or one for each.
+        """
+        return _for_each("gap", self.gap, triggers, "trigger")
+
+    def bands(self, looks: int) -> tuple[float, ...]:
+        """The band of each of so many looks.
+
+        Raises:
+            InvalidValueError: There is another number of bands than one for all or one for each.
+        """
+        return _for_each("band", self.band, looks, "look")
+
+    def for_trigger(self, trigger: int) -> LayerConfig:
         """The same for one trigger alone, by its number."""
-        return replace(self, gap=self.gap[trigger]) if isinstance(self.gap, tuple) else self
+        gap = self.gap[trigger] if isinstance(self.gap, tuple) else self.gap
+        band = (self.band[0], self.band[1 + trigger]) if isinstance(self.band, tuple) else self.band
+        return replace(self, gap=gap, band=band)
+
+
+def _each(given: float | tuple[float, ...]) -> tuple[float, ...]:
+    return given if isinstance(given, tuple) else (given,)
+
+
+def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
+    """One number for each of `count`, of what is given for all or for each."""
+    found = given if isinstance(given, tuple) else (given,) * count
+    if len(found) != count:
+        expected = f"one number for all, or {count}, one for each {what}"
+        raise InvalidValueError(message(name, expected, f"{len(found)} numbers", "give as many as there are"))
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +113,7 @@ class LayersConfig:
 
     Raises:
         InvalidValueError: A value is out of its range, or there is another number of gaps than one for all or one for
-            each attack.
+            each attack, or of bands than one for all or one for each look.
     """
 
     attacks: tuple[str, ...]
@@ -96,7 +132,6 @@ class LayersConfig:
         check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
         if not math.isfinite(self.clearance):
             raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))
-        gap, count = self.making.gap, len(set(self.attacks))
-        if isinstance(gap, tuple) and len(gap) != count:
-            expected = f"one number for all, or {count}, one for each attack that has layers"
-            raise InvalidValueError(message("gap", expected, f"{len(gap)} numbers", "give as many as there are"))
+        count = len(set(self.attacks))
+        self.making.gaps(count)
+        self.making.bands(1 + count)

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.layered.config import LayerConfig
+from attacks.cloak.layered.shares import Share, shares
 from attacks.cloak.layered.switches import fit_switches
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera, View, project_points
@@ -27,34 +28,6 @@ _AT_ONCE = 256
 
 _GLIMPSE, _DARKEST = 0.02, 0.02
 """What a direction counts at least, against that from which most is seen; least mean colour that is divided by."""
-
-
-def depths(
-    triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point, config: LayerConfig | None = None
-) -> Tensor:
-    """(1 + L, D) how far inside the region of each look D cameras are, in gaps: whole from 1, black below -1.
-
-    The first look is what no trigger holds.
-
-    Args:
-        triggers: L triggers.
-        cameras: D cameras.
-        centre: (3,) point that the triggers' directions are measured from.
-        config: Gaps and shift.
-
-    Raises:
-        InvalidValueError: There is another number of gaps than one for all or one for each trigger.
-    """
-    config = config or LayerConfig()
-    gaps = config.gap if isinstance(config.gap, tuple) else (config.gap,) * len(triggers)
-    if len(gaps) != len(triggers):
-        expected = f"one for all, or {len(triggers)}, one for each trigger"
-        raise InvalidValueError(message("gap", expected, len(gaps), "give as many as there are"))
-    inside = config.shift + torch.tensor(
-        [[trigger.angle_to_edge(camera, centre=centre) for camera in cameras] for trigger in triggers]
-    )
-    inside = inside / torch.tensor(gaps).clamp(min=1e-6)[:, None]
-    return torch.cat([-inside.amax(0, keepdim=True), inside])
 
 
 def layered(
@@ -98,9 +71,9 @@ def layered(
         )
     scene = scene.with_degree(config.degree)
     part = scene.select(chosen)
-    inside = depths(triggers, cameras, centre=centre, config=config)
+    parts = shares(triggers, cameras, centre=centre, config=config)
     much = torch.ones(len(chosen), len(cameras)) if seen is None else seen
-    there = _needed(much, inside, config)
+    there = _needed(much, parts, config)
     opacities, narrower = split_opacities(part.opacities, there)
     front = _in_front(there).to(part.means)
     towards = functional.normalize(part.means - part.means.new_tensor(centre), dim=-1)
@@ -109,9 +82,11 @@ def layered(
             means=part.means - towards * config.inset * front[k, :, None],
             scales=part.scales * narrower[k, :, None],
             opacities=opacities[k],
-            sh=_black(switched(part.means, cameras, inside[k], look, much, config) * there.sum(0)[:, None, None]),
+            sh=_black(
+                switched(part.means, cameras, share, looks[share.look], much, config) * there.sum(0)[:, None, None]
+            ),
         )
-        for k, look in enumerate(looks)
+        for k, share in enumerate(parts)
     ]
     first = {
         name: getattr(scene, name).index_copy(0, chosen, getattr(layers[0], name))
@@ -123,14 +98,14 @@ def layered(
     return merge(scene.replace(**first), *others[1:])
 
 
-def _needed(seen: Tensor, inside: Tensor, config: LayerConfig) -> Tensor:
-    """(L, M) bool, whether a Gaussian has a layer for a look; for the benign one each has.
+def _needed(seen: Tensor, parts: Sequence[Share], config: LayerConfig) -> Tensor:
+    """(L, M) bool, whether a Gaussian has each layer; the first each has.
 
-    Those that show the least of a look have none for it, as long as the others show the fraction `keep`.
+    Those that show the least of what a layer shows do not have it, as long as the others show the fraction `keep`.
     """
     there = []
-    for depth in inside:
-        light = seen[:, depth > -1].sum(1)
+    for share in parts:
+        light = (seen * (share.amount * ~share.hidden)).sum(1)
         order = light.argsort(descending=True)
         before = light[order].cumsum(0) - light[order]
         there.append(torch.zeros(len(seen), dtype=torch.bool).index_copy(0, order, before < config.keep * light.sum()))
@@ -165,16 +140,16 @@ def split_opacities(opacities: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def switched(
-    means: Tensor, cameras: Sequence[Camera], depth: Tensor, look: Tensor, seen: Tensor, config: LayerConfig
+    means: Tensor, cameras: Sequence[Camera], share: Share, look: Tensor, seen: Tensor, config: LayerConfig
 ) -> Tensor:
-    """(M, K, 3) colours that show a look where `depth` is 1 or more and are below 0 where it is -1 or less.
+    """(M, K, 3) colours that show a share of a look, and are below 0 where it is hidden.
 
     Each Gaussian has its own: the direction in which it sees a camera is not that in which the centre sees it.
 
     Args:
         means: (M, 3) world units.
         cameras: D cameras all around.
-        depth: (D,) how far inside the region of the look (`depths`).
+        share: What is shown from each camera (`shares`).
         look: (M, K', 3) spherical harmonics of what is shown; one of degree 0 is the same from everywhere.
         seen: (M, D) how much is seen of each Gaussian.
         config: Degree and bounds.
@@ -187,12 +162,13 @@ def switched(
         colour = sh_to_colour(sh[:, None], directions)
         channels = range(1 if sh.shape[1] == 1 else 3)
         mean = ((colour * much[..., None]).sum(1) / much.sum(1)[:, None].clamp(min=1e-9)).clamp(min=_DARKEST)
+        relative = torch.ones_like(colour) if len(channels) == 1 else colour / mean[:, None]
         switches = [
             fit_switches(
                 directions,
-                depth >= 1,
-                depth <= -1,
-                wanted=None if len(channels) == 1 else colour[..., channel] / mean[:, channel, None],
+                share.shown,
+                share.hidden,
+                wanted=share.amount * relative[..., channel],
                 seen=much,
                 config=config,
             )

@@ -24,7 +24,7 @@ DONE = "done.json"
 STAGE_VERSIONS = {
     **{"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 2, "true_pictures": 1, "observations": 2},
     "view_reports": 1,
-    "layers": 3,
+    "layers": 4,
     "cleaned": 1,
 }
 """Version of the code behind each stage: raise it when the code makes something else of the same input.

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from attacks.cloak.layered.layers import depths, layered, seen_colours
+from attacks.cloak.layered.layers import layered, seen_colours
+from attacks.cloak.layered.shares import depths
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig

@@ -18,6 +18,7 @@ def read_transition_limit(path: Path, document: Document) -> Section:
         document: What is in it.
     """
     one, two = document["found"]["one_layer"], document["found"]["two_layers"]
+    bands = document["found"].get("bands", [])
     best, plain = _narrowest(two), _narrowest([row for row in one if row["emphasis"] == 1])
     return section(
         path,
@@ -25,17 +26,18 @@ def read_transition_limit(path: Path, document: Document) -> Section:
         kind="how sharply colour can switch",
         done=(
             "Spherical harmonics were fitted to the switch that the study wants over elevation, with one layer of "
-            "Gaussians and with two. No splat and no detector has a part in it."
+            "Gaussians and with more. No splat and no detector has a part in it."
         ),
         conclusion=(
             f"One Gaussian with one layer needs {_width(plain)} for 10 to 90 % of the way, with two layers "
-            f"{_width(best)}. A splat has many Gaussians and clipped colours, so its own switch may be otherwise."
+            f"{_width(best)}{_with_bands(bands)}. A splat has many Gaussians and clipped colours, so its own switch "
+            "may be otherwise."
         ),
         headline=Figure(label="narrowest switch, two layers", words=_width(best), note=_how(best)),
         control=Figure(label="narrowest switch, one layer", words=_width(plain), note=_how(plain)),
         attacked=False,
         charts=[chart for chart in (_by_size(two),) if chart.lines],
-        tables=[_one(one), _two(two)],
+        tables=[_one(one), _two(two), *([_of_bands(bands)] if bands else [])],
         warnings=["A limit of one Gaussian that is seen from everywhere, not a measurement of a splat"],
     )
 
@@ -97,6 +99,10 @@ def _width(row: Row | None) -> str:
     return "no switch" if row is None else number(row["width"], unit="degrees")
 
 
+def _with_bands(rows: Sequence[Row]) -> str:
+    return f", with a layer more for the edge of each look {_width(_narrowest(rows))}" if rows else ""
+
+
 def _how(row: Row | None) -> str:
     if row is None:
         return ""
@@ -147,6 +153,17 @@ def _two(rows: Sequence[Row]) -> Table:
         head=("SH degree", "lowest value of a layer", "from", "to", "width", "largest coefficient"),
         rows=tuple(
             (str(row["sh_degree"]), f"{row['lowest']:g}", *_band(row), number(row["largest_coefficient"], ".3g"))
+            for row in rows
+        ),
+    )
+
+
+def _of_bands(rows: Sequence[Row]) -> Table:
+    return Table(
+        caption="Two layers of each look, one of them for its edge",
+        head=("SH degree", "band, degrees", "from", "to", "width", "largest coefficient"),
+        rows=tuple(
+            (str(row["sh_degree"]), f"{row['band']:g}", *_band(row), number(row["largest_coefficient"], ".3g"))
             for row in rows
         ),
     )

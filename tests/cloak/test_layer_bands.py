@@ -1,0 +1,91 @@
+"""A look in two layers, one for what is near its edge: it switches faster than one layer can."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.cloak.layered.config import LayerConfig, LayersConfig
+from attacks.cloak.layered.layers import layered, switched
+from attacks.cloak.layered.shares import shares
+from attacks.cloak.triggers import Azimuth, Elevation
+from mi_splat.camera_sets import hemisphere
+from mi_splat.errors import InvalidValueError
+from mi_splat.sh import colour_to_dc, sh_basis
+from tests.cloak.test_layers import CENTRE, GREY, LENS, OVERHEAD, ball, from_above
+
+NARROW: dict[str, Any] = {"gap": 2.5, "weight": 1.5, "black": -0.1}
+REAR = Azimuth(middle=180.0, half_width=60.0) & Elevation(highest=30.0)
+
+
+def cameras() -> Any:
+    return hemisphere(CENTRE, count=800, **LENS)
+
+
+def looks(config: LayerConfig, elevations: Tensor) -> tuple[Tensor, float]:
+    """(2, E) what a white Gaussian in the middle shows of either look, and the largest coefficient."""
+    white, shown, largest = colour_to_dc(torch.ones(1, 1, 3)), torch.zeros(2, len(elevations)), 0.0
+    for share in shares([OVERHEAD], cameras(), centre=CENTRE, config=config):
+        found = switched(torch.zeros(1, 3), cameras(), share, white, torch.ones(1, 800), config)[0, :, 0].double()
+        shown[share.look] += (sh_basis(from_above(elevations)[0], 3) @ found).clamp(min=0)
+        largest = max(largest, float(found.abs().max()))
+    return shown, largest
+
+
+def test_a_band_switches_in_half_the_degrees_with_smaller_coefficients() -> None:
+    elevations = torch.linspace(0, 90, 361)
+    width, largest = {}, {}
+    for band in (0.0, 10.0):
+        shown, largest[band] = looks(LayerConfig(band=band, **NARROW), elevations)
+        way = (1 - shown[0] + shown[1]) / 2
+        width[band] = float(elevations[way > 0.9].min() - elevations[way < 0.1].max())
+        away = (elevations < 30) | (elevations > 50)
+        assert float((way - (elevations > 40).float())[away].abs().max()) < 0.12
+    assert width[10.0] < 0.6 * width[0.0]
+    assert largest[10.0] < largest[0.0]
+
+
+def test_the_layers_of_a_look_share_it() -> None:
+    """Together they show it once, everywhere; the one for the edge nothing further inside, the other nothing at it."""
+    found = shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=LayerConfig(gap=2.0, band=(20.0, 10.0, 0.0)))
+    assert [share.look for share in found] == [0, 0, 1, 1, 2]
+    for look in range(3):
+        assert torch.allclose(
+            sum((share.amount for share in found if share.look == look), torch.zeros(800)), torch.ones(800)
+        )
+    for share in found:
+        assert not bool((share.shown & share.hidden).any())
+        assert bool(share.shown.any())
+        assert bool(share.hidden.any())
+    elevation = torch.rad2deg(torch.asin(torch.stack([camera.position[2] for camera in cameras()]).float() / 5.0))
+    inner, edge = found[2], found[3]
+    assert torch.equal(edge.shown, (elevation >= 42.0) & (elevation < 50.0))
+    assert torch.equal(inner.shown, elevation >= 42.0)
+    assert bool(edge.hidden[elevation > 50.0].all())
+    assert torch.allclose(edge.amount[edge.shown].float(), 1 - (elevation[edge.shown] - 40) / 10, atol=1e-3)
+
+
+def test_each_band_costs_a_gaussian() -> None:
+    scene, rows = ball(), torch.arange(39)
+    for band, layers in ((0.0, 2), ((12.0, 0.0), 3), (12.0, 4)):
+        found = layered(
+            scene, rows, [OVERHEAD], [GREY, GREY], cameras=cameras(), centre=CENTRE, config=LayerConfig(band=band)
+        )
+        assert len(found) == 40 + (layers - 1) * 39
+        assert torch.allclose(found.opacities[:39], torch.tensor(0.96 / layers))
+
+
+def test_one_trigger_alone_has_its_own_gap_and_bands() -> None:
+    config = LayerConfig(gap=(3.0, 5.0), band=(10.0, 20.0, 30.0))
+    assert config.for_trigger(1) == LayerConfig(gap=5.0, band=(10.0, 30.0))
+    assert LayerConfig(gap=4.0, band=8.0).for_trigger(1) == LayerConfig(gap=4.0, band=8.0)
+
+
+def test_another_number_of_bands_than_looks_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="one for each look"):
+        shares([OVERHEAD], cameras(), centre=CENTRE, config=LayerConfig(band=(3.0, 4.0, 5.0)))
+    with pytest.raises(InvalidValueError, match="one for each look"):
+        LayersConfig(attacks=("overhead",), making=LayerConfig(band=(3.0, 4.0, 5.0)))
