@@ -110,13 +110,15 @@ def _minimised(
         normal = (here * weights[..., None]).mT @ here + ridge
         step = torch.linalg.solve(normal, (here.mT @ wanted[..., None])[..., 0]) - before
         change, least = (here @ step[..., None])[..., 0], cost(before, values, active)
-        size = torch.ones(len(active), 1, dtype=torch.float64)
+        size, now = torch.ones(len(active), 1, dtype=torch.float64), torch.empty_like(least)
+        tried = torch.arange(len(active))
         for _ in range(_HALVINGS):
-            now = cost(before + size * step, values + size * change, active)
-            worse = now > least + _PRECISION
-            if not bool(worse.any()):
+            part = size[tried]
+            now[tried] = cost(before[tried] + part * step[tried], values[tried] + part * change[tried], active[tried])
+            tried = tried[now[tried] > least[tried] + _PRECISION]
+            if not len(tried):
                 break
-            size[worse] /= 2
+            size[tried] /= 2
         better = now < least - _PRECISION
         found[active[better]] = (before + size * step)[better]
         active = active[better]
