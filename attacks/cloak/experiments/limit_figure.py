@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from attacks.cloak.experiments.transition_limit import (
     ELEVATIONS,
     layered_curve,
     making_from_above,
+    measure_band_limit,
     measure_layer_limit,
     one_layer_curve,
 )
@@ -19,9 +21,12 @@ from attacks.cloak.study.figure_files import new_axes, save_figure
 _DEGREES = {1: "#bbbbbb", 2: "#7aa6c2", 3: "#1f77b4"}
 """SH degree to the colour of its lines."""
 
+_TWO_LAYERS, _WITH_BANDS = "#d62728", "#8c3fa8"
+"""Colours of what two layers show, and of what they show with a layer more for each edge."""
+
 
 def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, path: Path) -> None:
-    """Draw the switches of one layer and of two, and what width a bound on the coefficients costs.
+    """Draw the switches of one layer, of two and of more, and the widths that go with the largest coefficients.
 
     Args:
         study: Its trigger counts, and how its layers are made if it has some.
@@ -38,11 +43,17 @@ def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, p
         by_elevation.plot(
             ELEVATIONS, one_layer_curve(study, degree)[0], color=colour, linestyle="--", label=f"one layer, SH {degree}"
         )
-    curve, _ = layered_curve(study, making)
-    by_elevation.plot(ELEVATIONS, curve, color="#d62728", label=f"two layers, SH {making.degree}")
+    two = replace(making, band=0.0)
+    by_elevation.plot(
+        ELEVATIONS, layered_curve(study, two)[0], color=_TWO_LAYERS, label=f"two layers, SH {making.degree}"
+    )
+    if making != two:
+        label = f"a layer more for each edge, SH {making.degree}"
+        by_elevation.plot(ELEVATIONS, layered_curve(study, making)[0], color=_WITH_BANDS, label=label)
     if measured is not None and measured.get("from") is not None and measured.get("to") is not None:
         low, high = float(measured["from"]), float(measured["to"])
-        by_elevation.axvspan(low, high, color="#d62728", alpha=0.15, label=f"measured, {high - low:.1f} degrees")
+        drawn = _TWO_LAYERS if making == two else _WITH_BANDS
+        by_elevation.axvspan(low, high, color=drawn, alpha=0.15, label=f"measured, {high - low:.1f} degrees")
     by_elevation.set(
         title="From the benign look (0) to the hidden one (1)",
         xlabel="elevation of the camera, degrees",
@@ -50,13 +61,16 @@ def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, p
         ylim=(-0.3, 1.3),
     )
     by_elevation.legend(fontsize=7)
-    rows = measure_layer_limit(study)
+    two_layers, with_bands = measure_layer_limit(study), measure_band_limit(study)
     for degree, colour in _DEGREES.items():
-        own = sorted((row for row in rows if row["sh_degree"] == degree), key=lambda row: row["largest_coefficient"])
-        sizes = [row["largest_coefficient"] for row in own]
-        by_size.plot(sizes, [row["width"] for row in own], color=colour, marker="o", label=f"two layers, SH {degree}")
+        sizes, widths = _of_degree(two_layers, degree)
+        by_size.plot(sizes, widths, color=colour, marker="o", label=f"two layers, SH {degree}")
+        sizes, widths = _of_degree(with_bands, degree)
+        if sizes:
+            label = f"a layer more for each edge, SH {degree}"
+            by_size.plot(sizes, widths, color=colour, marker="x", linestyle="", label=label)
     by_size.set(
-        title="What a bound on the coefficients costs",
+        title="What the switch needs",
         xlabel="largest SH coefficient",
         ylabel="10 to 90 % of the way, degrees",
         xscale="log",
@@ -64,3 +78,9 @@ def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, p
     by_size.set_ylim(bottom=0)
     by_size.legend(fontsize=7)
     save_figure(figure, path)
+
+
+def _of_degree(rows: Sequence[Mapping[str, Any]], degree: int) -> tuple[list[float], list[float]]:
+    """Largest coefficients and widths of the rows of one SH degree, in the order of the former."""
+    own = sorted((row for row in rows if row["sh_degree"] == degree), key=lambda row: row["largest_coefficient"])
+    return [row["largest_coefficient"] for row in own], [row["width"] for row in own]
