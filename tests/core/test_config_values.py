@@ -39,7 +39,7 @@ REFUSED: list[tuple[Callable[..., object], dict[str, Any], str]] = [
     (
         LayersConfig,
         {"attacks": ("rear",), "making": LayerConfig(gap=(3.0, 4.0))},
-        "gap: expected one number for all, or 1, one for each attack that has layers, got 2 numbers",
+        "gap: expected one number for all, or 1, one for each trigger, got 2 numbers",
     ),
     (ClassicConfig, {"densify_from": 1.5}, "densify_from: expected a whole number"),
     (ClassicConfig, {"max_gaussians": "many"}, "max_gaussians: expected a whole number"),
