@@ -59,26 +59,24 @@ def measure_layer_limit(study: StudyConfig) -> list[dict[str, Any]]:
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    rows: list[dict[str, Any]] = []
-    for degree in range(1, 4):
-        for lowest in LOWEST:
-            curve, largest = layered_curve(study, LayerConfig(degree=degree, lowest=lowest))
-            rows.append({"sh_degree": degree, "lowest": lowest, "largest_coefficient": largest, **_band(curve)})
-    return rows
+    makings = [LayerConfig(degree=degree, lowest=lowest) for degree in range(1, 4) for lowest in LOWEST]
+    return [{"sh_degree": making.degree, "lowest": making.lowest, **_of_layers(study, making)} for making in makings]
 
 
 def measure_band_limit(study: StudyConfig) -> list[dict[str, Any]]:
-    """The same for two layers of each look, one for its edge, for each SH degree and each width of the band.
+    """The same with a layer more for the edge of each look, for each SH degree and each width of the band.
 
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    rows: list[dict[str, Any]] = []
-    for degree in range(2, 4):
-        for band in BANDS:
-            curve, largest = layered_curve(study, LayerConfig(degree=degree, band=band))
-            rows.append({"sh_degree": degree, "band": band, "largest_coefficient": largest, **_band(curve)})
-    return rows
+    makings = [LayerConfig(degree=degree, band=band) for degree in range(2, 4) for band in BANDS]
+    return [{"sh_degree": making.degree, "band": making.band, **_of_layers(study, making)} for making in makings]
+
+
+def _of_layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
+    """The largest coefficient of layers, and where they switch."""
+    curve, largest = layered_curve(study, making)
+    return {"largest_coefficient": largest, **_band(curve)}
 
 
 def one_layer_curve(study: StudyConfig, degree: int, *, emphasised: bool = False) -> tuple[list[float], float]:

@@ -37,7 +37,11 @@ def read_transition_limit(path: Path, document: Document) -> Section:
         control=Figure(label="narrowest switch, one layer", words=_width(plain), note=_how(plain)),
         attacked=False,
         charts=[chart for chart in (_by_size(two),) if chart.lines],
-        tables=[_one(one), _two(two), *([_of_bands(bands)] if bands else [])],
+        tables=[
+            _one(one),
+            _layers(two, "Two layers", "lowest", "lowest value of a layer"),
+            *([_layers(bands, "A layer more for the edge of each look", "band", "band, degrees")] if bands else []),
+        ],
         warnings=["A limit of one Gaussian that is seen from everywhere, not a measurement of a splat"],
     )
 
@@ -147,23 +151,20 @@ def _one(rows: Sequence[Row]) -> Table:
     )
 
 
-def _two(rows: Sequence[Row]) -> Table:
-    return Table(
-        caption="Two layers",
-        head=("SH degree", "lowest value of a layer", "from", "to", "width", "largest coefficient"),
-        rows=tuple(
-            (str(row["sh_degree"]), f"{row['lowest']:g}", *_band(row), number(row["largest_coefficient"], ".3g"))
-            for row in rows
-        ),
-    )
+def _layers(rows: Sequence[Row], caption: str, key: str, name: str) -> Table:
+    """The table of layers.
 
-
-def _of_bands(rows: Sequence[Row]) -> Table:
+    Args:
+        rows: What was measured.
+        caption: Of the table.
+        key: What the rows differ in, besides the degree.
+        name: What it is called.
+    """
     return Table(
-        caption="Two layers of each look, one of them for its edge",
-        head=("SH degree", "band, degrees", "from", "to", "width", "largest coefficient"),
+        caption=caption,
+        head=("SH degree", name, "from", "to", "width", "largest coefficient"),
         rows=tuple(
-            (str(row["sh_degree"]), f"{row['band']:g}", *_band(row), number(row["largest_coefficient"], ".3g"))
+            (str(row["sh_degree"]), f"{row[key]:g}", *_band(row), number(row["largest_coefficient"], ".3g"))
             for row in rows
         ),
     )
