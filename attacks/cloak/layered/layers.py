@@ -41,7 +41,7 @@ def layered(
     seen: Tensor | None = None,
     config: LayerConfig | None = None,
 ) -> GaussianScene:
-    """A scene in which an object's Gaussians have one layer for what all see and one for each trigger.
+    """A scene in which an object's Gaussians have a layer for what all see and for each trigger, or two (`shares`).
 
     The first layer takes the place of the Gaussians that it is made of; the others come after all of the scene. A
     Gaussian that has next to nothing to do with a look has no layer for it (`LayerConfig.keep`).
@@ -50,7 +50,7 @@ def layered(
         scene: The clean splat.
         rows: (N,) bool or indices of the object's M Gaussians.
         triggers: From where another look is shown; no two of them hold one camera.
-        looks: What each layer shows, (M, K, 3) spherical harmonics of any degree, the benign one first.
+        looks: What all see and what each trigger shows, (M, K, 3) spherical harmonics of any degree.
         cameras: D cameras all around, at the distance that the object is looked at from.
         centre: (3,) point that the triggers' directions are measured from.
         seen: (M, D) pixels that each Gaussian contributes to the cameras' pictures (`contributions`); None is 1.
