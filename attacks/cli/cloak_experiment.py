@@ -117,14 +117,19 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
 
 def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, Any]:
     """The limits, and with --out a figure of them, beside the transition of finished results if they are named."""
-    if options.out is not None and options.out.suffix == PNG:
+    figure = options.out if options.out is not None and options.out.suffix == PNG else None
+    measured = None
+    if figure is not None:
+        need_matplotlib()
         measured = None if options.results is None else read_json(options.results / SUMMARY).get("transition")
-        write_limit_figure(study, measured, options.out)
-    return {
+    limits = {
         "one_layer": measure_transition_limit(study),
         "two_layers": measure_layer_limit(study),
         "bands": measure_band_limit(study),
     }
+    if figure is not None:
+        write_limit_figure(study, limits, measured, figure)
+    return limits
 
 
 def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Detector]:

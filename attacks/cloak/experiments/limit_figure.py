@@ -11,8 +11,6 @@ from attacks.cloak.experiments.transition_limit import (
     ELEVATIONS,
     layered_curve,
     making_from_above,
-    measure_band_limit,
-    measure_layer_limit,
     one_layer_curve,
 )
 from attacks.cloak.study.config import StudyConfig
@@ -25,11 +23,17 @@ _TWO_LAYERS, _WITH_BANDS = "#d62728", "#8c3fa8"
 """Colours of what two layers show, and of what they show with a layer more for each edge."""
 
 
-def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, path: Path) -> None:
+def write_limit_figure(
+    study: StudyConfig,
+    limits: Mapping[str, Sequence[Mapping[str, Any]]],
+    measured: Mapping[str, Any] | None,
+    path: Path,
+) -> None:
     """Draw the switches of one layer, of two and of more, and the widths that go with the largest coefficients.
 
     Args:
         study: Its trigger counts, and how its layers are made if it has some.
+        limits: `two_layers` of `measure_layer_limit` and `bands` of `measure_band_limit`.
         measured: The entry `transition` of a finished study's summary, which is drawn beside; None draws none.
         path: PNG file to write.
 
@@ -61,11 +65,10 @@ def write_limit_figure(study: StudyConfig, measured: Mapping[str, Any] | None, p
         ylim=(-0.3, 1.3),
     )
     by_elevation.legend(fontsize=7)
-    two_layers, with_bands = measure_layer_limit(study), measure_band_limit(study)
     for degree, colour in _DEGREES.items():
-        sizes, widths = _of_degree(two_layers, degree)
+        sizes, widths = _of_degree(limits["two_layers"], degree)
         by_size.plot(sizes, widths, color=colour, marker="o", label=f"two layers, SH {degree}")
-        sizes, widths = _of_degree(with_bands, degree)
+        sizes, widths = _of_degree(limits["bands"], degree)
         if sizes:
             label = f"a layer more for each edge, SH {degree}"
             by_size.plot(sizes, widths, color=colour, marker="x", linestyle="", label=label)

@@ -36,9 +36,7 @@ def depths(
         InvalidValueError: There is another number of gaps than one for all or one for each trigger.
     """
     config = config or LayerConfig()
-    inside = _angles(triggers, cameras, centre, config)
-    inside = inside / torch.tensor(config.gaps(len(triggers))).clamp(min=1e-6)[:, None]
-    return torch.cat([-inside.amax(0, keepdim=True), inside])
+    return _in_gaps(_angles(triggers, cameras, centre, config), config)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,9 +73,8 @@ def shares(
     """
     config = config or LayerConfig()
     angles = _angles(triggers, cameras, centre, config)
-    angles = torch.cat([-angles.amax(0, keepdim=True), angles])
+    sides, angles = _in_gaps(angles, config), _with_benign(angles)
     found = []
-    sides = depths(triggers, cameras, centre=centre, config=config)
     for look, (depth, angle, band) in enumerate(zip(sides, angles, config.bands(len(sides)), strict=True)):
         far = (angle / band).clamp(0, 1) if band else torch.ones_like(angle)
         for amount in (far, 1 - far) if band else (far,):
@@ -91,3 +88,13 @@ def _angles(triggers: Sequence[Trigger], cameras: Sequence[Camera], centre: Poin
     """(L, D) degrees by which cameras are inside of where each trigger's look begins."""
     rows = [[trigger.angle_to_edge(camera, centre=centre) for camera in cameras] for trigger in triggers]
     return config.shift + torch.tensor(rows)
+
+
+def _in_gaps(angles: Tensor, config: LayerConfig) -> Tensor:
+    """(1 + L, D) of (L, D) degrees, how far inside cameras are in gaps, the benign look first."""
+    return _with_benign(angles / torch.tensor(config.gaps(len(angles))).clamp(min=1e-6)[:, None])
+
+
+def _with_benign(inside: Tensor) -> Tensor:
+    """(1 + L, D) of (L, D): the benign look is as far inside as all others are outside."""
+    return torch.cat([-inside.amax(0, keepdim=True), inside])
