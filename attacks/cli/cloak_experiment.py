@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.limit_figure import write_limit_figure
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
+from attacks.cloak.experiments.perfect_splat import measure_perfect_splat
 from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
 from attacks.cloak.experiments.street import measure_street
 from attacks.cloak.experiments.surroundings import measure_surroundings
@@ -47,6 +49,7 @@ _USED = {
     "street": _LOOKS,
     "transition-limit": ("results",),
     "paint-direction": (),
+    "perfect-splat": ("every", "detectors", "stages"),
     "detection-curve": (*_LOOKS, "stages"),
 }
 """The flags that an experiment heeds, besides the study, --weights and --out."""
@@ -91,6 +94,11 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
         return measure_paint_directions(study), {}
     if options.experiment == "transition-limit":
         return _transition_limit(options, study), {}
+    if options.experiment == "perfect-splat":
+        detectors = _detectors(options, study)
+        fingerprints = {detector.name: detector.fingerprint for detector in detectors}
+        pipeline = StudyPipeline(study=study, folder=_stages(options), on_step=_follow(advance))
+        return measure_perfect_splat(pipeline, detectors, every=options.every), fingerprints
     if options.results is None:
         do = "pass the folder that mi-splat cloak has written"
         raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
@@ -144,17 +152,9 @@ def _detection_curve(
         raise InvalidValueError(message("--out", "a folder to write into", "none", "name one"))
     check_new_folder(options.out)
     need_matplotlib()
-    stages = options.stages or results / "stages"
+    stages = _stages(options)
     splats, detectors = finished_splats(study, results, stages), _detectors(options, study)
-    now = [""]
-
-    def follow(text: str, done: int, total: int) -> None:
-        if text != now[0]:
-            now[0] = text
-            warn(text)
-        advance(f"{text}, {done:,} of {total:,}")
-
-    pipeline = StudyPipeline(study=study, folder=stages, on_step=follow)
+    pipeline = StudyPipeline(study=study, folder=stages, on_step=_follow(advance))
     found = watch(pipeline, splats, detectors, every=options.every)
     with new_folder(options.out, record=FILES[0]) as folder:
         document = write_detection_curve(
@@ -163,3 +163,26 @@ def _detection_curve(
     rates = [row for row in document["rates"] if row["by"] == "region" and row["seed"] is None]
     own = {name: document[name] for name in ("cameras", "detectors", "splats")}
     return {**own, "rates": rates, "out": str(options.out), "files": list(FILES)}
+
+
+def _stages(options: CloakExperimentOptions) -> Path:
+    if options.stages is not None:
+        return options.stages
+    if options.results is None:
+        do = "name the one of the study, or a new one, for path-traced pictures to stay in"
+        raise InvalidValueError(message("--stages", "a folder", "none", do))
+    return options.results / "stages"
+
+
+def _follow(advance: Advance) -> Callable[[str, int, int], None]:
+    """What a study says of its steps: each new one as a line, and how far it is."""
+    now = ""
+
+    def follow(text: str, done: int, total: int) -> None:
+        nonlocal now
+        if text != now:
+            now = text
+            warn(text)
+        advance(f"{text}, {done:,} of {total:,}")
+
+    return follow

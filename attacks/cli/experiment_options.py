@@ -16,6 +16,7 @@ ExperimentName = Literal[
     "street",
     "transition-limit",
     "paint-direction",
+    "perfect-splat",
     "detection-curve",
 ]
 
@@ -28,8 +29,9 @@ class CloakExperimentOptions:
     object is found when they stand nearer or farther away. formats and renderers: whether the cloaked splat hides its
     object after other file formats, and in other renderers. street: whether it does so on a path-traced street of
     meshes, by the hour of the day. transition-limit: how sharply colour alone can switch. paint-direction: from where a
-    painted sign is seen best. detection-curve: from where detectors find the object in path-traced pictures, on the
-    clean and on the cloaked splats; writes a table, plots and pictures into --out.
+    painted sign is seen best. perfect-splat: the rates of a splat that shows its attacks perfectly, from path-traced
+    pictures of them. detection-curve: from where detectors find the object in path-traced pictures, on the clean and on
+    the cloaked splats; writes a table, plots and pictures into --out.
     """
 
     experiment: Positional[ExperimentName]
@@ -45,6 +47,6 @@ class CloakExperimentOptions:
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     stages: Path | None = None
-    """Folder of the study's stages; None is a folder in --results (detection-curve)."""
+    """Folder of the study's stages; None is a folder in --results (detection-curve, perfect-splat)."""
     out: Path | None = None
     """What is written: a folder (detection-curve), a PNG file with the limit (transition-limit), or a JSON file."""

@@ -6,7 +6,7 @@ Both attacks are judged by this module alone: what it has not seen on an 8-bit p
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,14 +96,39 @@ def detect_views(
     Raises:
         InvalidValueError: There are not as many boxes as cameras.
     """
-    cameras, detectors = as_cameras(cameras), as_detectors(detectors)
+    yield from detect_pictures(
+        lambda camera: render(scene, camera), as_cameras(cameras), detectors, boxes=boxes, batch=batch
+    )
+
+
+def detect_pictures(
+    picture_from: Callable[[Camera], Tensor],
+    cameras: Sequence[Camera],
+    detectors: Detector | str | Sequence[Detector | str],
+    *,
+    boxes: Sequence[Tensor | None] | None = None,
+    batch: int = BATCH,
+) -> Iterator[ViewDetections]:
+    """As `detect_views`, of pictures that come from anywhere.
+
+    Args:
+        picture_from: (H, W, 3) sRGB from a camera; asked for once for each.
+        cameras: Views.
+        detectors: Any number, with different names; or their names.
+        boxes: As in `detect_views`.
+        batch: As in `detect_views`.
+
+    Raises:
+        InvalidValueError: There are not as many boxes as cameras.
+    """
+    detectors = as_detectors(detectors)
     if boxes is not None and len(boxes) != len(cameras):
         raise InvalidValueError(
             message("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
         )
     for views in _batches(cameras, batch):
         with torch.no_grad():
-            images = torch.stack([through_png(render(scene, cameras[view])) for view in views])
+            images = torch.stack([through_png(picture_from(cameras[view])) for view in views])
             found = [(detector.name, detector.detect(images)) for detector in detectors]
         pixels = (images * 255).round().to(torch.uint8)
         for name, reports in found:

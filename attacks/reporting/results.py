@@ -22,7 +22,7 @@ from attacks.reporting.kinds import (
     variations,
 )
 from attacks.reporting.kinds.detectors import comparison, held_out, pictures
-from attacks.reporting.kinds.experiments import detection_curve, limits, splats
+from attacks.reporting.kinds.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.reporting.section import Section
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.documents import read_json
@@ -106,6 +106,7 @@ KINDS = (
             ("street", splats.read_street),
             ("transition-limit", limits.read_transition_limit),
             ("paint-direction", limits.read_paint_direction),
+            ("perfect-splat", perfect_splat.read),
         )
     ),
 )

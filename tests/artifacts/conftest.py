@@ -13,7 +13,7 @@ import torch
 from attacks.artifacts.packing import pack_artifact
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.observations import Blend, Fidelity, ObservedSplat, _observation
+from attacks.cloak.study.observations import Blend, Fidelity, ObservedSplat, observation_of
 from attacks.cloak.study.rates import figures
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.trained_splats import TrainedSplat
@@ -53,7 +53,7 @@ def observed(trained: TrainedSplat) -> ObservedSplat:
     loss = 0.1 if trained.splat == "clean" else 1 / 3
     return ObservedSplat(
         trained=trained,
-        observations=tuple(_observation(STUDY, one) for one in seen),
+        observations=tuple(observation_of(STUDY, one) for one in seen),
         fidelities=tuple(Fidelity(view=i, elevation=i / 7, psnr=30.0 - loss * i, ssim=0.9) for i in (1, 2)),
         blends=tuple(
             Blend(

@@ -137,6 +137,23 @@ LIMIT = {
     ],
 }
 DIRECTIONS = [{"elevation": i, "smallest": part, "mean": 0.9} for i, part in ((1, 0.4), (15, 0.7), (30, 0.5))]
+PERFECT = [
+    {
+        "attack": "overhead",
+        "detector": "one",
+        "cameras": 40,
+        "control_recall": rate(40, 40),
+        "trigger_miss_rate": rate(30, 30),
+        "nothing_reported": rate(24, 30),
+    },
+    {
+        "attack": "rear",
+        "detector": "one",
+        "cameras": 10,
+        "target_rate": rate(6, 10),
+        "control_target_rate": rate(0, 10),
+    },
+]
 GIVEN = {"results": "out/study", "every": 4}
 
 
@@ -191,5 +208,6 @@ FURTHER: dict[str, Callable[[Path], Path]] = {
     "cloak-experiment street": write_experiment("street", STREET, **GIVEN, detectors=[]),
     "cloak-experiment transition-limit": write_experiment("transition-limit", LIMIT, results="out/study"),
     "cloak-experiment paint-direction": write_experiment("paint-direction", DIRECTIONS),
+    "cloak-experiment perfect-splat": write_experiment("perfect-splat", PERFECT, every=1, stages="out/stages"),
 }
 """By command, in the order of `attacks.reporting.results.KINDS`."""

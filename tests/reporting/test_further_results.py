@@ -24,6 +24,7 @@ from tests.reporting.further_results import (
     DIRECTIONS,
     DISTANCES,
     FURTHER,
+    PERFECT,
     SURROUNDINGS,
     experiment,
     figures_of,
@@ -158,6 +159,24 @@ def test_formats_surroundings_and_limits(tmp_path: Path) -> None:
     painted = read_section(FURTHER["cloak-experiment paint-direction"](tmp_path / "x"))
     assert painted.headline.label.endswith("from 15 degrees")
     assert len(painted.tables[0].rows) == len(DIRECTIONS)
+
+
+def test_a_perfect_splat(tmp_path: Path) -> None:
+    section = read_section(FURTHER["cloak-experiment perfect-splat"](tmp_path / "x"))
+    assert section.headline.rate == Rate(successes=30, total=30)
+    assert section.control is not None
+    assert section.control.rate == Rate(successes=0, total=40)
+    assert [figure.rate for figure in section.figures] == [
+        Rate(successes=24, total=30),
+        Rate(successes=6, total=10),
+    ]
+    assert [len(table.rows) for table in section.tables] == [3, 2]
+    assert options(section).stages == Path("out/stages")
+    save_json(experiment("perfect-splat", PERFECT[1:]), tmp_path / "rear.json")
+    shown = read_section(tmp_path / "rear.json")
+    assert shown.headline.rate == Rate(successes=6, total=10)
+    assert shown.control is not None
+    assert shown.control.rate == Rate(successes=0, total=10)
 
 
 def test_the_detection_curve(tmp_path: Path) -> None:

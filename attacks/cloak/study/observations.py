@@ -175,7 +175,7 @@ def _seen(
     boxes = [setup.box_of(target, camera) for camera in cameras]
     observations: list[Observation] = []
     for one in detect_views(scene, cameras, detectors, render=render, boxes=boxes):
-        observations.append(_observation(study, one))
+        observations.append(observation_of(study, one))
         pipeline.on_step(text, len(observations), len(cameras) * len(detectors))
     fidelities = [
         Fidelity(view=view, elevation=elevation(camera), psnr=float(psnr(image, true)), ssim=float(ssim(image, true)))
@@ -212,7 +212,7 @@ def _blend(
     )
 
 
-def _observation(study: StudyConfig, seen: ViewDetections) -> Observation:
+def observation_of(study: StudyConfig, seen: ViewDetections) -> Observation:
     """What a detector's report of one picture says of the object."""
     centre = setup.centre_of(study)
     direction = seen.direction(centre)
