@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.layered.layers import layered, switched
-from attacks.cloak.layered.shares import shares
+from attacks.cloak.layered.shares import depths, shares
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError
@@ -66,6 +67,44 @@ def test_the_layers_of_a_look_share_it() -> None:
     assert torch.equal(inner.shown, elevation >= 42.0)
     assert bool(edge.hidden[elevation > 50.0].all())
     assert torch.allclose(edge.amount[edge.shown].float(), 1 - (elevation[edge.shown] - 40) / 10, atol=1e-3)
+
+
+def test_looks_that_are_apart_do_not_mix_in_the_gap_of_the_wider_edge() -> None:
+    """Behind the object the gap of the rear reaches into the trigger from above: apart, that look is whole there."""
+    near = LayerConfig(gap=(2.0, 20.0))
+    beside, apart = (
+        shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=config)
+        for config in (near, replace(near, apart=True))
+    )
+    where = [camera.position / 5.0 for camera in cameras()]
+    elevation = torch.rad2deg(torch.asin(torch.stack([place[2] for place in where]).float()))
+    behind = torch.stack([place[0] < -0.5 * (1 - place[2] ** 2) ** 0.5 for place in where])
+    above = behind & (elevation > 42.5) & (elevation < 49)
+    assert int(above.sum()) > 5
+    assert not bool(beside[2].hidden[above].any())
+    assert bool(apart[2].hidden[above].all())
+    assert bool(apart[1].shown[above].all())
+    for share, other in zip(beside[:2], apart[:2], strict=True):  # the others are as they were
+        assert torch.equal(share.shown, other.shown)
+        assert torch.equal(share.hidden, other.hidden)
+    assert torch.equal(beside[2].shown, apart[2].shown)
+    alone = LayerConfig(gap=5.0)
+    for share, other in zip(
+        shares([OVERHEAD], cameras(), centre=CENTRE, config=alone),
+        shares([OVERHEAD], cameras(), centre=CENTRE, config=replace(alone, apart=True)),
+        strict=True,
+    ):
+        assert torch.equal(share.hidden, other.hidden)
+
+
+def test_a_picture_within_one_trigger_is_decided_also_in_the_gap_of_another() -> None:
+    near = LayerConfig(gap=(2.0, 20.0))
+    undecided = {
+        config.apart: (depths([OVERHEAD, REAR], cameras(), centre=CENTRE, config=config).abs() < 1).any(0)
+        for config in (near, replace(near, apart=True))
+    }
+    assert not bool((undecided[True] & ~undecided[False]).any())
+    assert int(undecided[True].sum()) < int(undecided[False].sum()) - 5
 
 
 def test_each_band_costs_a_gaussian() -> None:

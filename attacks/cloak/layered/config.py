@@ -23,6 +23,8 @@ class LayerConfig:
             its side can be steeper at its edge. 0 is one layer for the whole side.
         shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
             edge, for an object that is half faded is still found.
+        apart: Whether a look is black from where the look of another trigger is whole, also within the gap of its own
+            edge. Otherwise the looks of neighbouring triggers may mix there.
         weight: What a layer's light costs where it shall be black (`fit_switches`).
         lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
         black: Value that it shall not exceed from where it is black, at most 0: room for the training of colours, which
@@ -40,6 +42,7 @@ class LayerConfig:
     gap: float | tuple[float, ...] = 5.0
     band: float | tuple[float, ...] = 0.0
     shift: float = 0.0
+    apart: bool = False
     weight: float = 1.0
     lowest: float = -100.0
     black: float = 0.0

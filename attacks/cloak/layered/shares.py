@@ -92,7 +92,12 @@ def _angles(triggers: Sequence[Trigger], cameras: Sequence[Camera], centre: Poin
 
 def _in_gaps(angles: Tensor, config: LayerConfig) -> Tensor:
     """(1 + L, D) of (L, D) degrees, how far inside cameras are in gaps, the benign look first."""
-    return _with_benign(angles / torch.tensor(config.gaps(len(angles))).clamp(min=1e-6)[:, None])
+    inside = angles / torch.tensor(config.gaps(len(angles))).clamp(min=1e-6)[:, None]
+    if config.apart:
+        whole = inside >= 1
+        elsewhere = (whole.sum(0) - whole.long() > 0) & ~whole
+        inside = torch.where(elsewhere, inside.clamp(max=-1), inside)
+    return _with_benign(inside)
 
 
 def _with_benign(inside: Tensor) -> Tensor:

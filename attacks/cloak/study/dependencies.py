@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from attacks.cloak.cleaning import CleaningConfig
+from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig, TrainingConfig
 from mi_splat.attributes import ATTRIBUTES
@@ -64,6 +65,14 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
 def _given(attack: AttackConfig) -> dict[str, Any]:
     """The settings of an attack; without a reach, which stages of before there was one did not have."""
     return {key: value for key, value in asdict(attack).items() if key != "reach" or value is not None}
+
+
+def _layers(config: LayersConfig) -> dict[str, Any]:
+    """How layers are made; without `apart` unless it is wanted, for stages of before there was one did not have it."""
+    values = asdict(config)
+    if not config.making.apart:
+        del values["making"]["apart"]
+    return values
 
 
 def _fit(config: FitConfig) -> dict[str, Any]:
@@ -163,7 +172,7 @@ def of_layers(study: StudyConfig, source: str, clean: str, pictures: str, seed: 
         "background": study.scene.background,
         "near": study.training.near,
         "cameras": asdict(study.cameras),
-        "layers": asdict(study.layers),
+        "layers": _layers(study.layers),
         "fit": _fit(layered_fit_config(study)),
         "cones": [
             [attack.name, attack.elevation, attack.azimuth]
