@@ -106,6 +106,10 @@ def test_variations_change_one_thing_and_keep_all_seeds() -> None:
     assert [study.training.sh_degree for study in varied(SEEDS, "sh_degree").values()] == [0, 1, 2, 3]
     assert [study.attack[1].emphasis for study in varied(SEEDS, "emphasis").values()] == [1.0, 1.5, 2.2, 3.0, 4.5]
     assert [study.training.outliers for study in varied(SEEDS, "outliers").values()] == [0, 1000, 4000]
+    most = varied(SEEDS, "max_gaussians")
+    assert {name: study.training.max_gaussians for name, study in most.items()} == {
+        **{"40,000": 40_000, "80,000": 80_000, "160,000": 160_000}
+    }
     assert [study.training.point_deviations for study in varied(SEEDS, "points").values()] == [None, 2.0]
     assert [study.training.iterations for study in varied(SEEDS, "iterations").values()] == [26, 80, 160]
     objects = varied(SEEDS, "object")

@@ -11,6 +11,7 @@ AblationGroup = Literal[
     "strategy",
     "emphasis",
     "iterations",
+    "max_gaussians",
     "outliers",
     "points",
     "cameras",

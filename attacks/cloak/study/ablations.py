@@ -35,6 +35,7 @@ OUTLIERS = (0, 1000, 4000)
 POINT_CLEANINGS = {"all points": None, "outliers, 2 deviations": 2.0}
 """Outliers that a victim removes from the point cloud before the training, by their name in tables."""
 CAMERAS = (60, 120, 210, 420)
+MAX_GAUSSIANS = (40_000, 80_000, 160_000)
 APPEARANCES = ("occluder", "remove", "ground", "blend in", "road", "grass", "clock", "football")
 """Appearances of the hiding attacks: an occluder of road, three without a texture, four painted."""
 OBJECTS = ("elephant", "bird", "train")
@@ -56,12 +57,12 @@ CLEANINGS: dict[str, CleaningConfig | None] = {
 def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
     """The studies of a group by the value that they have, each with all seeds of the study.
 
-    `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks. `strategy`:
-    of the densification. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as many, with the
-    raises of the SH degree at the same fraction of them. `outliers`: points in the air at the start. `points`: see
-    `POINT_CLEANINGS`. `cameras`: number of training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its
-    own. `object`: the study's own and those of `OBJECTS`; ground, cameras and their distance grow with what stands
-    there.
+    `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks.
+    `strategy`: of the densification. `emphasis`: of all attacks. `iterations`: a third of the study's and twice as
+    many, with the raises of the SH degree at the same fraction of them. `max_gaussians`: up to which they are
+    added. `outliers`: points in the air at the start. `points`: see `POINT_CLEANINGS`. `cameras`: number of
+    training pictures. `cleaning`: see `CLEANINGS`; it needs no training of its own. `object`: the study's own and
+    those of `OBJECTS`; ground, cameras and their distance grow with what stands there.
     """
     training = study.training
 
@@ -81,6 +82,8 @@ def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
         return {"classic": trained(strategy="classic"), "mcmc": trained(strategy="mcmc")}
     if group == "emphasis":
         return {f"{gain:g}": attacked(partial(replace, emphasis=gain)) for gain in EMPHASES}
+    if group == "max_gaussians":
+        return {f"{count:,}": trained(max_gaussians=count) for count in MAX_GAUSSIANS}
     if group == "outliers":
         return {f"{count:,}": trained(outliers=count) for count in OUTLIERS}
     if group == "points":
