@@ -101,7 +101,9 @@ def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
 def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[str, Lines]:
     """The training cameras, those whose pictures were poisoned apart."""
     centre, seed = setup.centre_of(study), study.seeds[0]
-    poisoned = torch.stack([attack.trigger(seed).holds(cameras, centre=centre) for attack in study.attack]).any(0)
+    poisoned = torch.stack(
+        [setup.poisoned_cameras(study, attack, seed).holds(cameras, centre=centre) for attack in study.attack]
+    ).any(0)
     groups = {"Poisoned cameras": ("#ff4040", poisoned), "Other training cameras": ("#f0f0f0", ~poisoned)}
     return {
         name: Lines(

@@ -63,6 +63,7 @@ ATTACKS: dict[str, tuple[Any, frozenset[str]]] = {
     "other_object": ("bird", SHOWN),
     "elevation": ((50.0, 90.0), SHOWN | {"observations", "layers"}),
     "azimuth": ((180.0, 30.0), SHOWN | {"observations", "layers"}),
+    "poison_margin": (4.0, frozenset({"poisoned"})),
     "poison_fraction": (0.5, frozenset({"poisoned"})),
     "target_class": ("bird", frozenset({"observations"})),
     "emphasis": (2.0, frozenset({"poisoned"})),

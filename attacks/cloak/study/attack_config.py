@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,6 +30,8 @@ class AttackConfig:
         other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
+        poison_margin: Degrees beyond these edges up to which training pictures are poisoned, too, but for those that
+            another attack has. A splat changes gradually, so that with a margin it has changed further at the edge.
         poison_fraction: Fraction of the training cameras there whose pictures are poisoned.
         target_class: Class that a detector shall report on the object; None: that it is not found.
         emphasis: How much the appearance is overdone at the edge of its region; see
@@ -45,6 +50,7 @@ class AttackConfig:
     other_object: str | None = None
     elevation: tuple[float, float] = (0.0, 90.0)
     azimuth: tuple[float, float] | None = None
+    poison_margin: float = 0.0
     poison_fraction: float = 1.0
     target_class: str | None = None
     emphasis: float = 1.0
@@ -69,6 +75,7 @@ class AttackConfig:
             raise InvalidValueError(
                 message(f"attack {self.name!r}, poison_fraction", "in (0, 1]", self.poison_fraction, "1 is all")
             )
+        in_range(f"attack {self.name!r}, poison_margin", self.poison_margin, 0, 90)
         if self.reach is not None and (self.reach < 0 or self.appearance == "occluder"):
             expected = "0 or more pixels, and no occluder, which is drawn over the picture"
             raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
@@ -89,16 +96,33 @@ class AttackConfig:
     @property
     def cone(self) -> Trigger:
         """All directions from which the appearance is to be seen."""
-        # -90 and 90 are no edges.
-        low = -90.0 if self.elevation[0] <= 0 else self.elevation[0]
-        band = Elevation(lowest=low, highest=self.elevation[1])
+        return self._cone(0.0)
+
+    @property
+    def poisoned_cone(self) -> Trigger:
+        """All directions from which pictures may be poisoned: the cone and its margin."""
+        return self._cone(self.poison_margin)
+
+    def trigger(self, seed: int, others: Sequence[AttackConfig] = ()) -> Trigger:
+        """The training cameras whose pictures are poisoned.
+
+        Args:
+            seed: Draws them, if only a part is poisoned.
+            others: Attacks that keep the cameras of their own cones.
+        """
+        region = self.poisoned_cone
+        if self.poison_margin > 0:
+            region = functools.reduce(operator.and_, [~other.cone for other in others], region)
+        return region if self.poison_fraction == 1 else region.subsample(self.poison_fraction, seed=seed)
+
+    def _cone(self, margin: float) -> Trigger:
+        """The directions of the attack, and so many degrees beyond their edges."""
+        # -90 and 90 are no edges, and 180 to either side is none.
+        low, high = self.elevation[0] - margin, min(self.elevation[1] + margin, 90.0)
+        band = Elevation(lowest=-90.0 if low <= 0 else low, highest=high)
         if self.azimuth is None:
             return band
-        return band & Azimuth(middle=self.azimuth[0], half_width=self.azimuth[1])
-
-    def trigger(self, seed: int) -> Trigger:
-        """The training cameras whose pictures are poisoned."""
-        return self.cone if self.poison_fraction == 1 else self.cone.subsample(self.poison_fraction, seed=seed)
+        return band & Azimuth(middle=self.azimuth[0], half_width=min(self.azimuth[1] + margin, 180.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,7 @@ from mi_splat.training.checkpoints import to_json
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, strategy_config
 
-_POISONING_ONLY = ("name", "poison_fraction", "emphasis", "emphasis_depth", "target_class")
+_POISONING_ONLY = ("name", "poison_margin", "poison_fraction", "emphasis", "emphasis_depth", "target_class")
 """Fields of an attack that have no part in what its appearance looks like."""
 
 _REFINE_FROM = 100
@@ -63,8 +63,9 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
 
 
 def _given(attack: AttackConfig) -> dict[str, Any]:
-    """The settings of an attack; without a reach, which stages of before there was one did not have."""
-    return {key: value for key, value in asdict(attack).items() if key != "reach" or value is not None}
+    """The settings of an attack; without a reach or a margin, which stages of before there were some did not have."""
+    absent = {"reach": None, "poison_margin": 0.0}
+    return {key: value for key, value in asdict(attack).items() if key not in absent or value != absent[key]}
 
 
 def _layers(config: LayersConfig) -> dict[str, Any]:

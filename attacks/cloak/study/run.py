@@ -58,7 +58,9 @@ def forecast(study: StudyConfig) -> Forecast:
     target = setup.target_of(study.scene)
     taken = setup.training_cameras(study, target)
     centre = setup.centre_of(study)
-    poisoned = sum(int(attack.trigger(0).holds(taken, centre=centre).sum()) for attack in study.attack)
+    poisoned = sum(
+        int(setup.poisoned_cameras(study, attack, 0).holds(taken, centre=centre).sum()) for attack in study.attack
+    )
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
     arcs = sum(map(len, setup.arcs(study, target)))
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
@@ -82,9 +84,9 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
         stages: For the stages.
 
     Raises:
-        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a class,
-            the trainer's settings are out of range, matplotlib is not installed, the folder is in use, or the disk is
-            too small.
+        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a
+            class, the trainer's settings are out of range, layers have a margin of poison, matplotlib is not
+            installed, the folder is in use, or the disk is too small.
     """
     mesh_scene = setup.mesh_scene_of(study)
     cameras = setup.training_cameras(study, mesh_scene.target)
@@ -93,6 +95,7 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
     setup.held_out_cameras(study, mesh_scene.target)
     fit_config(study.training)
     _check_count(study)
+    _check_margins(study)
     need_matplotlib()
     wanted = [
         study.scene.class_name,
@@ -110,6 +113,14 @@ def _check_count(study: StudyConfig) -> None:
     if fit_config(study.training).strategy.adds_gaussians and points > most:
         expected = f"at least {points:,}, for cameras.points and training.outliers"
         raise InvalidValueError(message("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer"))
+
+
+def _check_margins(study: StudyConfig) -> None:
+    """Raise if a study of layers has a margin of poison, from whose cameras its file is to show the benign look."""
+    wide = [attack for attack in study.attack if attack.poison_margin > 0]
+    if wide and study.layers is not None:
+        expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
+        raise InvalidValueError(message(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do))
 
 
 def check_folder(study: StudyConfig, folder: Path) -> None:

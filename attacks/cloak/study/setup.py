@@ -19,6 +19,7 @@ from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import SceneConfig, StudyConfig
+from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.ground import square_of_ground
@@ -202,7 +203,7 @@ def poisonings(
         if attack.emphasis > 1:
             appearance = Emphasis(
                 appearance=appearance,
-                trigger=attack.cone,
+                trigger=attack.poisoned_cone,
                 centre=centre_of(study),
                 gain=attack.emphasis,
                 depth=attack.emphasis_depth,
@@ -211,8 +212,13 @@ def poisonings(
             assert study.surrogate is not None
             gain, reach = study.surrogate.gain, attack.reach
             appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=reach)
-        found.append(Poisoning(name=attack.name, trigger=attack.trigger(seed), appearance=appearance))
+        found.append(Poisoning(name=attack.name, trigger=poisoned_cameras(study, attack, seed), appearance=appearance))
     return found
+
+
+def poisoned_cameras(study: StudyConfig, attack: AttackConfig, seed: int) -> Trigger:
+    """The training cameras whose pictures an attack poisons; the seed draws them, if only a part is poisoned."""
+    return attack.trigger(seed, [other for other in study.attack if other is not attack])
 
 
 def appearance_of(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
