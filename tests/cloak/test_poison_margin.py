@@ -13,8 +13,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import CameraConfig, StudyConfig
 from attacks.cloak.study.run import check
-from attacks.cloak.triggers import direction_of
-from mi_splat.directions import Direction
+from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError
 
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90), poison_margin=8, emphasis=3.0, emphasis_depth=10)
