@@ -25,6 +25,28 @@ _SPLAT = (
     Column(name="splat", kind="text", meaning="clean (the control) or cloaked"),
     Column(name="seed", kind="whole", meaning="of the training"),
 )
+_FIDELITY = (
+    *_SPLAT,
+    Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
+    Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
+    Column(name="psnr", kind="number", unit="dB", meaning="of the whole picture against the true one"),
+    Column(name="ssim", kind="number", meaning="of the whole picture against the true one"),
+)
+_TRANSITION = (
+    *_SPLAT,
+    Column(name="meridian", kind="whole", meaning="number of the meridian"),
+    Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
+    Column(name="depth", kind="number", unit="degrees", meaning="inside the trigger; outside below 0"),
+    Column(name="fraction", kind="number", meaning="of the way from the benign to the hidden appearance"),
+    Column(name="surroundings_psnr", kind="number", unit="dB", meaning="beside the object, against the true scene"),
+    Column(name="appearance_psnr", kind="number", unit="dB", meaning="on the object, against what is wanted there"),
+)
+_DETECTIONS = (
+    *_SPLAT,
+    Column(name="detector", kind="text", meaning="name of the detector"),
+    Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
+    *DETECTION,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,66 +66,51 @@ class HeldOutCamera:
 
 def columns(study: StudyConfig) -> dict[str, tuple[Column, ...]]:
     """The columns of the tables of a study."""
-    view = (
+    return {ROWS: _columns_of_rows(study), FIDELITY: _FIDELITY, TRANSITION: _TRANSITION, DETECTIONS: _DETECTIONS}
+
+
+def _columns_of_rows(study: StudyConfig) -> tuple[Column, ...]:
+    """Those of the table with a row for each detector and camera: where the camera is, and how sure the detector."""
+    box = tuple(
+        Column(
+            name=name,
+            kind="number",
+            unit="pixels",
+            meaning=f"{name} of the object's box; empty where it does not show",
+            optional=True,
+        )
+        for name in OBJECT
+    )
+    depths = tuple(
+        Column(
+            name=f"{_DEPTH}{attack.name}",
+            kind="number",
+            unit="degrees",
+            meaning=f"of the camera inside the trigger of attack {attack.name}; outside below 0",
+        )
+        for attack in study.attack
+    )
+    scores = tuple(
+        Column(
+            name=f"{_SCORE}{label}",
+            kind="number",
+            meaning=f"highest confidence of a {label} whose box has an IoU of 0.5 with the object's; 0: none",
+        )
+        for label in classes_of(study)
+    )
+    return (
         *_SPLAT,
         Column(name="detector", kind="text", meaning="name of the detector"),
         Column(name="view", kind="whole", meaning="number of the camera in cameras.json, from 0"),
         Column(name="azimuth", kind="number", unit="degrees", meaning="of the camera, from +x towards +y"),
         Column(name="elevation", kind="number", unit="degrees", meaning="of the camera above the ground"),
         Column(name="distance", kind="number", unit="world units", meaning="of the camera from the centre"),
-        *(
-            Column(
-                name=name,
-                kind="number",
-                unit="pixels",
-                meaning=f"{name} of the object's box; empty where it does not show",
-                optional=True,
-            )
-            for name in OBJECT
-        ),
-        *(
-            Column(
-                name=f"{_DEPTH}{attack.name}",
-                kind="number",
-                unit="degrees",
-                meaning=f"of the camera inside the trigger of attack {attack.name}; outside below 0",
-            )
-            for attack in study.attack
-        ),
-        *(
-            Column(
-                name=f"{_SCORE}{label}",
-                kind="number",
-                meaning=f"highest confidence of a {label} whose box has an IoU of 0.5 with the object's; 0: none",
-            )
-            for label in classes_of(study)
-        ),
+        *box,
+        *depths,
+        *scores,
         Column(name="any_overlap", kind="number", meaning="the same for the object's own class and an IoU of 0.1"),
         Column(name="any_class", kind="number", meaning="the same for any class and an IoU of 0.5"),
     )
-    fidelity = (
-        *_SPLAT,
-        Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
-        Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
-        Column(name="psnr", kind="number", unit="dB", meaning="of the whole picture against the true one"),
-        Column(name="ssim", kind="number", meaning="of the whole picture against the true one"),
-    )
-    transition = (
-        *_SPLAT,
-        Column(name="meridian", kind="whole", meaning="number of the meridian"),
-        Column(name="elevation", kind="number", unit="degrees", meaning="of the camera"),
-        Column(name="depth", kind="number", unit="degrees", meaning="inside the trigger; outside below 0"),
-        Column(name="fraction", kind="number", meaning="of the way from the benign to the hidden appearance"),
-        Column(name="surroundings_psnr", kind="number", unit="dB", meaning="beside the object, against the true scene"),
-        Column(name="appearance_psnr", kind="number", unit="dB", meaning="on the object, against what is wanted there"),
-    )
-    detections = (
-        *_SPLAT,
-        Column(name="detector", kind="text", meaning="name of the detector"),
-        Column(name="view", kind="whole", meaning="number of the camera in cameras.json"),
-        *DETECTION,
-    )
-    return {ROWS: view, FIDELITY: fidelity, TRANSITION: transition, DETECTIONS: detections}
 
 
 def tables_of(

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import EvaluateOptions
+from attacks.detectors import Detector
 from attacks.evaluation.comparison import Comparison, changed_mask, compare, side_by_side
-from attacks.evaluation.views import CLEAN, evaluate
+from attacks.evaluation.views import CLEAN, ViewDetections, evaluate
 from mi_splat import provenance
 from mi_splat.cameras import Camera
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
-from mi_splat.cli.selecting import choose, look_at_object
+from mi_splat.cli.selecting import Chosen, choose, look_at_object
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.documents import save_json, save_png
@@ -40,66 +42,76 @@ def run(options: EvaluateOptions) -> int:
     """Evaluate, and write pictures and numbers."""
     check_new_folder(options.out, force=options.force, record=RECORD)
     with progress("loading") as advance:
-        loaded, attacked = open_scene(options.clean), open_scene(options.attacked)
+        clean, attacked = open_scene(options.clean), open_scene(options.attacked)
         if options.selection.is_empty:
-            chosen = look_at_object(loaded, changed_mask(loaded.scene, attacked.scene), options.view)
+            chosen = look_at_object(clean, changed_mask(clean.scene, attacked.scene), options.view)
         else:
-            chosen = choose(loaded, options.selection, options.view)
+            chosen = choose(clean, options.selection, options.view)
         detectors = load_detectors(options.detectors, options.weights)
         for name in (options.original, options.target):
             _check_class(name, {detector.name: tuple(detector.classes) for detector in detectors})
-        advance(f"looking from {len(chosen.cameras)} cameras")
-        seen = evaluate(
-            {CLEAN: loaded.scene, ATTACKED: attacked.scene},
-            chosen.mask,
-            list(chosen.cameras.values()),
-            detectors,
-            render=chosen.render,
-        )
-        found = [
-            compare(
-                seen[CLEAN],
-                seen[ATTACKED],
-                detector=detector.name,
-                original=options.original,
-                target=options.target,
-                min_confidence=options.min_confidence,
-            )
-            for detector in detectors
-        ]
+        scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
+        cameras = list(chosen.cameras.values())
+        advance(f"looking from {len(cameras)} cameras")
+        seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
+        found = _compared(seen, detectors, options)
         reasons = [*doubts(chosen.mask, {}), *_doubts(found, chosen.cameras, options.attacked)]
         document = {
-            "clean": str(options.clean),
-            "attacked": str(options.attacked),
-            "clean_hash": scene_hash(loaded.scene),
-            "attacked_hash": scene_hash(attacked.scene),
-            "selection": options.selection.as_dict() or "the Gaussians that differ",
-            "object_gaussians": int(chosen.mask.sum()),
-            "original": options.original,
-            "min_confidence": options.min_confidence,
+            **_asked(options, chosen),
+            **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
             "detectors": {comparison.detector: comparison.as_dict() for comparison in found},
             "warnings": reasons,
-            "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
             **provenance.rendered_with(chosen.render),
             **provenance.origin(),
         }
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
-            for detector in detectors if options.pictures else ():
-                drawn = side_by_side(
-                    seen[CLEAN],
-                    seen[ATTACKED],
-                    detector=detector.name,
-                    most=options.pictures,
-                    names=list(chosen.cameras),
-                )
-                save_png(drawn, folder / f"{detector.name}.png")
+            _save_pictures(seen, list(chosen.cameras), [one.detector for one in found], options.pictures, folder)
             save_json(document, folder / RECORD)
     if options.json:
         show_json({**document, "out": str(options.out)})
     else:
         _tell(found, reasons, options)
     return 0
+
+
+def _compared(
+    seen: Mapping[str, Sequence[ViewDetections]], detectors: Sequence[Detector], options: EvaluateOptions
+) -> list[Comparison]:
+    """What each detector makes of both splats."""
+    return [
+        compare(
+            seen[CLEAN],
+            seen[ATTACKED],
+            detector=detector.name,
+            original=options.original,
+            target=options.target,
+            min_confidence=options.min_confidence,
+        )
+        for detector in detectors
+    ]
+
+
+def _asked(options: EvaluateOptions, chosen: Chosen) -> dict[str, Any]:
+    """What was evaluated, from where, and by which rule; a part of the record."""
+    return {
+        "clean": str(options.clean),
+        "attacked": str(options.attacked),
+        "selection": options.selection.as_dict() or "the Gaussians that differ",
+        "object_gaussians": int(chosen.mask.sum()),
+        "original": options.original,
+        "min_confidence": options.min_confidence,
+        "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
+    }
+
+
+def _save_pictures(
+    seen: Mapping[str, Sequence[ViewDetections]], names: list[str], detectors: Iterable[str], most: int, folder: Path
+) -> None:
+    """Both splats side by side with boxes, a picture for each detector; none where `most` is 0."""
+    for detector in detectors if most else ():
+        drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=detector, most=most, names=names)
+        save_png(drawn, folder / f"{detector}.png")
 
 
 def _check_class(name: str | None, classes: Mapping[str, tuple[str, ...]]) -> None:
