@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import CloakOptions
 from attacks.cloak.study.ablations import check_variations, vary
+from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
 from attacks.cloak.study.study_file import read_study
+from attacks.detectors import Detector
 from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn
 from mi_splat.errors import InvalidValueError, message
 
@@ -20,38 +23,19 @@ _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
     limit_threads(1)
-    if options.values and not options.vary:
-        do = "add --vary with the group that they are of, or leave --values out"
-        raise InvalidValueError(message("--values", "values of a group", f"{' '.join(options.values)} alone", do))
-    study = read_study(options.study)
-    study = replace(study, seeds=options.seeds or study.seeds)
-    if options.detectors:
-        study = replace(study, evaluation=replace(study.evaluation, detectors=options.detectors))
+    study = _asked(options)
     with progress("loading the detectors"):
         detectors = load_detectors(study.evaluation.detectors, options.weights)
-        stages = options.stages or options.out / "stages"
-        if options.vary:
-            plans = check_variations(study, options.vary, detectors, options.out, stages, values=options.values)
-            studies = {f", {group} {name}": one for group, some in plans.items() for name, one in some.items()}
-        else:
-            check(study, detectors, options.out, stages)
-            studies = {"": study}
-    forecasts = {f"{study.name}{name}": forecast(one) for name, one in studies.items()}
+        studies = _checked(study, detectors, options)
+    forecasts = {name: forecast(one) for name, one in studies.items()}
     for name, takes in forecasts.items():
         warn(f"{name}: {takes}")
     if options.forecast:
         if options.json:
             show_json({name: asdict(takes) for name, takes in forecasts.items()})
         return 0
-    now = [""]
     with progress("starting", total=None) as advance:
-
-        def follow(text: str, done: int, total: int) -> None:
-            if text != now[0]:
-                now[0] = text
-                warn(text)
-            advance(f"{text}, {done:,} of {total:,}")
-
+        follow = _follower(advance)
         if options.vary:
             found = vary(
                 study,
@@ -72,6 +56,42 @@ def run(options: CloakOptions) -> int:
     else:
         _tell(summary, options)
     return 0
+
+
+def _asked(options: CloakOptions) -> StudyConfig:
+    """The study of the file, with the seeds and detectors of the command."""
+    if options.values and not options.vary:
+        do = "add --vary with the group that they are of, or leave --values out"
+        raise InvalidValueError(message("--values", "values of a group", f"{' '.join(options.values)} alone", do))
+    study = read_study(options.study)
+    study = replace(study, seeds=options.seeds or study.seeds)
+    if not options.detectors:
+        return study
+    return replace(study, evaluation=replace(study.evaluation, detectors=options.detectors))
+
+
+def _checked(study: StudyConfig, detectors: Sequence[Detector], options: CloakOptions) -> dict[str, StudyConfig]:
+    """Every study that the command asks for, by what it is called, once it is known that each can be done."""
+    stages = options.stages or options.out / "stages"
+    if not options.vary:
+        check(study, detectors, options.out, stages)
+        return {study.name: study}
+    plans = check_variations(study, options.vary, detectors, options.out, stages, values=options.values)
+    return {f"{study.name}, {group} {name}": one for group, some in plans.items() for name, one in some.items()}
+
+
+def _follower(advance: Callable[[str], None]) -> Callable[[str, int, int], None]:
+    """What shows the progress of a study: a line for each new stage, and where there is a bar, the count in it."""
+    now = ""
+
+    def follow(text: str, done: int, total: int) -> None:
+        nonlocal now
+        if text != now:
+            now = text
+            warn(text)
+        advance(f"{text}, {done:,} of {total:,}")
+
+    return follow
 
 
 def _tell(summary: dict[str, Any], options: CloakOptions) -> None:
