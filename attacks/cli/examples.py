@@ -60,7 +60,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "dagger-eot-study": ("dagger-eot-study --groups pairs --out out/studies/dagger-eot",),
     "cloak": (
-        "cloak scenes/cloak_car_colour.toml --forecast",
+        "cloak scenes/cloak_car_stealthy.toml --forecast",
         "cloak scenes/cloak_demo.toml --out out/cloak",
     ),
     "cloak-experiment": (
