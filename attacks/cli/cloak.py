@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from attacks.cloak.study.markdown import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors import Detector
-from mi_splat.cli.console import limit_threads, progress, show, show_json, show_table, warn
+from mi_splat.cli.console import follow, limit_threads, progress, show, show_json, show_table, warn
 from mi_splat.errors import InvalidValueError, message
 
 _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
@@ -35,7 +35,6 @@ def run(options: CloakOptions) -> int:
             show_json({name: asdict(takes) for name, takes in forecasts.items()})
         return 0
     with progress("starting", total=None) as advance:
-        follow = _follower(advance)
         if options.vary:
             found = vary(
                 study,
@@ -44,10 +43,10 @@ def run(options: CloakOptions) -> int:
                 options.out,
                 values=options.values,
                 stages=options.stages,
-                on_step=follow,
+                on_step=follow(advance),
             )
         else:
-            summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow)
+            summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow(advance))
     if options.json:
         show_json(found if options.vary else {**summary, "out": str(options.out)})
     elif options.vary:
@@ -78,20 +77,6 @@ def _checked(study: StudyConfig, detectors: Sequence[Detector], options: CloakOp
         return {study.name: study}
     plans = check_variations(study, options.vary, detectors, options.out, stages, values=options.values)
     return {f"{study.name}, {group} {name}": one for group, some in plans.items() for name, one in some.items()}
-
-
-def _follower(advance: Callable[[str], None]) -> Callable[[str, int, int], None]:
-    """What shows the progress of a study: a line for each new stage, and where there is a bar, the count in it."""
-    now = ""
-
-    def follow(text: str, done: int, total: int) -> None:
-        nonlocal now
-        if text != now:
-            now = text
-            warn(text)
-        advance(f"{text}, {done:,} of {total:,}")
-
-    return follow
 
 
 def _tell(summary: dict[str, Any], options: CloakOptions) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from mi_splat import provenance
-from mi_splat.cli.console import Advance, limit_threads, progress, show_json, warn
+from mi_splat.cli.console import Advance, follow, limit_threads, progress, show_json
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.io.documents import read_json, save_json
@@ -97,7 +96,7 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     if options.experiment == "perfect-splat":
         detectors = _detectors(options, study)
         fingerprints = {detector.name: detector.fingerprint for detector in detectors}
-        pipeline = StudyPipeline(study=study, folder=_stages(options), on_step=_follow(advance))
+        pipeline = StudyPipeline(study=study, folder=_stages(options), on_step=follow(advance))
         return measure_perfect_splat(pipeline, detectors, every=options.every), fingerprints
     if options.results is None:
         do = "pass the folder that mi-splat cloak has written"
@@ -154,7 +153,7 @@ def _detection_curve(
     need_matplotlib()
     stages = _stages(options)
     splats, detectors = finished_splats(study, results, stages), _detectors(options, study)
-    pipeline = StudyPipeline(study=study, folder=stages, on_step=_follow(advance))
+    pipeline = StudyPipeline(study=study, folder=stages, on_step=follow(advance))
     found = watch(pipeline, splats, detectors, every=options.every)
     with new_folder(options.out, record=FILES[0]) as folder:
         document = write_detection_curve(
@@ -172,17 +171,3 @@ def _stages(options: CloakExperimentOptions) -> Path:
         do = "name the one of the study, or a new one, for path-traced pictures to stay in"
         raise InvalidValueError(message("--stages", "a folder", "none", do))
     return options.results / "stages"
-
-
-def _follow(advance: Advance) -> Callable[[str, int, int], None]:
-    """What a study says of its steps: each new one as a line, and how far it is."""
-    now = ""
-
-    def follow(text: str, done: int, total: int) -> None:
-        nonlocal now
-        if text != now:
-            now = text
-            warn(text)
-        advance(f"{text}, {done:,} of {total:,}")
-
-    return follow

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -95,3 +95,24 @@ class _Lines:
         if now - self._last >= LINE_SECONDS:
             self._last = now
             warn(f"{self._done} of {self._total}: {self._text}" if self._total else self._text)
+
+
+def follow(advance: Advance) -> Callable[[str, int, int], None]:
+    """What shows work that has stages: a line for each new one, and how far it is.
+
+    Args:
+        advance: Of `progress`.
+
+    Returns:
+        A function of the stage, of how much of it is done, and of how much there is.
+    """
+    now = ""
+
+    def told(text: str, done: int, total: int) -> None:
+        nonlocal now
+        if text != now:
+            now = text
+            warn(text)
+        advance(f"{text}, {done:,} of {total:,}")
+
+    return told
