@@ -1,4 +1,4 @@
-"""Hashes of what the commands write: `python -m tests.goldens write FILE`, change code, `python -m tests.goldens check FILE`.
+"""Hashes of what the commands write, before and after a change: `python -m tests.goldens write|check FILE [CASE ...]`.
 
 For changes of the code that must not change results. Runs each command of `CASES` in a new folder and hashes every file
 that it has written, JSON without times, versions and commit. Hashes hold on one machine and one set of packages only,
@@ -59,16 +59,16 @@ attacks = ["overhead"]
 making = {gap = [4.0], shift = 3.0, weight = 1.5, black = -0.1}
 """
 FILES = {"poison.toml": STUDY.format(emphasis=3.0), "layers.toml": STUDY.format(emphasis=1.0) + LAYERS}
-CASES: dict[str, list[str]] = {
-    "dagger": ["dagger", SCENE, "--object", "car", "--target", "person", "--out", "out/dagger"],
-    "views": "dagger {} --object car --target person --cameras front side --detector fasterrcnn_small yolov8n_small "
-    "--steps 3 --out out/views".format(SCENE).split(),
-    "eot": "dagger-eot {} --object car --steps 4 --pool 4 --validation 2 --validate-every 2 --held-out 4 "
-    "--out out/eot".format(SCENE).split(),
-    "capture": "capture stop_sign --cameras hemisphere:12 --test 3 --size 64 --samples 4 --out out/set".split(),
-    "train": "train out/set --out out/trained --iterations 120 --max-gaussians 3000".split(),
-    "cloak": "cloak poison.toml --out out/cloak".split(),
-    "layers": "cloak layers.toml --out out/layers".split(),
+CASES = {
+    "dagger": f"dagger {SCENE} --object car --target person --out out/dagger",
+    "views": f"dagger {SCENE} --object car --target person --cameras front side --steps 3 --out out/views "
+    "--detector fasterrcnn_small yolov8n_small",
+    "eot": f"dagger-eot {SCENE} --object car --steps 4 --pool 4 --validation 2 --validate-every 2 --held-out 4 "
+    "--out out/eot",
+    "capture": "capture stop_sign --cameras hemisphere:12 --test 3 --size 64 --samples 4 --out out/set",
+    "train": "train out/set --out out/trained --iterations 120 --max-gaussians 3000",
+    "cloak": "cloak poison.toml --out out/cloak",
+    "layers": "cloak layers.toml --out out/layers",
 }
 _CHANGING = {"seconds", "versions", "commit", "torch", "version", "made_by", "out", "command", "minutes"}
 
@@ -104,7 +104,7 @@ def made(names: list[str]) -> dict[str, str]:
             (folder / name).write_text(text)
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
         for name in names or list(CASES):
-            words = [sys.executable, "-m", "attacks", *CASES[name]]
+            words = [sys.executable, "-m", "attacks", *CASES[name].split()]
             sys.stdout.write(f"{name}\n")
             subprocess.run(words, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
         return digests(folder / "out")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.artifacts.cloak_rows import DETECTIONS, HeldOutCamera, columns, held_out, observed_of, tables_of
+from attacks.artifacts.cloak_rows import DETECTIONS, HeldOutCamera, columns, held_out, study_rows, tables_of
 from attacks.artifacts.contents import SPLATS, Contents, read_object
 from attacks.artifacts.looking import agreement, look_again
 from attacks.artifacts.packed import Kind, Packed
@@ -79,7 +79,7 @@ def derive(contents: Contents) -> Mapping[str, Any]:
         InvalidValueError: The rows are not those of the study.
     """
     study = study_of(contents.configuration, "configuration")
-    return figures(study, observed_of(study, contents.splats, contents.tables))
+    return figures(study, study_rows(study, contents.splats, contents.tables))
 
 
 def tables(contents: Contents) -> Mapping[str, Sequence[Column]]:

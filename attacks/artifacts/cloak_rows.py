@@ -1,10 +1,13 @@
-"""Observations of a study of CLOAK as rows of three tables, and back."""
+"""Observations of a study of CLOAK as rows of three tables, and what the tables of an artifact say was observed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
+
+import polars as pl
 
 from attacks.artifacts.detection_rows import DETECTION, OBJECT
 from attacks.artifacts.rows import Cell, Column, Row, Table
@@ -13,13 +16,13 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat, classes_of
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
+from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows, frame, gaussians_of, row_of
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 
 ROWS, FIDELITY, TRANSITION, DETECTIONS = "rows", "fidelity", "transition", "detections"
 """Tables; the last is there where somebody looked at the splats again."""
-_DEPTH, _SCORE = "depth: ", "score: "
 
 _SPLAT = (
     Column(name="splat", kind="text", meaning="clean (the control) or cloaked"),
@@ -83,7 +86,7 @@ def _columns_of_rows(study: StudyConfig) -> tuple[Column, ...]:
     )
     depths = tuple(
         Column(
-            name=f"{_DEPTH}{attack.name}",
+            name=f"{DEPTH}{attack.name}",
             kind="number",
             unit="degrees",
             meaning=f"of the camera inside the trigger of attack {attack.name}; outside below 0",
@@ -92,7 +95,7 @@ def _columns_of_rows(study: StudyConfig) -> tuple[Column, ...]:
     )
     scores = tuple(
         Column(
-            name=f"{_SCORE}{label}",
+            name=f"{SCORE}{label}",
             kind="number",
             meaning=f"highest confidence of a {label} whose box has an IoU of 0.5 with the object's; 0: none",
         )
@@ -133,10 +136,8 @@ def tables_of(
     return {name: Table(columns=known[name], rows=tuple(found)) for name, found in rows.items()}
 
 
-def observed_of(
-    study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Mapping[str, Table]
-) -> list[ObservedSplat]:
-    """What tables say was observed, as it was before `tables_of`.
+def study_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Mapping[str, Table]) -> StudyRows:
+    """What tables say was observed, as figures are counted from it.
 
     Args:
         study: The study.
@@ -146,74 +147,48 @@ def observed_of(
     Raises:
         InvalidValueError: A row belongs to no splat of the study or is there twice, or one is missing.
     """
-    listed = {(one.splat, one.seed): one for one in map(trained_splat, splats)}
+    trained = [trained_splat(entry) for entry in splats]
+    listed = [(one.splat, one.seed) for one in trained]
     wanted = {(which, seed) for which in (CLEAN, CLOAKED) for seed in study.seeds}
-    if set(listed) != wanted or len(listed) != len(splats):
+    if set(listed) != wanted or len(listed) != len(wanted):
         got = ", ".join(f"{which} {seed}" for which, seed in listed)
         raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
-    needed = {name: tables[name] for name in (ROWS, FIDELITY, TRANSITION)}
-    parts = {name: {key: list(_of(table, *key)) for key in listed} for name, table in needed.items()}
-    for name, table in needed.items():
-        if sum(map(len, parts[name].values())) != len(table.rows):
+    for name in (ROWS, FIDELITY, TRANSITION):
+        if not {(row["splat"], row["seed"]) for row in tables[name].rows} <= wanted:
             raise _wrong(f"table {name}", "rows of the study's splats", "others")
-    found = []
-    for key, trained in listed.items():
-        item = ObservedSplat(
-            trained=trained,
-            observations=tuple(_observation(study, row) for row in parts[ROWS][key]),
-            fidelities=tuple(Fidelity(**_own(row)) for row in parts[FIDELITY][key]),
-            blends=tuple(Blend(**_own(row)) for row in parts[TRANSITION][key]),
-        )
-        found.append(item)
-    _check_complete(study, found)
-    return found
+        if name == ROWS and not tables[name].rows:
+            raise _wrong(f"table {name}", "rows", "none")
+    rows = frame(tables[ROWS].rows)
+    _check_complete(study, rows, listed)
+    return StudyRows(
+        rows=rows,
+        fidelity=frame(tables[FIDELITY].rows, Fidelity),
+        transition=frame(tables[TRANSITION].rows, Blend),
+        gaussians=gaussians_of(asdict(one) for one in trained),
+    )
 
 
-def _check_complete(study: StudyConfig, observed: Sequence[ObservedSplat]) -> None:
+def _check_complete(study: StudyConfig, rows: pl.DataFrame, splats: Sequence[tuple[str, int]]) -> None:
     """Raise unless every detector saw each splat from the same cameras, once from each."""
-    views = sorted({one.view for item in observed for one in item.observations})
-    for item in observed:
-        seen = [(one.detector, one.view) for one in item.observations]
-        expected = {(name, view) for name in study.evaluation.detectors for view in views}
-        if len(seen) != len(expected) or set(seen) != expected:
-            what = f"table {ROWS}, {item.trained.splat} splat, seed {item.trained.seed}"
-            lost = sorted(expected - set(seen))
-            got = f"none for {lost[0][0]}, view {lost[0][1]}" if lost else "others, or one twice"
+    seen = Counter(rows.select("splat", "seed", "detector", "view").iter_rows())
+    views = sorted({key[3] for key in seen})
+    for splat, seed in splats:
+        here = {key: number for key, number in seen.items() if key[:2] == (splat, seed)}
+        expected = {(splat, seed, name, view) for name in study.evaluation.detectors for view in views}
+        if here.keys() != expected or any(number > 1 for number in here.values()):
+            lost = sorted(expected - here.keys())
+            got = f"none for {lost[0][2]}, view {lost[0][3]}" if lost else "others, or one twice"
+            what = f"table {ROWS}, {splat} splat, seed {seed}"
             raise _wrong(what, "one row for each detector and camera", got)
 
 
 def _row(one: Observation, place: HeldOutCamera) -> dict[str, Cell]:
     box: Sequence[float | None] = place.box or (None,) * len(OBJECT)
-    return {
-        **{name: getattr(one, name) for name in ("detector", "view", "azimuth", "elevation")},
-        "distance": place.distance,
-        **dict(zip(OBJECT, box, strict=True)),
-        **{f"{_DEPTH}{name}": depth for name, depth in one.depths.items()},
-        **{f"{_SCORE}{label}": score for label, score in one.scores.items()},
-        "any_overlap": one.any_overlap,
-        "any_class": one.any_class,
-    }
-
-
-def _observation(study: StudyConfig, row: Row) -> Observation:
-    same: dict[str, Any] = {
-        name: row[name] for name in ("detector", "view", "azimuth", "elevation", "any_overlap", "any_class")
-    }
-    depths: dict[str, Any] = {attack.name: row[f"{_DEPTH}{attack.name}"] for attack in study.attack}
-    scores: dict[str, Any] = {label: row[f"{_SCORE}{label}"] for label in classes_of(study)}
-    return Observation(**same, depths=depths, scores=scores)
+    return {**row_of(one), "distance": place.distance, **dict(zip(OBJECT, box, strict=True))}
 
 
 def _values(one: Any, kind: type[Any]) -> dict[str, Cell]:
     return {name: getattr(one, name) for name in kind.__slots__}
-
-
-def _of(table: Table, splat: str, seed: int) -> Iterator[Row]:
-    return (row for row in table.rows if (row["splat"], row["seed"]) == (splat, seed))
-
-
-def _own(row: Row) -> dict[str, Any]:
-    return {name: value for name, value in row.items() if name not in ("splat", "seed")}
 
 
 def held_out(study: StudyConfig, target: Asset) -> list[HeldOutCamera]:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
-from torch import Tensor
-
-from attacks.artifacts.cloak_rows import DETECTIONS, ROWS, columns, observed_of
+from attacks.artifacts.cloak_rows import DETECTIONS, columns, study_rows
 from attacks.artifacts.contents import Contents
 from attacks.artifacts.detection_rows import detection_cells, detections_of, object_box
 from attacks.artifacts.figures import Line
@@ -17,9 +14,10 @@ from attacks.artifacts.places import checked_splat, places_of
 from attacks.artifacts.rows import Row, Table
 from attacks.artifacts.study_results import study_of
 from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import Observation, ObservedSplat, scored
-from attacks.cloak.study.rates import pairs, rates
-from attacks.detectors.base import Detections, Detector
+from attacks.cloak.study.observations import scored
+from attacks.cloak.study.rates import Rates, rates
+from attacks.cloak.study.rows import frame, score_cells
+from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import listed
 from attacks.evaluation.views import ViewDetections
 from attacks.objectives import confidence
@@ -27,6 +25,8 @@ from mi_splat.errors import InvalidValueError, message
 
 RATE_TOLERANCE = 0.02
 """How far a rate may move: another machine rounds otherwise, and a score near the threshold crosses it."""
+_PLACE = ("splat", "seed", "detector", "view")
+"""Columns that say which picture a row is of."""
 
 
 def look_again(packed: Packed, detectors: Sequence[Detector], on_view: OnView) -> dict[str, Table]:
@@ -76,40 +76,29 @@ def agreement(contents: Contents) -> list[Line]:
     if DETECTIONS not in contents.tables:
         return []
     study = study_of(contents.configuration, "configuration")
-    before = observed_of(study, contents.splats, contents.tables)
+    before = study_rows(study, contents.splats, contents.tables).rows
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in contents.tables[DETECTIONS].rows:
-        groups.setdefault(tuple(row[name] for name in ("splat", "seed", "detector", "view")), []).append(row)
-    boxes = {one["view"]: object_box(one) for one in contents.tables[ROWS].rows}
-    after = []
-    for item in before:
-        key = (item.trained.splat, item.trained.seed)
-        seen = [
-            _scored_again(study, one, groups.get((*key, one.detector, one.view)), boxes) for one in item.observations
-        ]
-        after.append(replace(item, observations=tuple(seen)))
-    return [_agreement_line(study, (before, after), name) for name in contents.detectors]
+        groups.setdefault(tuple(row[name] for name in _PLACE), []).append(row)
+    after = frame(_scored_again(study, row, groups) for row in before.iter_rows(named=True))
+    old, new = (rates(study, rows, ("detector",)) for rows in (before, after))
+    return [_agreement_line(name, found, new[name,]) for (name,), found in old.items()]
 
 
-def _scored_again(
-    study: StudyConfig, one: Observation, rows: Sequence[Row] | None, boxes: Mapping[Any, Tensor | None]
-) -> Observation:
-    """An observation with the scores that single detections give."""
-    found: Detections | None = None if rows is None else detections_of(rows)
-    box = boxes[one.view]
+def _scored_again(study: StudyConfig, row: Row, groups: Mapping[tuple[Any, ...], Sequence[Row]]) -> dict[str, Any]:
+    """A row with the scores that single detections give."""
+    reported, box = groups.get(tuple(row[name] for name in _PLACE)), object_box(row)
+    found = None if reported is None else detections_of(reported)
 
     def on_object(label: str | None = None, *, iou: float = 0.5) -> float:
         if found is None or box is None:
             return 0.0
         return confidence(found, box, labels=None if label is None else [label], iou=iou)
 
-    return replace(one, **scored(study, on_object))
+    return {**row, **score_cells(scored(study, on_object))}
 
 
-def _agreement_line(
-    study: StudyConfig, observed: tuple[Sequence[ObservedSplat], Sequence[ObservedSplat]], detector: str
-) -> Line:
-    old, new = (rates(study, pairs(which, detector)) for which in observed)
+def _agreement_line(detector: str, old: Rates, new: Rates) -> Line:
     moves = [
         abs(now.fraction - then.fraction)
         for now, then in zip(new.values(), old.values(), strict=True)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from attacks.artifacts.checking import Checked
 from attacks.artifacts.cloak import splat_file
-from attacks.artifacts.cloak_rows import observed_of
+from attacks.artifacts.cloak_rows import study_rows
 from attacks.artifacts.contents import CAMERAS, read_object
 from attacks.artifacts.figures import Line, moved
 from attacks.artifacts.kinds import known_kind
@@ -18,12 +19,11 @@ from attacks.artifacts.packed import OnView
 from attacks.artifacts.places import checked_splat, places_of
 from attacks.artifacts.rescoring_attacks import rescore_attack
 from attacks.artifacts.study_results import study_of
-from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import Observation, ObservedSplat, scored
-from attacks.cloak.study.rates import pairs, rates
+from attacks.cloak.study.observations import scored
+from attacks.cloak.study.rates import Rates, rates
+from attacks.cloak.study.rows import frame, score_cells
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import ViewDetections
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 
@@ -71,63 +71,43 @@ def rescore(
             on_view=on_view,
         )
     study = study_of(checked.contents.configuration, "configuration")
-    before = observed_of(study, checked.contents.splats, checked.contents.tables)
+    before = study_rows(study, checked.contents.splats, checked.contents.tables).rows
     file = checked.found.folder / CAMERAS
     places, scenes = places_of(read_object(file), str(file)), _scenes(checked, splats)
-    views = sorted({one.view for item in before for one in item.observations})
+    views = before["view"].unique().sort().to_list()
     if len(views) > len(places.cameras) or views[-1:] != [len(places.cameras) - 1]:
         do = "get the artifact again"
         raise InvalidValueError(message(str(file), "the cameras of the rows", f"{len(places.cameras)} cameras", do))
-    chosen, done = views[::every], 0
-    total, after = len(chosen) * len(detectors) * len(scenes), []
-    for item, scene in zip(before, scenes, strict=True):
-        seen = []
-        for observation in _seen(study, item, places.look(scene, detectors, chosen)):
-            seen.append(observation)
+    chosen, done, after = views[::every], 0, list[dict[str, Any]]()
+    total = len(chosen) * len(detectors) * len(scenes)
+    where = {row["view"]: row for row in before.iter_rows(named=True)}
+    for entry, scene in zip(checked.contents.splats, scenes, strict=True):
+        for one in places.look(scene, detectors, chosen):
+            whose = {"splat": entry["splat"], "seed": entry["seed"], "detector": one.detector}
+            after.append({**where[one.view], **whose, **score_cells(scored(study, one.confidence))})
             on_view(done := done + 1, total)
-        after.append(replace(item, observations=tuple(seen)))
-    return [line for one in detectors for line in _moved(study, (before, after), one, checked, rate_tolerance)]
+    old = rates(study, before.filter(pl.col("view").is_in(chosen)), ("detector",))
+    new = rates(study, frame(after), ("detector",))
+    return [
+        line for one in detectors for line in _moved(old.get((one.name,)), new[one.name,], one, checked, rate_tolerance)
+    ]
 
 
-def _seen(
-    study: StudyConfig,
-    item: ObservedSplat,
-    seen: Iterator[ViewDetections],
-) -> Iterator[Observation]:
-    """What detectors report of one splat, in the form of its rows."""
-    places = {one.view: one for one in item.observations}
-    for one in seen:
-        yield replace(places[one.view], detector=one.detector, **scored(study, one.confidence))
-
-
-def _moved(
-    study: StudyConfig,
-    observed: tuple[Sequence[ObservedSplat], Sequence[ObservedSplat]],
-    detector: Detector,
-    checked: Checked,
-    tolerance: float,
-) -> list[Line]:
+def _moved(old: Rates | None, new: Rates, detector: Detector, checked: Checked, tolerance: float) -> list[Line]:
     """A line for each rate of one detector."""
-    before, after = observed
-    views = {one.view for item in after for one in item.observations}
-    same = [replace(item, observations=tuple(one for one in item.observations if one.view in views)) for item in before]
-    old, new = (rates(study, pairs(which, detector.name)) for which in (same, after))
     known = checked.contents.detectors.get(detector.name)
-    lines = []
-    for name, words in ROWS.items():
-        now, then = new[name], old[name]
-        if now is None or then is None:
-            continue
-        lines.append(
-            moved(
-                f"{detector.name}, {words}",
-                then if known is not None else None,
-                now,
-                tolerance=tolerance,
-                other_weights=known != detector.fingerprint,
-            )
+    other_weights = known != detector.fingerprint
+    return [
+        moved(
+            f"{detector.name}, {words}",
+            None if old is None or known is None else old[name],
+            now,
+            tolerance=tolerance,
+            other_weights=other_weights,
         )
-    return lines
+        for name, words in ROWS.items()
+        if (now := new[name]) is not None
+    ]
 
 
 def _scenes(checked: Checked, splats: Path | None) -> list[GaussianScene]:

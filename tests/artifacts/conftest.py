@@ -15,6 +15,7 @@ from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.cache import content_of
 from attacks.cloak.study.observations import Blend, Fidelity, ObservedSplat, observation_of
 from attacks.cloak.study.rates import figures
+from attacks.cloak.study.rows import StudyRows
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.evaluation.views import detect_views
@@ -95,7 +96,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (stage / "done.json").write_text(json.dumps(done))
     listed = [{key: value for key, value in asdict(item.trained).items() if key != "file"} for item in splats]
     summary = {
-        **figures(STUDY, splats),
+        **figures(STUDY, StudyRows.of(splats)),
         "files": [],
         "splats": listed,
         "detectors": {"redness": Redness.fingerprint},

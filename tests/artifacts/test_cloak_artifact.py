@@ -12,13 +12,14 @@ import pytest
 import torch
 
 from attacks.artifacts.checking import check_artifact
-from attacks.artifacts.cloak_rows import held_out, observed_of, tables_of
+from attacks.artifacts.cloak_rows import held_out, study_rows, tables_of
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.study_results import observed_splats
 from attacks.artifacts.study_toml import study_toml
 from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.cache import content_of
+from attacks.cloak.study.rows import StudyRows
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
@@ -36,7 +37,11 @@ def summary(folder: Path) -> dict[str, Any]:
 def test_observations_go_through_the_rows_unchanged(result: Path, packed: Path) -> None:
     before = observed_splats(summary(result), result / "stages")
     read = check_artifact(packed).contents
-    assert observed_of(STUDY, read.splats, read.tables) == before
+    found, expected = study_rows(STUDY, read.splats, read.tables), StudyRows.of(before)
+    assert found.rows.select(expected.rows.columns).equals(expected.rows)
+    assert found.fidelity.equals(expected.fidelity)
+    assert found.transition.equals(expected.transition)
+    assert found.gaussians == expected.gaussians
     again = tables_of(STUDY, before, held_out(STUDY, setup.target_of(STUDY.scene)))
     assert all(read.tables[name] == table for name, table in again.items())
 

@@ -11,7 +11,8 @@ import pytest
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
-from attacks.cloak.study.rates import by_elevation, figures, pairs, rates, stealth, transition
+from attacks.cloak.study.rates import by_elevation, figures, rates, stealth, transition
+from attacks.cloak.study.rows import StudyRows
 from attacks.cloak.study.trained_splats import TrainedSplat
 from tests.cloak.tiny_study import STUDY
 
@@ -47,7 +48,7 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         *seen(5, -5, 0.9, 0.3),
         *seen(6, -5, 0.3, 0.3),
     ]
-    found = rates(STUDY, pairs(observed))
+    found = rates(STUDY, StudyRows.of(observed).rows)[()]
 
     def numbers(name: str) -> tuple[int, int]:
         rate = found[name]
@@ -64,7 +65,7 @@ def test_rates_have_the_denominators_that_they_say() -> None:
     assert numbers("target_rate") == (0, 0)
     rows = {
         low: (clean.successes, cloaked.successes, clean.total)
-        for low, clean, cloaked in by_elevation(STUDY, pairs(observed))
+        for low, clean, cloaked in by_elevation(STUDY, StudyRows.of(observed).rows)["redness"]
     }
     assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
 
@@ -76,7 +77,7 @@ def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
         )
         for item in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
     ]
-    found = rates(STUDY, pairs(observed))
+    found = rates(STUDY, StudyRows.of(observed).rows)[()]
     assert found["target_rate"] is not None
     assert found["control_target_rate"] is not None
     assert (found["target_rate"].successes, found["target_rate"].total) == (1, 2)
@@ -113,7 +114,7 @@ def test_the_transition_into_a_sector_is_one_of_depth() -> None:
     blends = tuple(
         replace(one, elevation=10.0, fraction=part) for one, part in zip(splat.blends, fractions, strict=True)
     )
-    band = transition(study, [replace(splat, blends=blends)])
+    band = transition(study, StudyRows.of([replace(splat, blends=blends)]))
     assert band is not None
     assert band.start == pytest.approx(-9.0)
     assert band.end == pytest.approx(-1.0)
@@ -122,10 +123,12 @@ def test_the_transition_into_a_sector_is_one_of_depth() -> None:
 def test_edges_belong_to_what_lies_inside_them() -> None:
     """A camera just at the depth that counts as well inside, and one at the lower end of a band of elevations."""
     observed = [*seen(0, STUDY.evaluation.well_inside, 0.9, 0.1), *seen(1, 1.8, 0.9, 0.1)]
-    miss = rates(STUDY, pairs(observed))["trigger_miss_rate"]
+    miss = rates(STUDY, StudyRows.of(observed).rows)[()]["trigger_miss_rate"]
     assert miss is not None
     assert (miss.successes, miss.total) == (1, 1)
-    assert {low: clean.total for low, clean, _ in by_elevation(STUDY, pairs(observed))} == {40.0: 2}
+    assert {low: clean.total for low, clean, _ in by_elevation(STUDY, StudyRows.of(observed).rows)["redness"]} == {
+        40.0: 2
+    }
 
 
 def test_a_fragment_counts_as_found_by_any_overlap() -> None:
@@ -133,7 +136,7 @@ def test_a_fragment_counts_as_found_by_any_overlap() -> None:
         replace(item, observations=tuple(replace(one, any_overlap=0.8) for one in item.observations))
         for item in seen(0, 10, 0.9, 0.1)
     ]
-    found = rates(STUDY, pairs(observed))
+    found = rates(STUDY, StudyRows.of(observed).rows)[()]
     for key, successes in (("trigger_miss_rate", 1), ("trigger_miss_rate_any_overlap", 0)):
         rate = found[key]
         assert rate is not None
@@ -145,7 +148,9 @@ def test_a_cloaked_splat_that_is_less_true_has_a_positive_drop() -> None:
         replace(item, fidelities=(Fidelity(view=0, elevation=5.0, psnr=psnr, ssim=0.9),))
         for item, psnr in zip(seen(0, -20, 0.9, 0.9), (34.0, 32.5), strict=True)
     ]
-    found = figures(replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",))), observed)
+    found = figures(
+        replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",))), StudyRows.of(observed)
+    )
     assert found["benign_psnr_drop"] == 1.5
     assert found["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}
 
@@ -166,10 +171,10 @@ def along_the_meridian(which: str, *pictures: tuple[float, float, float]) -> Obs
 def test_stealth_is_what_the_surroundings_lose_inside_the_trigger(lost: float, stealthy: bool) -> None:
     clean = along_the_meridian("clean", (10, 34.0, 12.0), (20, 36.0, 12.0), (-10, 99.0, 9.0))
     cloaked = along_the_meridian("cloaked", (10, 34.0 - lost, 30.0), (20, 36.0 - lost, 32.0), (-10, 9.0, 9.0))
-    found = stealth([clean, cloaked])
+    found = stealth(StudyRows.of([clean, cloaked]))
     assert found is not None
     assert found["surroundings_psnr_drop"] == pytest.approx(lost)
     assert found["surroundings_psnr"]["clean"] == 35.0
     assert found["appearance_psnr"]["cloaked"] == 31.0
     assert found["stealthy"] is stealthy
-    assert stealth([clean]) is None
+    assert stealth(StudyRows.of([clean])) is None

@@ -11,9 +11,10 @@ from typing import Any
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.observations import Observation, observation_of
-from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.cloak.study.observations import observation_of
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
 from attacks.cloak.study.rates import rates
+from attacks.cloak.study.rows import frame, row_of
 from attacks.detectors.base import Detector
 from attacks.evaluation.views import detect_pictures
 from mi_splat.cameras import Camera
@@ -55,34 +56,22 @@ def measure_perfect_splat(
         if not inside:
             expected = f"held-out cameras in the trigger of {attack.name!r}"
             raise InvalidValueError(message("evaluation.cameras", expected, "none", "ask for more cameras"))
-        control = _observations(pipeline, inside, detectors)
-        shown = _observations(pipeline, inside, detectors, attack)
-        for detector in detectors:
-            seen = [
-                (before, after)
-                for before, after in zip(control, shown, strict=True)
-                if before.detector == detector.name
-            ]
-            found = {name: rate for name, rate in rates(study, seen, attack.name).items() if name in RATES}
-            report.append(
-                {
-                    "attack": attack.name,
-                    "detector": detector.name,
-                    "cameras": len(inside),
-                    **{name: rate.as_dict() for name, rate in found.items() if rate is not None},
-                }
-            )
+        rows = _rows(pipeline, inside, detectors) + _rows(pipeline, inside, detectors, attack)
+        for (detector,), found in rates(study, frame(rows), ("detector",), attack=attack.name).items():
+            known = {name: rate.as_dict() for name, rate in found.items() if name in RATES and rate is not None}
+            report.append({"attack": attack.name, "detector": detector, "cameras": len(inside), **known})
     return report
 
 
-def _observations(
+def _rows(
     pipeline: StudyPipeline,
     cameras: Sequence[Camera],
     detectors: Sequence[Detector],
     attack: AttackConfig | None = None,
-) -> list[Observation]:
+) -> list[dict[str, Any]]:
     """What detectors report in path-traced pictures: of an attack's appearance, or of the scene as it is."""
     pictures = dict(zip(cameras, pipeline.true_pictures(cameras, attack).images, strict=True))
     boxes = [setup.box_of(pipeline.mesh_scene.target, camera) for camera in cameras]
     looked = detect_pictures(pictures.__getitem__, cameras, detectors, boxes=boxes)
-    return [observation_of(pipeline.study, one) for one in looked]
+    splat = {"splat": CLEAN if attack is None else CLOAKED, "seed": 0}
+    return [{**splat, **row_of(observation_of(pipeline.study, one))} for one in looked]

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import torch
 from numpy.typing import NDArray
 
 from attacks.cloak.study import setup
 from attacks.cloak.study.figure_files import COLOURS, draw_rates, new_axes, save_figure
-from attacks.cloak.study.observations import ObservedSplat
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
-from attacks.cloak.study.rates import BIN, blends_of, by_elevation, pairs, place_of, transition
+from attacks.cloak.study.rates import BIN, by_elevation, place_of, transition
+from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.evaluation.drawing import annotated
@@ -73,13 +74,18 @@ def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detec
 
 
 def write_figures(
-    pipeline: StudyPipeline, observed: Sequence[ObservedSplat], detectors: Sequence[Detector], folder: Path
+    pipeline: StudyPipeline,
+    seen: StudyRows,
+    splats: Sequence[TrainedSplat],
+    detectors: Sequence[Detector],
+    folder: Path,
 ) -> list[str]:
     """Write contact.png, elevation.png, azimuth.png and transition.png; returns their names.
 
     Args:
         pipeline: The study.
-        observed: Every splat.
+        seen: What was seen of every splat.
+        splats: Those of the contact sheet.
         detectors: Those that observed them; the first one's boxes are on the contact sheet.
         folder: For the pictures.
 
@@ -87,14 +93,12 @@ def write_figures(
         InvalidValueError: matplotlib is not installed.
         SplatFileError: The folder cannot be written.
     """
-    study = pipeline.study
-    splats = [item.trained for item in observed if item.trained.seed == study.seeds[0]]
     save_png(contact_sheet(pipeline, splats, detectors[0]), folder / "contact.png")
-    save_figure(_elevation(pipeline, observed), folder / "elevation.png")
-    save_figure(_azimuth(pipeline, observed), folder / "azimuth.png")
+    save_figure(_elevation(pipeline, seen), folder / "elevation.png")
+    save_figure(_azimuth(pipeline, seen), folder / "azimuth.png")
     names = ["contact.png", "elevation.png", "azimuth.png"]
-    if transition(study, observed) is not None:
-        save_figure(_transition(pipeline, observed), folder / "transition.png")
+    if transition(pipeline.study, seen) is not None:
+        save_figure(_transition(pipeline, seen), folder / "transition.png")
         names.append("transition.png")
     return names
 
@@ -138,26 +142,25 @@ def _tick(name: str, summary: Mapping[str, Any]) -> str:
     return "\n".join(parts if price is None else [*parts, f"{price['surroundings_psnr_drop']:.1f} dB beside"])
 
 
-def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
+def _elevation(pipeline: StudyPipeline, seen: StudyRows) -> Any:
     """For each detector: confidence in the object at every camera, and the fraction found in bands of elevation."""
     study = pipeline.study
     figure, axes = new_axes(len(study.evaluation.detectors))
-    turned = [attack.name for attack in study.attack if attack.azimuth is not None]
+    turned = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None]
+    bands = by_elevation(study, seen.rows)
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
-        seen = [pair for pair in pairs(observed, name) if all(pair[0].depths[other] < 0 for other in turned)]
-        for index, which in enumerate((CLEAN, CLOAKED)):
-            found = [pair[index] for pair in seen]
+        for which in (CLEAN, CLOAKED):
+            found = seen.rows.filter(*turned, detector=name, splat=which)
             axis.scatter(
-                [one.elevation for one in found],
-                [one.scores[study.scene.class_name] for one in found],
+                found["elevation"],
+                found[f"{SCORE}{study.scene.class_name}"],
                 s=5,
                 alpha=0.25,
                 color=COLOURS[which],
                 linewidths=0,
             )
-        table = by_elevation(study, pairs(observed, name))
         for index, which in enumerate((CLEAN, CLOAKED)):
-            draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in table], which)
+            draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in bands[name]], which)
         attack = setup.overhead(study)
         if attack is not None:
             axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")
@@ -171,21 +174,19 @@ def _elevation(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> An
     return figure
 
 
-def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
+def _azimuth(pipeline: StudyPipeline, seen: StudyRows) -> Any:
     """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
     study = pipeline.study
     figure, axes = new_axes(len(study.evaluation.detectors))
-    hiding = [attack.name for attack in study.attack if attack.azimuth is None]
+    hiding = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is None]
     wanted = [attack.target_class for attack in study.attack if attack.target_class is not None]
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
-        seen = [pair[1] for pair in pairs(observed, name) if all(pair[1].depths[other] < 0 for other in hiding)]
+        shown = seen.rows.filter(*hiding, detector=name, splat=CLOAKED)
         for label, colour in (
             (study.scene.class_name, COLOURS[CLEAN]),
             *((label, COLOURS[CLOAKED]) for label in wanted),
         ):
-            axis.scatter(
-                [one.azimuth for one in seen], [one.scores[label] for one in seen], s=7, color=colour, label=label
-            )
+            axis.scatter(shown["azimuth"], shown[f"{SCORE}{label}"], s=7, color=colour, label=label)
         for attack in study.attack:
             if attack.azimuth is not None:
                 middle, half = attack.azimuth
@@ -203,21 +204,13 @@ def _azimuth(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
     return figure
 
 
-def _transition(pipeline: StudyPipeline, observed: Sequence[ObservedSplat]) -> Any:
+def _transition(pipeline: StudyPipeline, seen: StudyRows) -> Any:
     """How far the splats are on the way from the benign to the hidden appearance, by elevation or depth in a sector."""
     study, (figure, (axis,)) = pipeline.study, new_axes(1)
     for which in (CLEAN, CLOAKED):
-        blends = blends_of(observed, which)
-        band = transition(study, observed, which)
+        blends, band = seen.transition.filter(splat=which), transition(study, seen, which)
         assert band is not None
-        axis.scatter(
-            [place_of(study, one) for one in blends],
-            [one.fraction for one in blends],
-            s=6,
-            color=COLOURS[which],
-            alpha=0.4,
-            linewidths=0,
-        )
+        axis.scatter(blends[place_of(study)], blends["fraction"], s=6, color=COLOURS[which], alpha=0.4, linewidths=0)
         axis.plot(band.angles, band.fitted, color=COLOURS[which], label=which)
         if which == CLOAKED and band.start is not None and band.end is not None:
             axis.axvspan(

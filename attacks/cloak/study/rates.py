@@ -6,17 +6,16 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import polars as pl
+
 from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import Blend, Observation, ObservedSplat
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
+from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows
 from attacks.cloak.transition import Transition, fit_transition
-from attacks.evaluation.rates import Rate
-
-Pair = tuple[Observation, Observation]
-"""Clean and cloaked, from the same camera by the same detector."""
+from attacks.observe.rates import Measure, count, paired
+from attacks.rate import Rate
 
 STEALTHY = 1.5
 """Most that the surroundings of an object may lose where an attack is called stealthy, dB."""
@@ -24,23 +23,16 @@ STEALTHY = 1.5
 BIN = 5.0
 """Degrees of elevation over which rates are taken."""
 
-
-def pairs(observed: Sequence[ObservedSplat], detector: str | None = None) -> list[Pair]:
-    """What was seen of both splats of each seed, by camera; of all detectors if none is named."""
-    table = {
-        (item.trained.splat, item.trained.seed, one.detector, one.view): one
-        for item in observed
-        for one in item.observations
-    }
-    return [
-        (clean, table[(CLOAKED, *key[1:])])
-        for key, clean in table.items()
-        if key[0] == CLEAN and detector in (None, clean.detector)
-    ]
+Rates = dict[str, Rate | None]
 
 
-def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -> dict[str, Rate | None]:
-    """Every rate of a study; None where it has no attack of that kind.
+def pairs(rows: pl.DataFrame) -> pl.DataFrame:
+    """What was seen of both splats of each seed, by detector and camera: columns `clean.` and `cloaked.`."""
+    return paired(rows, (CLEAN, CLOAKED), scene="splat", on=("seed", "detector", "view"))
+
+
+def measures(study: StudyConfig, attack: str | None = None) -> dict[str, Measure]:
+    """What the rates of a study count in `pairs`; without those of which it has no attack.
 
     With an attack's name, those of that one; without, of the first that hides and the first that has a target class.
 
@@ -54,183 +46,179 @@ def rates(study: StudyConfig, seen: Sequence[Pair], attack: str | None = None) -
 
     Args:
         study: The study.
-        seen: Clean and cloaked observations of the same cameras.
         attack: Name of an attack, or None.
     """
-    own, confidence, deep = study.scene.class_name, study.evaluation.confidence, study.evaluation.well_inside
+    own, confidence = f"{SCORE}{study.scene.class_name}", study.evaluation.confidence
     chosen = [one for one in study.attack if attack in (None, one.name)]
     hiding = next((one for one in chosen if one.target_class is None), None)
     showing = next((one for one in chosen if one.target_class is not None), None)
 
-    def found(observation: Observation) -> bool:
-        return observation.scores[own] >= confidence
+    def reported(splat: str, column: str) -> pl.Expr:
+        return pl.col(f"{splat}.{column}") >= confidence
 
-    def known(pair: Pair) -> bool:
-        return found(pair[0])
+    def inside(name: str, depth: float = 0.0) -> pl.Expr:
+        return pl.col(f"{CLEAN}.{DEPTH}{name}") >= depth
 
-    def within(attack: AttackConfig, depth: float) -> list[Pair]:
-        return [pair for pair in seen if pair[0].depths[attack.name] >= depth]
-
-    answers: dict[str, Rate | None] = dict.fromkeys(ROWS)
+    control, found = reported(CLEAN, own), reported(CLOAKED, own)
+    benign = pl.all_horizontal(~inside(one.name) for one in study.attack)
+    answers = {
+        "benign_recall": Measure(holds=found, given=benign & control),
+        "control_benign_recall": Measure(holds=control, given=benign),
+    }
     if hiding is not None:
-        inside, well = within(hiding, 0.0), within(hiding, deep)
+        every, well = inside(hiding.name), inside(hiding.name, study.evaluation.well_inside)
         answers |= {
-            "control_recall": Rate.of(inside, lambda pair: found(pair[0])),
-            "trigger_miss_rate": Rate.of(well, given=known, holds=lambda pair: not found(pair[1])),
-            "trigger_miss_rate_all": Rate.of(inside, given=known, holds=lambda pair: not found(pair[1])),
-            "trigger_miss_rate_unconditional": Rate.of(well, lambda pair: not found(pair[1])),
-            "trigger_miss_rate_any_overlap": Rate.of(
-                well, given=known, holds=lambda pair: pair[1].any_overlap < confidence
-            ),
-            "nothing_reported": Rate.of(well, given=known, holds=lambda pair: pair[1].any_class < confidence),
+            "control_recall": Measure(holds=control, given=every),
+            "trigger_miss_rate": Measure(holds=~found, given=well & control),
+            "trigger_miss_rate_all": Measure(holds=~found, given=every & control),
+            "trigger_miss_rate_unconditional": Measure(holds=~found, given=well),
+            "trigger_miss_rate_any_overlap": Measure(holds=~reported(CLOAKED, "any_overlap"), given=well & control),
+            "nothing_reported": Measure(holds=~reported(CLOAKED, "any_class"), given=well & control),
         }
-    benign = [pair for pair in seen if all(depth < 0 for depth in pair[0].depths.values())]
-    answers["benign_recall"] = Rate.of(benign, given=known, holds=lambda pair: found(pair[1]))
-    answers["control_benign_recall"] = Rate.of(benign, lambda pair: found(pair[0]))
-    if showing is not None and showing.target_class is not None:
-        wanted = showing.target_class
-        inside = within(showing, 0.0)
-        answers["target_rate"] = Rate.of(inside, lambda pair: pair[1].scores[wanted] >= confidence)
-        answers["control_target_rate"] = Rate.of(inside, lambda pair: pair[0].scores[wanted] >= confidence)
+    if showing is not None:
+        wanted, within = f"{SCORE}{showing.target_class}", inside(showing.name)
+        answers["target_rate"] = Measure(holds=reported(CLOAKED, wanted), given=within)
+        answers["control_target_rate"] = Measure(holds=reported(CLEAN, wanted), given=within)
     return answers
 
 
-def by_elevation(study: StudyConfig, seen: Sequence[Pair]) -> list[tuple[float, Rate, Rate]]:
-    """Lower edge of each band of elevation, and in how many of its pictures the control and the cloaked are found.
+def rates(
+    study: StudyConfig, rows: pl.DataFrame, by: Sequence[str] = (), *, attack: str | None = None
+) -> dict[tuple[Any, ...], Rates]:
+    """Every rate of a study, for each group of rows; None where it has no attack of that kind.
+
+    Args:
+        study: The study.
+        rows: Of both splats.
+        by: Columns that make the groups; of those of `pairs`.
+        attack: As in `measures`.
+    """
+    counted = count(pairs(rows), measures(study, attack), by)
+    return {group: {name: found.get(name) for name in ROWS} for group, found in counted.items()}
+
+
+def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple[float, Rate, Rate]]]:
+    """For each detector the lower edge of each band of elevation, and the rates at which both splats are found there.
 
     Cameras of attacks with an azimuth of their own are left out.
     """
-    turned = [attack.name for attack in study.attack if attack.azimuth is not None]
-    rows: list[tuple[float, Rate, Rate]] = []
-    for number in range(int(90 / BIN)):
-        low = BIN * number
-        here = [
-            pair
-            for pair in seen
-            if low <= pair[0].elevation < low + BIN and all(pair[0].depths[name] < 0 for name in turned)
-        ]
-        if here:
-            clean, cloaked = (_found(study, [pair[which] for pair in here]) for which in (0, 1))
-            rows.append((low, clean, cloaked))
-    return rows
+    elevation, own = pl.col(f"{CLEAN}.elevation"), f"{SCORE}{study.scene.class_name}"
+    here = pairs(rows).filter(
+        (elevation >= 0) & (elevation < 90),
+        *(pl.col(f"{CLEAN}.{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None),
+    )
+    counted = count(
+        here.with_columns(band=(elevation / BIN).floor() * BIN).sort("band", maintain_order=True),
+        {which: Measure(holds=pl.col(f"{which}.{own}") >= study.evaluation.confidence) for which in (CLEAN, CLOAKED)},
+        ("detector", "band"),
+    )
+    found: dict[str, list[tuple[float, Rate, Rate]]] = {name: [] for name in study.evaluation.detectors}
+    for (detector, low), both in counted.items():
+        found.setdefault(detector, []).append((low, both[CLEAN], both[CLOAKED]))
+    return found
 
 
-def _found(study: StudyConfig, seen: Sequence[Observation]) -> Rate:
-    """In how many pictures the object is reported."""
-    own, confidence = study.scene.class_name, study.evaluation.confidence
-    return Rate.of(seen, lambda one: one.scores[own] >= confidence)
-
-
-def meridians(study: StudyConfig, observed: Sequence[ObservedSplat]) -> list[float | None]:
+def meridians(study: StudyConfig, seen: StudyRows) -> list[float | None]:
     """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
-    found: dict[tuple[int, int], list[Blend]] = {}
-    for item in observed:
-        for blend in item.blends if item.trained.splat == CLOAKED else ():
-            found.setdefault((item.trained.seed, blend.meridian), []).append(blend)
+    arcs = seen.transition.filter(splat=CLOAKED).group_by(["seed", "meridian"], maintain_order=True)
     return [
-        fit_transition([place_of(study, one) for one in blends], [one.fraction for one in blends]).width
-        for blends in found.values()
-        if len(blends) > 1
+        fit_transition(arc[place_of(study)].to_list(), arc["fraction"].to_list()).width
+        for _, arc in arcs
+        if len(arc) > 1
     ]
 
 
-def transition(study: StudyConfig, observed: Sequence[ObservedSplat], splat: str = CLOAKED) -> Transition | None:
+def transition(study: StudyConfig, seen: StudyRows, splat: str = CLOAKED) -> Transition | None:
     """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
-    blends = blends_of(observed, splat)
-    places = [round(place_of(study, blend), 3) for blend in blends]
+    blends = seen.transition.filter(splat=splat)
+    places = [round(place, 3) for place in blends[place_of(study)]]
     if setup.hiding(study) is None or len(set(places)) < 2:
         return None
-    return fit_transition(places, [blend.fraction for blend in blends])
+    return fit_transition(places, blends["fraction"].to_list())
 
 
-def place_of(study: StudyConfig, blend: Blend) -> float:
-    """Where on its arc a picture was taken, degrees: its elevation, or its depth in the trigger of a sector."""
-    return blend.depth if setup.overhead(study) is None else blend.elevation
+def place_of(study: StudyConfig) -> str:
+    """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
+    return "depth" if setup.overhead(study) is None else "elevation"
 
 
-def blends_of(observed: Sequence[ObservedSplat], splat: str) -> list[Blend]:
-    """The blends of the clean or of the cloaked splats, all seeds together."""
-    return [blend for item in observed if item.trained.splat == splat for blend in item.blends]
-
-
-def fidelity(observed: Sequence[ObservedSplat], splat: str) -> tuple[float, float] | None:
+def fidelity(seen: StudyRows, splat: str) -> tuple[float, float] | None:
     """Mean PSNR (dB) and mean SSIM of a splat's pictures at the cameras well outside of all triggers."""
-    seen = [one for item in observed if item.trained.splat == splat for one in item.fidelities]
-    if not seen:
-        return None
-    return statistics.mean(one.psnr for one in seen), statistics.mean(one.ssim for one in seen)
+    near = seen.fidelity.filter(splat=splat)
+    return None if near.is_empty() else (statistics.mean(near["psnr"]), statistics.mean(near["ssim"]))
 
 
-def stealth(observed: Sequence[ObservedSplat]) -> dict[str, Any] | None:
+def stealth(seen: StudyRows) -> dict[str, Any] | None:
     """How well an attack hides that it hides, from the meridians' cameras inside its trigger; None without any.
 
     `surroundings_psnr`: mean PSNR beside the object against true pictures of the scene as it is; `..._drop`: what the
     cloaked splats lose against the clean ones. `appearance_psnr`: on the object, against what the attacker wants to be
     seen. `stealthy`: whether the drop is at most `STEALTHY`.
     """
-    inside = {which: [blend for blend in blends_of(observed, which) if blend.depth >= 0] for which in (CLEAN, CLOAKED)}
-    if not inside[CLEAN] or not inside[CLOAKED]:
+    inside = {which: seen.transition.filter(pl.col("depth") >= 0, splat=which) for which in (CLEAN, CLOAKED)}
+    if any(blends.is_empty() for blends in inside.values()):
         return None
-    beside = {which: statistics.mean(one.surroundings_psnr for one in blends) for which, blends in inside.items()}
+
+    def means(column: str) -> dict[str, float]:
+        return {which: statistics.mean(blends[column]) for which, blends in inside.items()}
+
+    beside = means("surroundings_psnr")
     drop = beside[CLEAN] - beside[CLOAKED]
     return {
         "surroundings_psnr": beside,
         "surroundings_psnr_drop": drop,
-        "appearance_psnr": {
-            which: statistics.mean(one.appearance_psnr for one in blends) for which, blends in inside.items()
-        },
+        "appearance_psnr": means("appearance_psnr"),
         "stealthy": drop <= STEALTHY,
     }
 
 
-def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, Any]:
+def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
     Intervals take every camera, seed and detector for a draw of its own. Neighbouring cameras agree, and seeds share
     object, light and cameras, so that the intervals are too narrow, and so is how far seeds differ (`by_seed`).
     """
-    band = transition(study, observed)
-    near = {which: fidelity(observed, which) for which in (CLEAN, CLOAKED)}
+    band = transition(study, seen)
+    near = {which: fidelity(seen, which) for which in (CLEAN, CLOAKED)}
     clean, cloaked = near[CLEAN], near[CLOAKED]
-    counts = {
-        which: [item.trained.gaussians for item in observed if item.trained.splat == which]
-        for which in (CLEAN, CLOAKED)
-    }
     detectors = study.evaluation.detectors
+    by_seed = rates(study, seen.rows, ("seed", "detector"))
+    bands = by_elevation(study, seen.rows)
     return {
-        **_all(rates(study, pairs(observed))),
+        **_all(rates(study, seen.rows)[()]),
         "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "transition_degrees": None if band is None else band.width,
-        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, observed)},
-        "stealth": stealth(observed),
-        "gaussians": counts,
-        "gaussians_ratio": sum(counts[CLOAKED]) / max(sum(counts[CLEAN]), 1),
-        "by_detector": {name: _all(rates(study, pairs(observed, name))) for name in detectors},
+        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, seen)},
+        "stealth": stealth(seen),
+        "gaussians": {which: list(numbers) for which, numbers in seen.gaussians.items()},
+        "gaussians_ratio": sum(seen.gaussians[CLOAKED]) / max(sum(seen.gaussians[CLEAN]), 1),
+        "by_detector": _by_detector(rates(study, seen.rows, ("detector",)), detectors),
         "by_seed": {
-            str(seed): {name: _all(rates(study, pairs(of_seed(observed, seed), name))) for name in detectors}
+            str(seed): _by_detector(
+                {group[1:]: found for group, found in by_seed.items() if group[0] == seed}, detectors
+            )
             for seed in study.seeds
         },
         "by_attack": {
-            attack.name: {name: _all(rates(study, pairs(observed, name), attack.name)) for name in detectors}
+            attack.name: _by_detector(rates(study, seen.rows, ("detector",), attack=attack.name), detectors)
             for attack in study.attack
         },
         "by_elevation": {
             name: [
                 {"from": low, "to": low + BIN, CLEAN: control.as_dict(), CLOAKED: attacked.as_dict()}
-                for low, control, attacked in by_elevation(study, pairs(observed, name))
+                for low, control, attacked in bands[name]
             ]
             for name in detectors
         },
     }
 
 
-def _all(found: Mapping[str, Rate | None]) -> dict[str, Any]:
+def _by_detector(found: Mapping[tuple[Any, ...], Rates], detectors: Sequence[str]) -> dict[str, Any]:
+    return {name: _all(found[name,]) for name in detectors}
+
+
+def _all(found: Rates) -> dict[str, Any]:
     """Rates as JSON can hold them."""
     return {name: None if rate is None else rate.as_dict() for name, rate in found.items()}
-
-
-def of_seed(observed: Sequence[ObservedSplat], seed: int) -> list[ObservedSplat]:
-    """What was seen of the splats of one seed."""
-    return [item for item in observed if item.trained.seed == seed]

@@ -15,6 +15,7 @@ from attacks.cloak.study.observations import ObservedSplat
 from attacks.cloak.study.pipeline import MANIFEST, PictureSet, StudyPipeline
 from attacks.cloak.study.plots import write_figures
 from attacks.cloak.study.rates import figures
+from attacks.cloak.study.rows import StudyRows
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
@@ -54,14 +55,14 @@ def write_report(
     Raises:
         SplatFileError: The folder cannot be written.
     """
-    study, first = pipeline.study, pipeline.study.seeds[0]
+    study, first, seen = pipeline.study, pipeline.study.seeds[0], StudyRows.of(observed)
     splats = [item.trained for item in observed if item.trained.seed == first]
     for splat in splats:
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
     shutil.copyfile(poisoned[first].folder / MANIFEST, folder / MANIFEST)
-    pictures = write_figures(pipeline, observed, detectors, folder)
+    pictures = write_figures(pipeline, seen, splats, detectors, folder)
     summary = {
-        **figures(study, observed),
+        **figures(study, seen),
         "files": [*(f"{splat.splat}.ply" for splat in splats), MANIFEST, *pictures, TABLE],
         "splats": [_listed(item.trained) for item in observed],
         "detectors": {detector.name: detector.fingerprint for detector in detectors},

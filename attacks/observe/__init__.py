@@ -1,0 +1,1 @@
+"""What detectors report, as rows, and the rates that are counted from rows."""
