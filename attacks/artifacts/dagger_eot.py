@@ -7,15 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from attacks.artifacts.contents import Contents, read_object
 from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, mask_of, objective_of, splat_of
 from attacks.artifacts.detection_rows import OBJECT
 from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Cell, Column, Row, Table
-from attacks.dagger.eot.judging import joint_rate
-from attacks.dagger.eot.report import AZIMUTHS, ELEVATIONS
-from attacks.dagger.eot.result import binned
-from attacks.evaluation.rates import Rate
+from attacks.dagger.eot.rates import NOISE, eot_figures
 from attacks.objectives import Relabel
 from attacks.reporting.repeating import repeat_views
 from mi_splat.io.folders import RECORD as RESULT
@@ -33,8 +32,6 @@ FIGURES = (
     *("by_azimuth", "by_elevation"),
 )
 """Keys of a result that follow from its rows."""
-_FOUND = 0.5
-"""Confidence from which the object counts as found, as in `attacks.dagger.eot.result.found_rate`."""
 
 
 def pack(folder: Path, stages: Path | None) -> Packed:
@@ -86,24 +83,25 @@ def derive(contents: Contents) -> Mapping[str, Any]:
     Raises:
         InvalidValueError: The rows are not those of the attack.
     """
-    rows, config = contents.tables[ROWS].rows, contents.configuration["config"]
     try:
-        rate = _joint(rows, lambda row: [bool(row["success"])])
-        clean = _joint(rows, lambda row: [bool(row["clean_success"])])
-        noise = _joint(rows, _noise)
-        interval = tuple(map(float, config["judged"]["cameras"]["elevations"]))
-        return {
-            "success": rate.fraction >= config["required_views"] - 1e-9,
-            "rate": rate.as_dict(),
-            "rates": {name: _of_detector(rows, name) for name in contents.detectors},
-            "clean_rate": clean.as_dict(),
-            "noise_rate": noise.as_dict(),
-            "unambiguous_rate": _joint(rows, lambda row: [bool(row["unambiguous"])]).as_dict(),
-            "by_azimuth": _binned(rows, "azimuth", (0.0, 360.0), AZIMUTHS),
-            "by_elevation": _binned(rows, "elevation", (interval[0], interval[1]), ELEVATIONS),
-        }
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+        config = contents.configuration["config"]
+        low, high = map(float, config["judged"]["cameras"]["elevations"])
+        figures = eot_figures(_frame(contents), list(contents.detectors), (low, high))
+        rate = figures["rate"]
+        return {"success": rate["successes"] >= (config["required_views"] - 1e-9) * rate["total"], **figures}
+    except (KeyError, TypeError, ValueError, IndexError, pl.exceptions.PolarsError) as error:
         raise broken("rows", error) from error
+
+
+def _frame(contents: Contents) -> pl.DataFrame:
+    """The rows as rates are counted from them: the draws of noise in one column."""
+    rows = pl.DataFrame(contents.tables[ROWS].rows, infer_schema_length=None)
+    draws = [name for name in rows.columns if name.startswith(_NOISE_SUCCESS)]
+    return (
+        rows.with_columns(pl.col("original").cast(pl.String), pl.concat_list(draws).alias(NOISE))
+        if draws
+        else (rows.with_columns(pl.col("original").cast(pl.String), pl.lit([], dtype=pl.List(pl.Boolean)).alias(NOISE)))
+    )
 
 
 def columns(contents: Contents) -> Mapping[str, Sequence[Column]]:
@@ -156,10 +154,6 @@ def _row(view: Mapping[str, Any], original: str | None, reached: Callable[[float
     return row | {f"{_NOISE_SUCCESS}{draw}": success for draw, success in enumerate(held)}
 
 
-def _noise(row: Row) -> list[bool]:
-    return [bool(value) for name, value in row.items() if name.startswith(_NOISE_SUCCESS)]
-
-
 def _reached(objective: Any) -> Callable[[float], bool]:
     """Whether a score reaches the aim."""
     if isinstance(objective, Relabel):
@@ -169,33 +163,6 @@ def _reached(objective: Any) -> Callable[[float], bool]:
 
 def _number(value: Cell) -> float:
     return float(value) if isinstance(value, (int, float)) else 0.0
-
-
-def _joint(rows: Sequence[Row], holds: Callable[[Row], Sequence[bool]]) -> Rate:
-    """Views in which something holds for all detectors at once."""
-    return joint_rate((int(row["index"]), holds(row)) for row in rows)  # type: ignore[arg-type]
-
-
-def _of_detector(rows: Sequence[Row], name: str) -> dict[str, Any]:
-    """What one detector reports."""
-    own = [row for row in rows if row["detector"] == name]
-    original = next(iter(own))["original"] if own else None
-
-    def found(column: str) -> dict[str, Any]:
-        return Rate.of(own, lambda row: original is not None and _number(row[column]) >= _FOUND).as_dict()
-
-    return {
-        "original": original,
-        "success": _joint(own, lambda row: [bool(row["success"])]).as_dict(),
-        "noise": _joint(own, _noise).as_dict(),
-        "clean": _joint(own, lambda row: [bool(row["clean_success"])]).as_dict(),
-        "found_clean": found("clean_confidence"),
-        "found_attacked": found("original_confidence"),
-    }
-
-
-def _binned(rows: Sequence[Row], name: str, interval: tuple[float, float], parts: int) -> list[dict[str, Any]]:
-    return binned([(_number(row[name]), bool(row["success"])) for row in rows], interval, parts)
 
 
 def outcomes(contents: Contents) -> list[Outcome]:

@@ -12,7 +12,6 @@ from attacks.artifacts.dagger_results import ATTACKED, objective_of
 from attacks.artifacts.figures import Line, moved
 from attacks.artifacts.packed import OnView, Outcome
 from attacks.artifacts.places import Places, checked_splat, places_of
-from attacks.dagger.eot.judging import joint_rate
 from attacks.detectors.base import Detector
 from attacks.evaluation.rates import Rate
 from attacks.evaluation.views import ViewDetections
@@ -64,9 +63,17 @@ def rescore_attack(
     lines = [line for detector in detectors for line in _lines(checked, detector, same, after, rate_tolerance)]
     known = set(checked.contents.detectors)
     if len(known) > 1 and known == {detector.name for detector in detectors}:
-        then, now = (joint_rate((one.view, [one.success]) for one in some) for some in (same, after))
+        then, now = (_together(some) for some in (same, after))
         lines.append(moved("all detectors at once, the aim is reached", then, now, tolerance=rate_tolerance))
     return lines
+
+
+def _together(outcomes: Sequence[Outcome]) -> Rate:
+    """Views in which the aim is reached with every detector."""
+    views: dict[int, bool] = {}
+    for one in outcomes:
+        views[one.view] = views.get(one.view, True) and one.success
+    return Rate(successes=sum(views.values()), total=len(views))
 
 
 def _judged(

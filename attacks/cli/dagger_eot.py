@@ -11,6 +11,7 @@ from attacks.cli.aims import aim, chosen_object, write_parts
 from attacks.cli.eot_options import DaggerEotOptions
 from attacks.cli.loading import load_detectors
 from attacks.dagger.eot.attack import attack_views
+from attacks.dagger.eot.rates import NOISE
 from attacks.dagger.eot.report import CONTACT, eot_summary, write_eot_files
 from attacks.dagger.eot.result import EotResult
 from attacks.dagger.eot.search import NOT_JUDGED, Checkpoint
@@ -100,9 +101,10 @@ def _tell(result: EotResult, options: DaggerEotOptions) -> None:
         f"Step {result.best.index} of {result.config.steps} was best by the validation views "
         f"(budget in {result.config.norm}: {radii}; {result.seconds:.0f} s)."
     )
-    psnr, noise = result.judgement.image.psnr, result.judgement.noise()
+    psnr, rates = result.judgement.image.psnr, result.rates
     change = "No picture changed" if psnr is None else f"The held-out pictures changed to a PSNR of {psnr:.1f} dB"
-    show(f"{change}; random noise of the same size: {_words(noise)}; no attack: {_words(result.judgement.clean())}.")
+    noise, clean = _words(rates[NOISE]), _words(rates["clean_success"])
+    show(f"{change}; random noise of the same size: {noise}; no attack: {clean}.")
     for warning in result.warnings:
         show(f"warning: {warning}")
     show(f"Look at {options.out / CONTACT} first. Beside it: the splat (attacked.ply), the object (mask.npy) and every")

@@ -57,6 +57,44 @@ def count(rows: pl.DataFrame, measures: Mapping[str, Measure], by: Sequence[str]
     }
 
 
+def jointly(rows: pl.DataFrame, over: Sequence[str], truths: Sequence[str]) -> pl.DataFrame:
+    """One line for each view, in which a truth holds if it holds in all of its rows: of every detector, for instance.
+
+    Args:
+        rows: Several for each view.
+        over: Columns that say which view a row is of.
+        truths: Columns of truths; all others are left out.
+
+    Returns:
+        The columns `over` and `truths`, views in the order of their first rows.
+    """
+    return rows.group_by(over, maintain_order=True).agg(pl.col(*truths).all())
+
+
+def banded(
+    rows: pl.DataFrame, angle: str, interval: tuple[float, float], parts: int, measure: Measure
+) -> list[dict[str, Any]]:
+    """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an empty interval nothing.
+
+    Args:
+        rows: With a column for the angle.
+        angle: Name of the column, degrees.
+        interval: Degrees; what lies outside of it counts to its first or last part.
+        parts: Number of parts.
+        measure: What is counted.
+    """
+    low, width = interval[0], (interval[1] - interval[0]) / parts
+    if not width:
+        return []
+    place = ((pl.col(angle) - low) / width).cast(pl.Int64).clip(0, parts - 1)
+    found = count(rows.with_columns(place=place), {"rate": measure}, ("place",))
+    none = {"rate": Rate(successes=0, total=0)}
+    return [
+        {"from": low + part * width, "to": low + (part + 1) * width, **found.get((part,), none)["rate"].as_dict()}
+        for part in range(parts)
+    ]
+
+
 def paired(rows: pl.DataFrame, scenes: Sequence[str], *, scene: str, on: Sequence[str]) -> pl.DataFrame:
     """One line for each view, with what was seen there of every scene.
 

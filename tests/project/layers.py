@@ -66,6 +66,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "subset": ("attacks.gaussian_subset",),
     "transformations": ("attacks.transformations",),
     "evaluation": ("attacks.evaluation",),
+    "rates": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "study of CLOAK": ("attacks.cloak.study",),
     "rendering studies": ("attacks.rendering_studies",),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,12 +14,12 @@ from torch import Tensor
 from attacks.dagger.eot.problem import EotProblem
 from attacks.dagger.eot.views import DrawnView, ViewDistribution
 from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.rates import Rate
 from attacks.evaluation.views import ViewDetections, as_saved, detect_views
 from attacks.evaluation.visibility import ImageChange, image_change
 from attacks.objectives import Verdict, confidence
 from attacks.transformations.pictures import PictureChange, changing
 from mi_splat.cameras import RenderFn
+from mi_splat.io.camera_records import values_of
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene
 
@@ -47,6 +48,30 @@ class JudgedView:
     clean_verdict: Verdict
     noise: tuple[Verdict, ...]
 
+    def row(self, original: str | None, label: str | None) -> dict[str, Any]:
+        """What was seen, as JSON can hold it; see `Judgement.rows`."""
+        direction = self.view.direction
+        return {
+            "index": self.view.index,
+            "detector": self.detector,
+            "azimuth": direction.azimuth,
+            "elevation": direction.elevation,
+            "position": self.view.camera.position.tolist(),
+            "camera": values_of(self.view.camera),
+            "change": dataclasses.asdict(self.view.change),
+            "success": self.verdict.success,
+            "unambiguous": self.verdict.unambiguous,
+            "score": self.verdict.score,
+            "clean_success": self.clean_verdict.success,
+            "clean_score": self.clean_verdict.score,
+            "noise_successes": [verdict.success for verdict in self.noise],
+            "noise_scores": [verdict.score for verdict in self.noise],
+            "target_confidence": self.confidence(label, attacked=True) if label else None,
+            "clean_confidence": self.confidence(original, attacked=False) if original else 0.0,
+            "original_confidence": self.confidence(original, attacked=True) if original else 0.0,
+            "box": self.view.box.tolist(),
+        }
+
     def confidence(self, label: str | None, *, attacked: bool) -> float:
         """Highest score with which `label` (any class if None) is reported on the object."""
         found = self.attacked if attacked else self.clean
@@ -68,41 +93,14 @@ class Judgement:
     image: ImageChange
     noise_images: tuple[ImageChange, ...]
 
-    def success(self, detector: str | None = None) -> Rate:
-        """Views in which the aim is reached: by one detector, or by all of them at once if None."""
-        return self._rate(lambda one: (one.verdict,), detector)
+    def rows(self, originals: Mapping[str, str | None], label: str | None) -> list[dict[str, Any]]:
+        """What was seen, one row for each view and detector, as JSON can hold it.
 
-    def clean(self, detector: str | None = None) -> Rate:
-        """The same without any attack."""
-        return self._rate(lambda one: (one.clean_verdict,), detector)
-
-    def noise(self, detector: str | None = None) -> Rate:
-        """The same with random noise; a view counts once for each draw."""
-        return self._rate(lambda one: one.noise, detector)
-
-    def unambiguous(self, detector: str | None = None) -> Rate:
-        """Views in which the aim is reached and no other class is reported on the object with more confidence."""
-        return self._rate(lambda one: (dataclasses.replace(one.verdict, success=one.verdict.unambiguous),), detector)
-
-    def _rate(self, verdicts: Callable[[JudgedView], Sequence[Verdict]], detector: str | None) -> Rate:
-        return joint_rate(
-            (one.view.index, [verdict.success for verdict in verdicts(one)])
-            for one in self.views
-            if detector in (None, one.detector)
-        )
-
-
-def joint_rate(outcomes: Iterable[tuple[int, Sequence[bool]]]) -> Rate:
-    """Views in which every detector is deceived.
-
-    Args:
-        outcomes: Number of the view, and whether one detector is deceived in it: once, or once for each draw of noise.
-    """
-    rows: dict[int, list[Sequence[bool]]] = {}
-    for index, draws in outcomes:
-        rows.setdefault(index, []).append(draws)
-    found = [all(draw) for row in rows.values() for draw in zip(*row, strict=True)]
-    return Rate(successes=sum(found), total=len(found))
+        Args:
+            originals: What each detector calls the clean object in most views.
+            label: The class that the object should become; None if no particular one.
+        """
+        return [one.row(originals[one.detector], label) for one in self.views]
 
 
 def judge(

@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks.dagger.eot.judging import JudgedView
-from attacks.dagger.eot.result import EotResult, by_angle, found_rate
+from attacks.dagger.eot.rates import eot_figures
+from attacks.dagger.eot.result import EotResult
 from attacks.dagger.eot.search import NOT_JUDGED
 from attacks.evaluation.drawing import annotated, stacked
 from mi_splat.io import save_splat
-from mi_splat.io.camera_records import values_of
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder
 
 CONTACT = "held_out.png"
-AZIMUTHS, ELEVATIONS = 8, 4
-"""Parts of the angles that success is told by."""
 
 
 def write_eot_report(result: EotResult, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
@@ -54,17 +52,12 @@ def write_eot_files(result: EotResult, folder: Path) -> list[Path]:
 def eot_summary(result: EotResult) -> dict[str, Any]:
     """The result as JSON can hold it; keys are explained in `EotResult` and `EotConfig`."""
     config, judgement = result.config, result.judgement
-    region = result.judged.cameras
     return {
         "attack": "dagger-eot",
         "objective": result.objective.name,
         "target": result.objective.label,
         "success": result.success,
-        "rate": result.rate.as_dict(),
-        "rates": {name: _rates(result, name) for name in result.detectors},
-        "clean_rate": judgement.clean().as_dict(),
-        "noise_rate": judgement.noise().as_dict(),
-        "unambiguous_rate": judgement.unambiguous().as_dict(),
+        **eot_figures(result.frame, result.detectors, result.judged.cameras.elevations),
         "image_psnr": judgement.image.psnr,
         "psnr_definition": "of the mean squared error over all pixels of all held-out views, 8 bits, in dB",
         "image": dataclasses.asdict(judgement.image),
@@ -79,10 +72,8 @@ def eot_summary(result: EotResult) -> dict[str, Any]:
         "changed_gaussians": result.changed_gaussians,
         "object_gaussians": result.object_gaussians,
         "redraws": result.redraws,
-        "by_azimuth": by_angle(result, lambda one: one.view.direction.azimuth, (0.0, 360.0), AZIMUTHS),
-        "by_elevation": by_angle(result, lambda one: one.view.direction.elevation, region.elevations, ELEVATIONS),
         "warnings": list(result.warnings),
-        "views": [_view(result, one) for one in judgement.views],
+        "views": result.rows,
         "trace": [_line(dataclasses.asdict(line)) for line in result.trace],
         "seed": config.seed,
         "config": {
@@ -93,44 +84,6 @@ def eot_summary(result: EotResult) -> dict[str, Any]:
         },
         **result.origin,
         "seconds": round(result.seconds, 3),
-    }
-
-
-def _rates(result: EotResult, detector: str) -> dict[str, Any]:
-    """What one detector reports."""
-    judgement = result.judgement
-    return {
-        "original": result.originals[detector],
-        "success": judgement.success(detector).as_dict(),
-        "noise": judgement.noise(detector).as_dict(),
-        "clean": judgement.clean(detector).as_dict(),
-        "found_clean": found_rate(result, detector, attacked=False).as_dict(),
-        "found_attacked": found_rate(result, detector, attacked=True).as_dict(),
-    }
-
-
-def _view(result: EotResult, one: JudgedView) -> dict[str, Any]:
-    label, original = result.objective.label, result.originals[one.detector]
-    direction = one.view.direction
-    return {
-        "index": one.view.index,
-        "detector": one.detector,
-        "azimuth": direction.azimuth,
-        "elevation": direction.elevation,
-        "position": one.view.camera.position.tolist(),
-        "camera": values_of(one.view.camera),
-        "change": dataclasses.asdict(one.view.change),
-        "success": one.verdict.success,
-        "unambiguous": one.verdict.unambiguous,
-        "score": one.verdict.score,
-        "clean_success": one.clean_verdict.success,
-        "clean_score": one.clean_verdict.score,
-        "noise_successes": [verdict.success for verdict in one.noise],
-        "noise_scores": [verdict.score for verdict in one.noise],
-        "target_confidence": one.confidence(label, attacked=True) if label else None,
-        "clean_confidence": one.confidence(original, attacked=False) if original else 0.0,
-        "original_confidence": one.confidence(original, attacked=True) if original else 0.0,
-        "box": one.view.box.tolist(),
     }
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import polars as pl
+
 from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.judging import JudgedView, Judgement
-from attacks.evaluation.rates import Rate
+from attacks.dagger.eot.judging import Judgement
+from attacks.dagger.eot.rates import AIMS, NOISE, aim_rates, found_rates
 from attacks.objectives import Objective
 from attacks.pgd import Step
+from attacks.rate import Rate
 from attacks.transformations.config import Transformations
 from mi_splat.scene import GaussianScene
 
 PSNR_SLACK = 0.5
 """How far the held-out pictures may be below the image budget before a result warns of it, dB."""
+
+_COUNTED = ("index", "detector", "azimuth", "elevation", *AIMS, NOISE, "clean_confidence", "original_confidence")
+"""Keys of a row that rates are counted from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -66,9 +72,28 @@ class EotResult:
         return tuple(self.originals)
 
     @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The held-out views, one row for each view and detector, as JSON can hold it."""
+        return self.judgement.rows(self.originals, self.objective.label)
+
+    @property
+    def frame(self) -> pl.DataFrame:
+        """What the rates are counted from, see `attacks.dagger.eot.rates`."""
+        rows = [{key: row[key] for key in _COUNTED} for row in self.rows]
+        return pl.DataFrame(rows, infer_schema_length=None).with_columns(
+            original=pl.Series([self.originals[row["detector"]] for row in rows], dtype=pl.String),
+            noise_successes=pl.Series([row[NOISE] for row in rows], dtype=pl.List(pl.Boolean)),
+        )
+
+    @property
     def rate(self) -> Rate:
         """Held-out views in which every detector is deceived."""
-        return self.judgement.success()
+        return self.rates["success"]
+
+    @property
+    def rates(self) -> dict[str, Rate]:
+        """How often the aim is reached, see `attacks.dagger.eot.rates.aim_rates`."""
+        return aim_rates(self.frame)
 
     @property
     def success(self) -> bool:
@@ -76,75 +101,25 @@ class EotResult:
         return self.rate.fraction >= self.config.required_views - 1e-9
 
 
-def found_rate(result: EotResult, detector: str, *, attacked: bool, min_confidence: float = 0.5) -> Rate:
-    """Held-out views in which a detector reports the object as what it calls the clean one in most views.
-
-    Args:
-        result: The attack.
-        detector: Its name.
-        attacked: In the attacked pictures, or in the clean ones.
-        min_confidence: Confidence from which a report counts.
-    """
-    label = result.originals[detector]
-    views = [one for one in result.judgement.views if one.detector == detector]
-    return Rate.of(views, lambda one: label is not None and one.confidence(label, attacked=attacked) >= min_confidence)
-
-
-def by_angle(
-    result: EotResult, angle: Callable[[JudgedView], float], interval: tuple[float, float], parts: int
-) -> list[dict[str, Any]]:
-    """Success over an angle: the held-out views in equal parts of an interval.
-
-    Args:
-        result: The attack.
-        angle: Of a view, degrees in the interval.
-        interval: Degrees.
-        parts: Number of parts.
-    """
-    return binned([(angle(one), one.verdict.success) for one in result.judgement.views], interval, parts)
-
-
-def binned(outcomes: Sequence[tuple[float, bool]], interval: tuple[float, float], parts: int) -> list[dict[str, Any]]:
-    """How often something holds, over an angle: equal parts of an interval.
-
-    Args:
-        outcomes: Angle in degrees, and whether it holds there.
-        interval: Degrees.
-        parts: Number of parts.
-    """
-    low, width = interval[0], (interval[1] - interval[0]) / parts
-    if not width:
-        return []
-    places = [min(parts - 1, max(0, int((angle - low) / width))) for angle, _ in outcomes]
-    lines = []
-    for part in range(parts):
-        inside = [holds for (_, holds), place in zip(outcomes, places, strict=True) if place == part]
-        rate = Rate(successes=sum(inside), total=len(inside))
-        lines.append({"from": low + part * width, "to": low + (part + 1) * width, **rate.as_dict()})
-    return lines
-
-
 def find_warnings(result: EotResult) -> tuple[str, ...]:
     """Signs that success or failure is not what it looks like."""
-    found, judgement = [], result.judgement
+    found, rows, rates = [], result.frame, result.rates
     for name in result.detectors:
-        seen = found_rate(result, name, attacked=False)
+        seen = found_rates(rows.filter(detector=name))["found_clean"]
         if seen.fraction < 0.5:
             found.append(f"{name} finds the clean object in {seen.successes} of {seen.total} held-out views only")
-    if judgement.clean().successes:
-        clean = judgement.clean()
+    clean, noise, rate = rates["clean_success"], rates[NOISE], rates["unambiguous"]
+    if clean.successes:
         found.append(f"the aim is reached without any attack in {clean.successes} of {clean.total} views")
     if result.best.success and not result.success:
         found.append("success on the validation views did not carry over to the held-out views")
-    noise = judgement.noise()
     if noise.total and result.rate.successes and noise.fraction >= result.rate.fraction:
         found.append("random noise of the same size does as well")
-    if result.success and judgement.unambiguous().fraction < result.config.required_views:
-        rate = judgement.unambiguous()
+    if result.success and rate.fraction < result.config.required_views:
         found.append(
             f"without another class of more confidence on the object: {rate.successes} of {rate.total} views only"
         )
-    wanted, psnr = result.config.image_psnr, judgement.image.psnr
+    wanted, psnr = result.config.image_psnr, result.judgement.image.psnr
     if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
         found.append(f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of the validation views")
     return tuple(found)

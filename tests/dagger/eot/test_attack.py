@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import Any
 
+import polars as pl
 import pytest
 import torch
 
@@ -13,10 +14,11 @@ from attacks.budgets import Budget
 from attacks.dagger.eot.attack import attack_views
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.problem import joined
-from attacks.dagger.eot.result import by_angle
+from attacks.dagger.eot.rates import aim_rates
 from attacks.evaluation.views import as_saved
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Verdict, hide, relabel, untargeted
+from attacks.observe.rates import Measure, banded
 from attacks.pgd import Parameters
 from attacks.transformations.config import PictureChanges
 from mi_splat.attributes import Attribute
@@ -31,7 +33,7 @@ def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
     found = quick()
     assert found.success
     assert found.rate.successes == found.rate.total == 8
-    assert found.judgement.clean().successes == found.judgement.noise().successes == 0
+    assert found.rates["clean_success"].successes == found.rates["noise_successes"].successes == 0
     assert found.warnings == ()
     assert found.originals == {"fake_colour": "car"}
     attacked = {(view.index, 0) for view in toy_views().views(0, 6)}
@@ -119,8 +121,9 @@ def test_several_detectors_have_to_be_deceived_together() -> None:
             ]
 
     found = attack_views(toy_views(), [ColourDetector(), Shy()], relabel("person"), config=EotConfig(**QUICK))
-    assert found.judgement.success("fake_colour").successes == 8
-    assert found.judgement.success("shy").successes == found.rate.successes == 0
+    alone = {name: aim_rates(found.frame.filter(detector=name))["success"] for name in ("fake_colour", "shy")}
+    assert alone["fake_colour"].successes == 8
+    assert alone["shy"].successes == found.rate.successes == 0
     assert found.rate.total == 8
     assert not found.success
     assert any("shy finds the clean object in 0 of 8" in warning for warning in found.warnings)
@@ -157,10 +160,11 @@ def test_scores_order_by_successes_first() -> None:
 
 def test_success_over_an_angle_counts_every_view_once() -> None:
     found = quick()
-    parts = by_angle(found, lambda one: one.view.direction.elevation, (0.0, 30.0), 3)
+    success = Measure(holds=pl.col("success"))
+    parts = banded(found.frame, "elevation", (0.0, 30.0), 3, success)
     assert sum(part["total"] for part in parts) == 8
     assert [part["from"] for part in parts] == [0.0, 10.0, 20.0]
-    assert by_angle(found, lambda one: 1.0, (5.0, 5.0), 3) == []
+    assert banded(found.frame, "elevation", (5.0, 5.0), 3, success) == []
 
 
 def test_hiding_works_as_well() -> None:
