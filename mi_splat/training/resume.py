@@ -21,7 +21,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state, save_state, to_json
@@ -74,40 +74,39 @@ def train(
 
     Raises:
         CheckpointError: The folder holds a run with other settings, on other views or from another start.
-        SplatFileError: The folder holds something else, or cannot be written.
+        SplatFileError: The folder holds something else, cannot be written, or another process has it.
         InvalidValueError: `every` is not positive.
         KeyboardInterrupt: The run was interrupted; its checkpoint is written.
     """
     if every < 1:
         raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
     check_start(start, config)
-    check_own_folder(folder, CONFIG, CHECKPOINT)
-    folder.mkdir(parents=True, exist_ok=True)
-    sweep_temporary(folder)
-    path, digest = folder / CHECKPOINT, _digest(views, start)
-    if path.is_file():
-        state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
-        if on_resume is not None:
-            on_resume(state)
-    else:
-        state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
-        state.data_digest, state.settings = digest, dict(settings or {})
-    save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+    with own_folder(folder, CONFIG, CHECKPOINT):
+        sweep_temporary(folder)
+        path, digest = folder / CHECKPOINT, _digest(views, start)
+        if path.is_file():
+            state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
+            if on_resume is not None:
+                on_resume(state)
+        else:
+            state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
+            state.data_digest, state.settings = digest, dict(settings or {})
+        save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
-    with _deferred_interrupt() as interrupted:
+        with _deferred_interrupt() as interrupted:
 
-        def after(line: Progress) -> None:
-            if on_step is not None:
-                on_step(line)
-            if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
-                save_state(state, path)
-            if interrupted():
-                raise KeyboardInterrupt
+            def after(line: Progress) -> None:
+                if on_step is not None:
+                    on_step(line)
+                if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
+                    save_state(state, path)
+                if interrupted():
+                    raise KeyboardInterrupt
 
-        found = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
-    save_splat(found.scene, folder / SPLAT)
-    save_json(_figures(found, len(held_out)), folder / METRICS)
-    return found
+            found = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
+        save_splat(found.scene, folder / SPLAT)
+        save_json(_figures(found, len(held_out)), folder / METRICS)
+        return found
 
 
 def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
