@@ -15,8 +15,7 @@ from types import FrameType
 
 import torch
 
-from mi_splat.cameras import RenderFn, View, cameras_of
-from mi_splat.datasets import Dataset
+from mi_splat.cameras import RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
@@ -61,7 +60,7 @@ def train(
         render: The renderer, see `mi_splat.training.loop.fit`.
         config: How.
         seed: Seed of everything random.
-        held_out: Views to score on.
+        held_out: Views to score on; the same when a run goes on, as its history holds their scores.
         every: Steps between two checkpoints.
         lpips: A further score, see `mi_splat.metrics.load_lpips`.
         settings: What else the pictures depend on, the near plane for instance; plain values, the same when a run goes
@@ -83,7 +82,7 @@ def train(
     check_start(start, config)
     with own_folder(folder, CONFIG, CHECKPOINT):
         sweep_temporary(folder)
-        path, digest = folder / CHECKPOINT, _digest(views, start)
+        path, digest = folder / CHECKPOINT, _digest(start, views, held_out)
         if path.is_file():
             state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
             if on_resume is not None:
@@ -133,23 +132,24 @@ def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, setting
     return state
 
 
-def _digest(views: Sequence[View], start: GaussianScene) -> str:
-    """Stands for what a run is trained on; of a set on the disk no picture is read."""
+def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
+    """Stands for what a run is trained and scored on; of a set on the disk no picture is decoded."""
     total = hashlib.sha256(scene_hash(start).encode())
-    for camera in cameras_of(views):
-        lens = (camera.focal, camera.principal, camera.width, camera.height)
-        total.update(repr((camera.to_world.tolist(), lens)).encode())
-    if isinstance(views, Dataset):
-        total.update(views.fingerprint.encode())
-    else:
-        for view in views:
-            total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
+    for views in sets:
+        for camera in cameras_of(views):
+            lens = (camera.focal, camera.principal, camera.width, camera.height)
+            total.update(repr((camera.to_world.tolist(), lens)).encode())
+        known = fingerprint_of(views)
+        total.update(f"{len(views)} {known}".encode())
+        if known is None:
+            for view in views:
+                total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
     return total.hexdigest()
 
 
 def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, folder: Path) -> None:
     if state.data_digest != data:
-        do = "pass those that it began with, or train in another folder"
+        do = "pass those that it began with, held-out ones included, or train in another folder"
         raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
     extended = dataclasses.replace(state.config, iterations=max(config.iterations, state.config.iterations))
     if config not in (state.config, extended) or state.seed != seed:
