@@ -110,7 +110,8 @@ def _take(descriptor: int, folder: str) -> None:
 
 
 def _this_process() -> dict[str, object]:
-    words = [os.path.basename(sys.argv[0]) if sys.argv else "", *sys.argv[1:]]
+    name = os.path.basename(sys.argv[0]) if sys.argv else ""
+    words = ["mi-splat" if name == "__main__.py" else name, *sys.argv[1:]]
     since = time.strftime("%Y-%m-%d %H:%M:%S")
     return {"host": platform.node(), "process": os.getpid(), "command": shlex.join(words)[:300], "since": since}
 
