@@ -195,8 +195,9 @@ def sync_folder(folder: str | os.PathLike[str]) -> None:
         OSError: The disk reports that it could not.
     """
     for place, _, files in os.walk(folder):
-        for name in files if os.name != "nt" else ():  # there, a file has to be open for writing
-            _sync(os.path.join(place, name))
+        for path in (os.path.join(place, name) for name in files):
+            if os.name != "nt" and not os.path.islink(path):  # there, a file has to be open for writing
+                _sync(path)
         sync_names(place)
 
 

@@ -141,8 +141,9 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
     dot, until the next command that is to write to `out` gives it its name back.) After a power cut, too: what was
     written is on the disk before it takes the name.
 
-    What another process has put at `out` meanwhile stays there unless `force` replaces it. The result of the body is
-    then kept beside it, under the first free name of `out`-2, `out`-3 and so on, which the error tells.
+    What another process has put at `out` meanwhile stays there unless `force` replaces it. A finished result that
+    cannot have the name `out` is kept beside it, under the first free name of `out`-2, `out`-3 and so on, which the
+    error tells.
 
     Args:
         out: The folder to write; the folders above it are made.
@@ -175,20 +176,22 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
 
 
 def _put(new: Path, target: Path, *, force: bool, record: str) -> None:
-    """Give a finished folder its name; see `new_folder` for what happens if something else has it."""
+    """Give a finished folder its name; see `new_folder` for what happens if it cannot have it."""
     try:
-        os.rename(new, target)  # in the place of an empty folder, too, but of nothing else
+        try:
+            os.rename(new, target)  # in the place of an empty folder, too, but of nothing else
+        except OSError:
+            if not os.path.lexists(target):
+                raise
+            check_new_folder(target, force=force, record=record)
+            replace_folder(new, target)
         return
-    except OSError:
-        if not os.path.lexists(target):
-            raise
-    try:
-        check_new_folder(target, force=force, record=record)
-    except SplatFileError as error:
-        kept = _put_beside(new, target)
-        expected, found = "a name that is still free", "something that another process wrote there meanwhile"
-        raise SplatFileError(message(str(target), expected, found, f"see {kept}, where this result is")) from error
-    replace_folder(new, target)
+    except SplatFileError:
+        found = "something that another process wrote there meanwhile"
+    except OSError as error:
+        found = error.strerror or str(error)
+    do = f"see {_put_beside(new, target)}, where this result is"
+    raise SplatFileError(message(str(target), "a name that this result can have", found, do))
 
 
 def _put_beside(new: Path, target: Path) -> Path:

@@ -84,10 +84,14 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
         rename(source, target)
 
     monkeypatch.setattr(os, "rename", fails_once)
-    with pytest.raises(SplatFileError), new_folder(out, force=True) as place:
+    with (
+        pytest.raises(SplatFileError, match=r"out: expected a name that .* got broken; see .*out-2, where"),
+        new_folder(out, force=True) as place,
+    ):
         (place / "new").write_text("")
     assert names(out) == ["before.png", "result.json"]
-    assert names(tmp_path) == ["out"]
+    assert names(tmp_path / "out-2") == ["new"]
+    assert names(tmp_path) == ["out", "out-2"]
 
 
 KILLS = """
