@@ -19,6 +19,7 @@ from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
 from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache, content_of
 from attacks.cloak.study.config import CameraConfig, SceneConfig, StudyConfig, TrainingConfig
+from mi_splat.io.atomic import LOCK
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
 STUDY = StudyConfig(
