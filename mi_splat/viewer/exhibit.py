@@ -26,7 +26,7 @@ class Inspection(Protocol):
 
     @property
     def text(self) -> str:
-        """It in words, one finding a line; Markdown."""
+        """It in words, one finding a line; plain text."""
         ...
 
     def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:

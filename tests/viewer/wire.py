@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.orbit import Orbit
 
 PATIENCE = 20.0
@@ -101,8 +101,8 @@ class Browser:
 
 def headers_of(address: str) -> dict[str, str]:
     """Headers of a page that was opened by its address."""
-    token = urlsplit(address).query.removeprefix("token=")
-    return {"Cookie": f"{COOKIE}={token}"}
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        return {"Cookie": answer.headers["Set-Cookie"].partition(";")[0]}
 
 
 @contextmanager
