@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+import zstandard
 
 from mi_splat.errors import MiSplatError
 
@@ -32,8 +33,6 @@ def viser_scripts(page: str) -> tuple[str, ...]:
         MiSplatError: It is another page than this code knows; with a policy that allows none of its scripts, it would
             stay empty.
     """
-    import zstandard
-
     scripts = _SCRIPT.findall(page)
     packed = _PACKED.search(scripts[0][0]) if len(scripts) == 1 else None
     try:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -21,12 +22,19 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.viewer import export
+from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.study.config import CameraConfig, StudyConfig
+from attacks.viewing.detections import detector_inspector
+from attacks.viewing.results import open_exhibit
+from mi_splat.io import save_splat
+from mi_splat.viewer import export, panel
 from mi_splat.viewer.export import write_export
+from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page
 from mi_splat.viewer.painter import Painter
 from tests.browser import CHROMIUM
-from tests.viewer.exhibits import START, Looker, painter
+from tests.fakes import ColourDetector, blobs
+from tests.viewer.exhibits import START, Looker, ball, exhibit, painter, save_study
 
 pytestmark = [
     pytest.mark.slow,
@@ -35,6 +43,13 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets"),
 ]
 PATIENCE = 30.0
+UNUSED = "'unsafe-eval' is not an allowed source of script"
+"""What viser's own renderer of splats complains of, which the page does not use."""
+HOSTILE = (
+    "<img src=x onerror=globalThis.ran=1><svg onload=globalThis.ran=1><script>globalThis.ran=1<iframe "
+    "srcdoc='<script>parent.ran=1'>[l](javascript:globalThis.ran=1)![p](q) **b** `c` &lt; www.a.example"
+)
+"""A name that would run scripts, or look otherwise than it is written; it can be the name of a file."""
 
 
 class Window:
@@ -68,27 +83,36 @@ class Window:
 
     def check(self) -> None:
         """Nothing went wrong, and nobody but the server was asked."""
-        assert not self.errors
+        assert not [error for error in self.errors if UNUSED not in error]
         others = [url for url in self.asked if urlsplit(url.removeprefix("blob:")).hostname not in ("127.0.0.1", None)]
         assert not others
 
 
 @contextmanager
-def window(chromium: Any, work: Painter, size: tuple[int, int] = (1000, 640)) -> Iterator[Window]:
-    """A window on a page, whose pictures another thread makes."""
+def serving(work: Painter) -> Iterator[str]:
+    """The address of a page whose pictures another thread makes."""
     stop = threading.Event()
     with Page(work, port=0) as page:
         thread = threading.Thread(target=page.run, args=(stop,))
         thread.start()
         try:
-            opened = Window(chromium, page.address, size)
-            opened.says("above the ground")
-            yield opened
-            opened.check()
-            opened.page.close()
+            yield page.address
         finally:
             stop.set()
             thread.join()
+
+
+@contextmanager
+def window(
+    chromium: Any, work: Painter, size: tuple[int, int] = (1000, 640), *, says: str = "above the ground"
+) -> Iterator[Window]:
+    """A window on a page that says something sooner or later."""
+    with serving(work) as address:
+        opened = Window(chromium, address, size)
+        opened.says(says)
+        yield opened
+        opened.check()
+        opened.page.close()
 
 
 def colours(pixels: NDArray[np.int32]) -> tuple[int, int]:
@@ -196,3 +220,148 @@ def test_the_page_in_a_file(
     assert not opened.errors
     assert all(url.startswith(("file:", "data:")) for url in opened.asked)
     page.close()
+
+
+def of_study(folder: Path) -> Painter:
+    """A study with an attack of this name."""
+    attack = AttackConfig(name=HOSTILE, elevation=(50.0, 90.0))
+    cameras = CameraConfig(train=30, size=64, distance=7.0)
+    save_study(folder, StudyConfig(name=HOSTILE, cameras=cameras, attack=(attack,)))
+    return Painter(open_exhibit(folder), blobs)
+
+
+def of_weights(folder: Path) -> Painter:
+    """A detector with a class of this name."""
+    detector = ColourDetector()
+    detector.classes = (HOSTILE, "person", "stop sign")
+    return Painter(exhibit(1), blobs, detector_inspector(detector, min_confidence=0.0))
+
+
+def of_file(folder: Path) -> Painter:
+    """A splat in a file of this name."""
+    path = folder / f"{HOSTILE}.ply"
+    save_splat(ball((0.9, 0.1, 0.1)), path)
+    return Painter(open_exhibit(path), blobs, Looker())
+
+
+VECTORS = {
+    of_study: f"Trigger {HOSTILE}: ",
+    of_weights: f"clean: {HOSTILE} ",
+    of_file: f"{HOSTILE}: mean colour",
+}
+
+
+def check_names(opened: Window) -> None:
+    """No name has become markup or a script."""
+    page = opened.page
+    page.wait_for_timeout(300)  # an image is not found
+    assert page.evaluate("globalThis.ran") is None
+    for selector in ("iframe", "img[src=x]", "img[src=q]", "a", "svg[onload]", "body code"):
+        assert page.locator(selector).count() == 0, selector
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+def test_names_from_outside_are_shown_as_they_are_written(
+    chromium: Any, vector: Callable[[Path], Painter], tmp_path: Path
+) -> None:
+    with window(chromium, vector(tmp_path), size=(1000, 1400), says=VECTORS[vector]) as opened:
+        check_names(opened)
+        texts = opened.page.evaluate("document.body.innerText")
+        assert texts.count(HOSTILE) == {of_study: 2, of_weights: 1, of_file: 2}[vector]
+        if vector is of_study:
+            opened.page.get_by_role("combobox", name="From").click()
+            opened.says(f"inside {HOSTILE}")
+            check_names(opened)
+
+
+def test_where_markup_came_through_still_no_script_runs(chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    markup = (
+        "<img src=x onerror=globalThis.ran=1><iframe srcdoc='<script>parent.ran=1</script>'></iframe>"
+        "<a href='javascript:globalThis.ran=1'>a link</a>"
+    )
+    monkeypatch.setattr(panel.html, "escape", lambda text: text)
+    work = painter(1)
+    work.exhibit = replace(work.exhibit, place=lambda camera: (markup,))
+    with serving(work) as address:
+        opened = Window(chromium, address, (1000, 640))
+        opened.page.get_by_text("a link").click()
+        for refused in ("inline event handler", "inline script", "JavaScript URL"):
+            opened.until(lambda refused=refused: any(f"{refused} violates" in error for error in opened.errors))
+        assert opened.page.evaluate("globalThis.ran") is None
+        opened.page.close()
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+def test_names_from_outside_in_a_page_in_a_file(
+    chromium: Any, vector: Callable[[Path], Painter], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "SHORTER_SIDE", 60)
+    path = tmp_path / "page.html"
+    write_export(vector(tmp_path), path, views=(1, 1))
+    opened = Window(chromium, path.as_uri(), (1000, 700))
+    opened.says(HOSTILE)
+    check_names(opened)
+    assert not opened.errors
+    opened.page.close()
+
+
+def test_two_pages_in_one_browser(chromium: Any) -> None:
+    context = chromium.new_context(viewport={"width": 400, "height": 300})
+    with context, serving(painter(1)) as first, serving(painter(2)) as second:
+        tabs = [context.new_page() for _ in range(2)]
+        for tab, address in zip(tabs, (first, second), strict=True):
+            tab.bring_to_front()
+            tab.goto(address)
+            tab.get_by_text("above the ground").wait_for()
+            assert address.partition("token=")[2] not in tab.url
+            assert "token" not in tab.url
+        for tab in tabs:  # each by its own cookie, after the other has set one
+            tab.bring_to_front()
+            tab.reload()
+            tab.get_by_text("above the ground").wait_for()
+        tabs[0].bring_to_front()
+        tabs[0].goto(second)
+        tabs[0].get_by_text("PSNR").wait_for()
+        assert tabs[0].evaluate("history.length") == 3  # nothing, and each page once, without its token
+        cookies = {cookie["name"]: cookie for cookie in context.cookies()}
+        assert set(cookies) == {f"{COOKIE}-{urlsplit(address).port}" for address in (first, second)}
+
+
+def test_another_port_gets_no_cookie(chromium: Any) -> None:
+    heard: list[str | None] = []
+
+    class Listener(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            heard.append(self.headers["Cookie"])
+            self.send_error(404)
+
+        def log_message(self, *words: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Listener) as other, chromium.new_context() as context:
+        thread = threading.Thread(target=other.serve_forever)
+        thread.start()
+        try:
+            with serving(painter(1)) as address:
+                tab = context.new_page()
+                tab.goto(address)
+                tab.get_by_text("above the ground").wait_for()
+                tab.goto(f"http://127.0.0.1:{other.server_port}/")
+                tab.evaluate("fetch('/page')")
+        finally:
+            other.shutdown()
+            thread.join()
+    assert len(heard) >= 2
+    assert set(heard) == {None}
+
+
+def test_the_page_opens_from_a_link_of_another_site(chromium: Any) -> None:
+    with serving(painter(1)) as address, chromium.new_context() as context:
+        tab = context.new_page()
+        tab.route(
+            "http://mail.example/",
+            lambda route: route.fulfill(body=f'<a href="{address}">the page</a>', content_type="text/html"),
+        )
+        tab.goto("http://mail.example/")
+        tab.get_by_text("the page").click()
+        tab.get_by_text("above the ground").wait_for()
