@@ -27,7 +27,7 @@ from attacks.cloak.study.config import CameraConfig, StudyConfig
 from attacks.viewing.detections import detector_inspector
 from attacks.viewing.results import open_exhibit
 from mi_splat.io import save_splat
-from mi_splat.viewer import export, panel
+from mi_splat.viewer import export
 from mi_splat.viewer.export import write_export
 from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page
@@ -46,10 +46,9 @@ PATIENCE = 30.0
 UNUSED = "'unsafe-eval' is not an allowed source of script"
 """What viser's own renderer of splats complains of, which the page does not use."""
 HOSTILE = (
-    "<img src=x onerror=globalThis.ran=1><svg onload=globalThis.ran=1><script>globalThis.ran=1<iframe "
-    "srcdoc='<script>parent.ran=1'>[l](javascript:globalThis.ran=1)![p](q) **b** `c` &lt; www.a.example"
+    "<iframe srcdoc='<img src=x onerror=parent.ran=1>'> [l](javascript:globalThis.ran=1) **b** `c` &lt; www.a.example"
 )
-"""A name that would run scripts, or look otherwise than it is written; it can be the name of a file."""
+"""A name that would run scripts, and look otherwise than it is written; it can be the name of a file."""
 
 
 class Window:
@@ -244,11 +243,12 @@ def of_file(folder: Path) -> Painter:
     return Painter(open_exhibit(path), blobs, Looker())
 
 
-VECTORS = {
-    of_study: f"Trigger {HOSTILE}: ",
-    of_weights: f"clean: {HOSTILE} ",
-    of_file: f"{HOSTILE}: mean colour",
+VECTORS: dict[Callable[[Path], Painter], tuple[str, int]] = {
+    of_study: (f"Trigger {HOSTILE}: ", 2),
+    of_weights: (f"clean: {HOSTILE} ", 1),
+    of_file: (f"{HOSTILE}: mean colour", 2),
 }
+"""What a page says of each, and how often the name is in its text."""
 
 
 def check_names(opened: Window) -> None:
@@ -256,7 +256,7 @@ def check_names(opened: Window) -> None:
     page = opened.page
     page.wait_for_timeout(300)  # an image is not found
     assert page.evaluate("globalThis.ran") is None
-    for selector in ("iframe", "img[src=x]", "img[src=q]", "a", "svg[onload]", "body code"):
+    for selector in ("iframe", "img[src=x]", "a", "body code"):
         assert page.locator(selector).count() == 0, selector
 
 
@@ -264,10 +264,10 @@ def check_names(opened: Window) -> None:
 def test_names_from_outside_are_shown_as_they_are_written(
     chromium: Any, vector: Callable[[Path], Painter], tmp_path: Path
 ) -> None:
-    with window(chromium, vector(tmp_path), size=(1000, 1400), says=VECTORS[vector]) as opened:
+    said, times = VECTORS[vector]
+    with window(chromium, vector(tmp_path), size=(1000, 1400), says=said) as opened:
         check_names(opened)
-        texts = opened.page.evaluate("document.body.innerText")
-        assert texts.count(HOSTILE) == {of_study: 2, of_weights: 1, of_file: 2}[vector]
+        assert opened.page.inner_text("body").count(HOSTILE) == times
         if vector is of_study:
             opened.page.get_by_role("combobox", name="From").click()
             opened.says(f"inside {HOSTILE}")
@@ -279,14 +279,14 @@ def test_where_markup_came_through_still_no_script_runs(chromium: Any, monkeypat
         "<img src=x onerror=globalThis.ran=1><iframe srcdoc='<script>parent.ran=1</script>'></iframe>"
         "<a href='javascript:globalThis.ran=1'>a link</a>"
     )
-    monkeypatch.setattr(panel.html, "escape", lambda text: text)
+    monkeypatch.setattr("mi_splat.viewer.panel.html.escape", lambda text: text)
     work = painter(1)
     work.exhibit = replace(work.exhibit, place=lambda camera: (markup,))
     with serving(work) as address:
         opened = Window(chromium, address, (1000, 640))
         opened.page.get_by_text("a link").click()
-        for refused in ("inline event handler", "inline script", "JavaScript URL"):
-            opened.until(lambda refused=refused: any(f"{refused} violates" in error for error in opened.errors))
+        refused = {"inline event handler", "inline script", "JavaScript URL"}
+        opened.until(lambda: all(f"{what} violates" in "".join(opened.errors) for what in refused))
         assert opened.page.evaluate("globalThis.ran") is None
         opened.page.close()
 
@@ -301,6 +301,7 @@ def test_names_from_outside_in_a_page_in_a_file(
     opened = Window(chromium, path.as_uri(), (1000, 700))
     opened.says(HOSTILE)
     check_names(opened)
+    assert opened.page.title() == opened.page.locator("h1").inner_text()
     assert not opened.errors
     opened.page.close()
 
