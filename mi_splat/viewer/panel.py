@@ -15,7 +15,7 @@ from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.session import ViewState
 
 FREE = "(free)"
-"""Name of a camera that is none of those to choose from."""
+"""Name of a camera that is none of those to choose from; in more parentheses if one of those has it."""
 
 Remark = tuple[str, str]
 """What it is about, which may be nothing, and what is said of it: plain text, whatever stands in it."""
@@ -42,10 +42,13 @@ class Panel:
             self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
             self._wish(self._show, lambda s, value: replace(s, show=self._known(value, s.show)))
             self._wish(self._split, lambda s, value: replace(s, split=min(max(float(value), 0.0), 1.0)))
+        self._free = FREE
+        while self._free in exhibit.cameras:
+            self._free = f"({self._free})"
         with gui.add_folder("Camera"):
             if exhibit.cameras:
                 name = self._camera_name(orbit)
-                self._camera = gui.add_dropdown("From", (FREE, *exhibit.cameras), initial_value=name)
+                self._camera = gui.add_dropdown("From", (self._free, *exhibit.cameras), initial_value=name)
                 self._wish(self._camera, lambda s, value: replace(s, orbit=exhibit.cameras.get(value, s.orbit)))
             step = 10 ** math.floor(math.log10(orbit.distance)) / 20
             ranges = {
@@ -112,7 +115,7 @@ class Panel:
 
     def _camera_name(self, orbit: Orbit) -> str:
         """Name of the camera to choose that this is."""
-        return next((name for name, camera in self._exhibit.cameras.items() if camera == orbit), FREE)
+        return next((name for name, camera in self._exhibit.cameras.items() if camera == orbit), self._free)
 
 
 def as_html(remarks: Iterable[Remark]) -> str:
@@ -125,7 +128,8 @@ def as_html(remarks: Iterable[Remark]) -> str:
         (f"<strong>{html.escape(about)}</strong>: " if about else "") + html.escape(said) for about, said in remarks
     ]
     style = "padding: 0 0.75rem 0.5rem; font-size: 0.875rem; white-space: pre-wrap; overflow-wrap: anywhere"
-    return f'<div style="{style}">' + "\n".join(shown) + "</div>"
+    text = "\n".join(shown).encode("utf-8", "replace").decode()  # JSON may hold what is no Unicode
+    return f'<div style="{style}">{text}</div>'
 
 
 def _turned(orbit: Orbit, attribute: str, value: Any) -> Orbit:

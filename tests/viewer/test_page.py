@@ -25,7 +25,7 @@ from mi_splat.viewer.exhibit import Inspection
 from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page, check_port
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.panel import as_html
+from mi_splat.viewer.panel import FREE, as_html
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests.viewer.exhibits import START, Looker, painter
 from tests.viewer.wire import Browser, connection, headers_of
@@ -172,11 +172,20 @@ def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
         browser.until(lambda message: "mean colour" in str(message.get("updates", {})))
 
 
+def test_no_two_cameras_to_choose_from_have_one_name() -> None:
+    work = painter(1)
+    work.exhibit = replace(work.exhibit, cameras={FREE: START, f"({FREE})": START})
+    with visiting(work) as browser:
+        options = browser.control("From")["props"]["options"]
+    assert list(options) == [f"(({FREE}))", FREE, f"({FREE})"]
+
+
 @pytest.mark.parametrize(
     "words", ["<img src=x onerror=run()>", "![](/etc/hostname)", "[a](javascript:run())", "*a* `b`"]
 )
 def test_what_is_said_of_a_picture_is_text(words: str) -> None:
     assert as_html([(words, words), ("", words)]).count(html.escape(words)) == 3
+    assert as_html([("", f"\ud800{words}")]).endswith(f">?{html.escape(words)}</div>")
     work = painter()
     work.exhibit = replace(work.exhibit, place=lambda camera: (words,))
     with visiting(work) as browser:
