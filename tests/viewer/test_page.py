@@ -28,24 +28,10 @@ from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import FREE, as_html
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests.viewer.exhibits import START, Looker, painter
-from tests.viewer.wire import Browser, connection, headers_of
+from tests.viewer.wire import Browser, connection, headers_of, serving
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
 FULL = (80, 160)
-
-
-@contextmanager
-def serving(work: Painter) -> Iterator[Page]:
-    """A page whose pictures another thread makes."""
-    stop = threading.Event()
-    with Page(work, port=0) as page:
-        thread = threading.Thread(target=page.run, args=(stop,))
-        thread.start()
-        try:
-            yield page
-        finally:
-            stop.set()
-            thread.join()
 
 
 @contextmanager

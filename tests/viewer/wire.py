@@ -1,8 +1,9 @@
-"""A browser of a few lines: what viser's page says and hears over its websocket."""
+"""A page that is served, and a browser of a few lines: what viser's page says and hears over its websocket."""
 
 from __future__ import annotations
 
 import io
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.page import Page
+from mi_splat.viewer.painter import Painter
 
 PATIENCE = 20.0
 """Seconds after which what does not come will never come."""
@@ -121,3 +124,17 @@ def connection(address: str, headers: dict[str, str], *, origin: str | None = No
         compression=None,
     ) as socket:
         yield Browser(socket)
+
+
+@contextmanager
+def serving(work: Painter) -> Iterator[Page]:
+    """A page whose pictures another thread makes."""
+    stop = threading.Event()
+    with Page(work, port=0) as page:
+        thread = threading.Thread(target=page.run, args=(stop,))
+        thread.start()
+        try:
+            yield page
+        finally:
+            stop.set()
+            thread.join()
