@@ -95,8 +95,8 @@ class Guard:
     def door(self, path: str) -> str | None:
         """For an address with the token, a page that leads on to the one without it; None for others.
 
-        An answer that leads on by its status would be no shorter, but fail behind a link of another site: the browser
-        would count its second request to that site still, and leave the cookie out.
+        A redirect would fail behind a link of another site: the browser counts what it asks for then as asked by that
+        site, and leaves the cookie out.
 
         Args:
             path: With its query, as the request has it.
@@ -121,7 +121,7 @@ class Guard:
         Args:
             host: Name and port under which the request came.
         """
-        # The port is in the name too, for those who look at their cookies.
+        # Paths keep the pages of one browser apart; the port tells who looks at the cookies which page each is of.
         name = f"{COOKIE}-{_name_and_port(host)[1]}"
         return {
             "Set-Cookie": f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{self.place}",
