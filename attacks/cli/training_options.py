@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
 
-SmallDetector = Literal["fasterrcnn_small", "fcos_small", "detr_small", "yolov8n_small"]
+SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,7 +22,6 @@ from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.coco.sources import PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.weight_files import (
-    NOT_SHIPPED,
     SMALL_WEIGHTS,
     SMALL_YOLO_WEIGHTS,
     TORCHVISION_FILES,
@@ -165,10 +164,10 @@ def load_detector(name: str, *, weights: Path | None = None) -> Detector:
     return DETECTORS[name].load(weights)
 
 
-def _small(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors import small_detr, torchvision
+def _small(weights: Path | None) -> Detector:
+    from attacks.detectors.torchvision import load_small
 
-    return small_detr.load_small(weights) if name == "detr_small" else torchvision.load_small(weights, name=name)
+    return load_small(weights)
 
 
 def _published_torchvision(name: str, weights: Path | None) -> Detector:
@@ -201,22 +200,20 @@ def _published_transformers(name: str, weights: Path | None) -> Detector:
     return load_published(name, weights)
 
 
-_TO_TRAIN = "none are shipped; mi-splat train-detector makes them, name the file with --weights"
 _YOLO_LICENCE = "AGPL-3.0"
 _YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
 
-for _name, _path in SMALL_WEIGHTS.items():
-    register_detector(
-        DetectorSpec(
-            name=_name,
-            load=partial(_small, _name),
-            classes=SMALL_CLASSES,
-            origin="a part of mi-splat, trained on its own pictures",
-            licence="Apache-2.0",
-            weights=partial(Path, _path),
-            advice=_TO_TRAIN if _name in NOT_SHIPPED else "missing; a part of the package, so install it again",
-        )
+register_detector(
+    DetectorSpec(
+        name="fasterrcnn_small",
+        load=_small,
+        classes=SMALL_CLASSES,
+        origin="a part of mi-splat, trained on its own pictures",
+        licence="Apache-2.0",
+        weights=lambda: SMALL_WEIGHTS,
+        advice="missing; a part of the package, so install it again",
     )
+)
 for _name, _file in TORCHVISION_FILES.items():
     register_detector(
         DetectorSpec(

@@ -6,12 +6,8 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-SMALL_WEIGHTS = {
-    name: Path(__file__).with_name(f"{name}.safetensors") for name in ("fasterrcnn_small", "fcos_small", "detr_small")
-}
-"""Where the package has, or would have, the weights of detectors that this project trained."""
-NOT_SHIPPED = ("fcos_small", "detr_small")
-"""Those of which it has none."""
+SMALL_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
+"""Where the package has the weights of `fasterrcnn_small`."""
 SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
 """Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
 TORCHVISION_FILES = {

@@ -13,7 +13,6 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.weight_files import NOT_SHIPPED, SMALL_WEIGHTS
 from mi_splat.errors import message
 
 SUFFIXES = (".safetensors", ".pth", ".pt")
@@ -27,24 +26,6 @@ def fingerprint(state: Mapping[str, Tensor]) -> str:
         total.update(name.encode())
         total.update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
     return total.hexdigest()[:16]
-
-
-def small_weights(name: str, weights: Path | None) -> Path:
-    """The file of weights of a detector that this project trained: the given one, or that of the package.
-
-    Args:
-        name: Key of `SMALL_WEIGHTS`.
-        weights: The given file; None for that of the package.
-
-    Raises:
-        DetectorError: The package has none.
-    """
-    if weights is not None:
-        return Path(weights)
-    if name in NOT_SHIPPED:
-        do = f"train it with mi-splat train-detector --detector {name}, then name its best.safetensors"
-        raise DetectorError(message(f"weights of {name}", "a file", "none: none are shipped", do)).hinted("--weights")
-    return SMALL_WEIGHTS[name]
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:

@@ -234,7 +234,7 @@ import sys
 sys.path.insert(0, {str(site)!r})
 import attacks.cli, attacks.detectors.weight_files, mi_splat
 assert attacks.__file__.startswith({str(site)!r}) and mi_splat.__file__.startswith({str(site)!r})
-assert attacks.detectors.weight_files.SMALL_WEIGHTS["fasterrcnn_small"].is_file()
+assert attacks.detectors.weight_files.SMALL_WEIGHTS.is_file()
 sys.exit(attacks.cli.main(["detectors", "--json"]))
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True)

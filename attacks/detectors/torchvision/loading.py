@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,17 @@ import torch
 from torch import nn
 from torchvision.models.detection import FasterRCNN
 
-from attacks.detectors import small, small_fcos
+from attacks.detectors import small
 from attacks.detectors.classes import BACKGROUND, SMALL_CLASSES
 from attacks.detectors.torchvision.adapter import TorchvisionDetector, threshold_holder
 from attacks.detectors.torchvision.faster_rcnn import RCNNDetector
 from attacks.detectors.torchvision.one_stage import OneStageDetector
 from attacks.detectors.torchvision.published import PUBLISHED, build_published, freeze_norms, from_hub, published_labels
-from attacks.detectors.weights import apply_weights, read_weights, small_weights
+from attacks.detectors.weight_files import SMALL_WEIGHTS
+from attacks.detectors.weights import apply_weights, read_weights
 
-_SMALL: dict[str, Callable[[], nn.Module]] = {"fasterrcnn_small": small.build, "fcos_small": small_fcos.build}
-"""Name to what builds the network."""
+SMALL = "fasterrcnn_small"
+"""Name of the project's own detector."""
 
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
@@ -34,19 +35,18 @@ def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetec
     return adapter(name, model, labels)
 
 
-def load_small(weights: Path | None = None, *, name: str = "fasterrcnn_small") -> TorchvisionDetector:
-    """One of the project's own small detectors, with the shipped weights unless told otherwise.
+def load_small(weights: Path | None = None) -> TorchvisionDetector:
+    """The project's own `fasterrcnn_small`, with the shipped weights unless told otherwise.
 
     Args:
-        weights: File of its weights; None: those of the package.
-        name: fasterrcnn_small or fcos_small.
+        weights: File of its weights; None: that of the package.
 
     Raises:
         DetectorError: There are no weights, or they do not fit.
     """
-    model, path = _SMALL[name](), small_weights(name, weights)
+    model, path = small.build(), SMALL_WEIGHTS if weights is None else Path(weights)
     apply_weights(model, read_weights(path), path)
-    return wrap(name, model, (BACKGROUND, *SMALL_CLASSES))
+    return wrap(SMALL, model, (BACKGROUND, *SMALL_CLASSES))
 
 
 def load_published(name: str, weights: Path | None = None) -> TorchvisionDetector:
@@ -72,8 +72,8 @@ def random_detector(name: str, *, seed: int = 0) -> TorchvisionDetector:
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        if name in _SMALL:
-            model = _SMALL[name]()
+        if name == SMALL:
+            model = small.build()
             warm_up(model.eval())
             return wrap(name, model, (BACKGROUND, *SMALL_CLASSES))
         model = PUBLISHED[name].builder(weights=None, weights_backbone=None)

@@ -34,8 +34,6 @@ OnWork = Callable[[str, int, int], None]
 
 _TRAINERS = {
     "fasterrcnn_small": ("faster_rcnn", "FasterRCNNTrainer"),
-    "fcos_small": ("fcos", "FCOSTrainer"),
-    "detr_small": ("detr", "DETRTrainer"),
     "yolov8n_small": ("yolo", "YOLOTrainer"),
 }
 
