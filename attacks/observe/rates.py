@@ -1,6 +1,10 @@
 """Rates are counted from rows: a figure is a measure, and a group of rows that it is counted over.
 
 Rows are a table of Polars. A measure is two of its expressions: what has to hold in a row, and which rows count.
+
+Rows of neighbouring cameras agree, and so do those of splats that share their pictures. An interval that takes them for
+independent is too narrow by half. So a rate over many views is resampled in blocks of neighbouring cameras and in
+seeds, each drawn anew with replacement (the pigeonhole bootstrap: Owen 2007, "The pigeonhole bootstrap").
 """
 
 from __future__ import annotations
@@ -9,9 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
-from attacks.rate import Rate
+from attacks.rate import Rate, wilson
+
+DRAWS, FEWEST_BLOCKS, BLOCK = 2000, 6, 20.0
+"""Draws of a resampled interval, blocks from which on there is one, and degrees of a block of cameras."""
 
 Group = tuple[Any, ...]
 """Values of the columns that a group of rows has in common."""
@@ -30,13 +39,17 @@ class Measure:
     given: pl.Expr | None = None
 
 
-def count(rows: pl.DataFrame, measures: Mapping[str, Measure], by: Sequence[str] = ()) -> dict[Group, dict[str, Rate]]:
+def count(
+    rows: pl.DataFrame, measures: Mapping[str, Measure], by: Sequence[str] = (), *, alike: tuple[str, str] | None = None
+) -> dict[Group, dict[str, Rate]]:
     """Count measures over groups of rows.
 
     Args:
         rows: With the columns that the measures name.
         measures: By name.
         by: Columns whose values make the groups; none makes one group, (), of all rows.
+        alike: Two columns (block of cameras, seed): rows with the same value of either are not independent, and
+            intervals are resampled. None takes all rows for independent.
 
     Returns:
         For each group that has rows, in the order of its first one, the rate of each measure.
@@ -48,13 +61,61 @@ def count(rows: pl.DataFrame, measures: Mapping[str, Measure], by: Sequence[str]
         holds = measure.holds if measure.given is None else measure.holds & measure.given
         total = pl.len() if measure.given is None else measure.given.sum()
         sums += [holds.sum().alias(f"{name}/successes"), total.alias(f"{name}/total")]
-    table = rows.group_by(by, maintain_order=True).agg(sums) if by else rows.select(sums)
+    columns = list(dict.fromkeys((*by, *(alike or ()))))
+    table = rows.group_by(columns, maintain_order=True).agg(sums) if columns else rows.select(sums)
+    groups = table.partition_by(by, maintain_order=True) if by else [table]
     return {
-        tuple(line[column] for column in by): {
-            name: Rate(successes=int(line[f"{name}/successes"]), total=int(line[f"{name}/total"])) for name in measures
-        }
-        for line in table.iter_rows(named=True)
+        tuple(group[column][0] for column in by): {name: _rate(group, name, alike) for name in measures}
+        for group in groups
     }
+
+
+def _rate(group: pl.DataFrame, name: str, alike: tuple[str, str] | None) -> Rate:
+    """The rate of a measure over a group, of which each line has the sums of a part."""
+    successes, total = (int(group[f"{name}/{what}"].sum()) for what in ("successes", "total"))
+    if alike is None or not total:
+        return Rate(successes=successes, total=total)
+    places = [np.unique(group[column].to_numpy(), return_inverse=True)[1] for column in alike]
+    shape = tuple(int(place.max()) + 1 for place in places)
+    sums = np.zeros((2, *shape))
+    for number, what in enumerate(("successes", "total")):
+        np.add.at(sums[number], tuple(places), group[f"{name}/{what}"].to_numpy())
+    return Rate(successes=successes, total=total, resampled=_resampled(sums))
+
+
+def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
+    """95 % interval of a rate whose blocks and seeds are drawn anew.
+
+    Where few blocks were counted, or all are of one kind, drawing them anew says nothing; Wilson's interval with each
+    block for one draw stands in.
+
+    Args:
+        sums: (2, blocks, seeds) successes and totals.
+    """
+    blocks = int((sums[1].sum(1) > 0).sum())
+    fraction = float(sums[0].sum() / sums[1].sum())
+    if blocks < FEWEST_BLOCKS or fraction in (0.0, 1.0):
+        return wilson(fraction, blocks)
+    generator = np.random.default_rng(0)
+    weights = [generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64) for n in sums.shape[1:]]
+    drawn = np.einsum("db,kbs,ds->kd", weights[0], sums, weights[1], optimize=True)
+    fractions = drawn[0] / np.maximum(drawn[1], 1.0)
+    low, high = np.quantile(fractions[drawn[1] > 0], (0.025, 0.975))
+    return float(low), float(high)
+
+
+def blocks_of(azimuth: str, elevation: str, degrees: float = BLOCK) -> pl.Expr:
+    """The block of directions that a camera stands in, as a number: about so many degrees wide and high.
+
+    Args:
+        azimuth: Name of the column, degrees in [0, 360).
+        elevation: Name of the column, degrees.
+        degrees: Side of a block.
+    """
+    band = ((pl.col(elevation) + 90) / degrees).floor()
+    middle = ((band + 0.5) * degrees - 90).clip(-89, 89)
+    around = (360 * middle.radians().cos() / degrees).round().clip(1)
+    return (band * 1000 + (pl.col(azimuth) / 360 * around).floor()).cast(pl.Int64)
 
 
 def jointly(rows: pl.DataFrame, over: Sequence[str], truths: Sequence[str]) -> pl.DataFrame:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import polars as pl
 import pytest
 
-from attacks.observe.rates import Measure, banded, count, jointly, paired
+from attacks.observe.rates import Measure, banded, blocks_of, count, jointly, paired
+from attacks.rate import Rate
 
 ROWS = pl.DataFrame(
     {
@@ -59,3 +61,49 @@ def test_bands_hold_their_lower_edge_and_what_lies_outside_the_nearest(angle: fl
     bands = banded(rows, "angle", (0.0, 30.0), 3, Measure(holds=pl.col("success")))
     assert [band["total"] for band in bands] == [int(part == place) for place in range(3)]
     assert [band["from"] for band in bands] == [0.0, 10.0, 20.0]
+
+
+def many(agree: bool) -> pl.DataFrame:
+    """Rows of 20 blocks, 3 seeds and 10 views each, half of which hold: whole blocks, or views by chance."""
+    rng = np.random.default_rng(5)
+    places = [(block, seed, view) for block in range(20) for seed in range(3) for view in range(10)]
+    holds = [block % 2 == 0 if agree else bool(rng.random() < 0.5) for block, _, _ in places]
+    return pl.DataFrame(places, schema=["block", "seed", "view"], orient="row").with_columns(holds=pl.Series(holds))
+
+
+def test_views_that_agree_make_a_wide_interval() -> None:
+    widths = {}
+    for agree in (True, False):
+        (rate,) = count(many(agree), {"rate": Measure(holds=pl.col("holds"))}, alike=("block", "seed"))[()].values()
+        low, high = rate.interval
+        assert low < rate.fraction < high
+        widths[agree] = high - low
+    assert widths[True] == pytest.approx(2 * 1.96 * 0.5 / 20**0.5, rel=0.15)  # of 20 independent draws
+    assert widths[False] < 0.4 * widths[True]
+
+
+def test_a_resampled_interval_is_the_same_every_time() -> None:
+    first, second = (
+        count(many(agree=True), {"rate": Measure(holds=pl.col("holds"))}, alike=("block", "seed"))[()]["rate"].interval
+        for _ in range(2)
+    )
+    assert first == second
+
+
+@pytest.mark.parametrize(("blocks", "holds"), [(4, None), (20, True), (20, False)])
+def test_where_blocks_say_nothing_each_counts_once(blocks: int, holds: bool | None) -> None:
+    rows = many(agree=True).filter(pl.col("block") < blocks)
+    if holds is not None:
+        rows = rows.with_columns(holds=pl.lit(holds))
+    rate = count(rows, {"rate": Measure(holds=pl.col("holds"))}, alike=("block", "seed"))[()]["rate"]
+    assert rate.interval == Rate(successes=round(rate.fraction * blocks), total=blocks).interval
+
+
+def test_blocks_are_as_wide_near_the_pole_as_at_the_horizon() -> None:
+    def blocks(elevation: float) -> int:
+        azimuths = pl.DataFrame({"azimuth": [float(a) for a in range(360)]}).with_columns(elevation=pl.lit(elevation))
+        return azimuths.select(blocks_of("azimuth", "elevation")).n_unique()
+
+    assert [blocks(0.0), blocks(60.0), blocks(85.0)] == [18, 9, 3]
+    below_and_above = pl.DataFrame({"azimuth": [5.0, 5.0], "elevation": [-5.0, 65.0]})
+    assert below_and_above.select(blocks_of("azimuth", "elevation")).n_unique() == 2

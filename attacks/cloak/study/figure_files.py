@@ -60,7 +60,7 @@ def save_figure(figure: Any, path: Path) -> None:
 
 
 def draw_rates(axis: Any, points: Sequence[tuple[float, Rate]], which: str, **style: object) -> None:
-    """A line of rates with their Wilson intervals.
+    """A line of rates with their intervals.
 
     Args:
         axis: Where.

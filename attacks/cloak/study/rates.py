@@ -14,7 +14,7 @@ from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
 from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows
 from attacks.cloak.transition import Transition, fit_transition
-from attacks.observe.rates import Measure, count, paired
+from attacks.observe.rates import Measure, blocks_of, count, paired
 from attacks.rate import Rate
 
 STEALTHY = 1.5
@@ -23,12 +23,16 @@ STEALTHY = 1.5
 BIN = 5.0
 """Degrees of elevation over which rates are taken."""
 
+ALIKE = ("block", "seed")
+"""Columns of `pairs`: rows of one block of cameras, or of one seed, are not independent."""
+
 Rates = dict[str, Rate | None]
 
 
 def pairs(rows: pl.DataFrame) -> pl.DataFrame:
-    """What was seen of both splats of each seed, by detector and camera: columns `clean.` and `cloaked.`."""
-    return paired(rows, (CLEAN, CLOAKED), scene="splat", on=("seed", "detector", "view"))
+    """What was seen of both splats of each seed, by detector and camera, and the `block` it stands in."""
+    table = paired(rows, (CLEAN, CLOAKED), scene="splat", on=("seed", "detector", "view"))
+    return table.with_columns(blocks_of(f"{CLEAN}.azimuth", f"{CLEAN}.elevation").alias(ALIKE[0]))
 
 
 def measures(study: StudyConfig, attack: str | None = None) -> dict[str, Measure]:
@@ -93,7 +97,7 @@ def rates(
         by: Columns that make the groups; of those of `pairs`.
         attack: As in `measures`.
     """
-    counted = count(pairs(rows), measures(study, attack), by)
+    counted = count(pairs(rows), measures(study, attack), by, alike=ALIKE)
     return {group: {name: found.get(name) for name in ROWS} for group, found in counted.items()}
 
 
@@ -111,6 +115,7 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
         here.with_columns(band=(elevation / BIN).floor() * BIN).sort("band", maintain_order=True),
         {which: Measure(holds=pl.col(f"{which}.{own}") >= study.evaluation.confidence) for which in (CLEAN, CLOAKED)},
         ("detector", "band"),
+        alike=ALIKE,
     )
     found: dict[str, list[tuple[float, Rate, Rate]]] = {name: [] for name in study.evaluation.detectors}
     for (detector, low), both in counted.items():
@@ -175,8 +180,8 @@ def stealth(seen: StudyRows) -> dict[str, Any] | None:
 def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
-    Intervals take every camera, seed and detector for a draw of its own. Neighbouring cameras agree, and seeds share
-    object, light and cameras, so that the intervals are too narrow, and so is how far seeds differ (`by_seed`).
+    Intervals are resampled over blocks of neighbouring cameras and seeds (`attacks.observe.rates`). All seeds share
+    object and light, so that what another object would give is in none of them.
     """
     band = transition(study, seen)
     near = {which: fidelity(seen, which) for which in (CLEAN, CLOAKED)}
