@@ -84,7 +84,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 def _content(path: Path) -> bytes:
     """The bytes of a file, of a JSON document those of what does not change from run to run."""
-    data = path.read_bytes()
+    data = path.read_bytes().replace(str(ROOT).encode(), b"")
     if path.suffix != ".json":
         return data
     return json.dumps(_lasting(json.loads(data)), sort_keys=True).encode()
