@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from typing import TypeVar
 
 _Error = TypeVar("_Error", bound="MiSplatError")
@@ -36,3 +38,16 @@ def message(what: str, expected: object, got: object, do: str) -> str:
         do: What the reader should do about it.
     """
     return f"{what}: expected {expected}, got {got}; {do}"
+
+
+def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
+    """What to do about a word that is not known: "did you mean X?", for the one that is most like it.
+
+    Args:
+        word: What came; small and capital letters count as the same.
+        known: What would have been right.
+        otherwise: What to do where none of them is like it.
+    """
+    by_small = {one.lower(): one for one in known}
+    near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
+    return f"did you mean {by_small[near[0]]}?" if near else otherwise

@@ -7,7 +7,6 @@ imported.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import sys
@@ -18,7 +17,7 @@ from typing import NamedTuple
 
 from mi_splat.cli.console import PROGRAM, progress, warn
 from mi_splat.cli.ranges import UsageError
-from mi_splat.errors import MiSplatError
+from mi_splat.errors import MiSplatError, message, nearest
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
@@ -244,6 +243,8 @@ def _plain_warnings() -> Iterator[None]:
 
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
+    if words[:1] == ["help"] and len(words) > 1:
+        words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
         return DONE if words else MISUSED
@@ -254,9 +255,9 @@ def _dispatch(words: list[str]) -> int:
         return DONE
     name, *rest = words
     if name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.4)
-        hint = f"did you mean {near[0]}?" if near else f"try {PROGRAM} --help"
-        warn(f"command: expected one of {', '.join(COMMANDS)}, got {name}; {hint}")
+        warn(
+            message("command", f"one of {', '.join(COMMANDS)}", name, nearest(name, COMMANDS, f"try {PROGRAM} --help"))
+        )
         return MISUSED
     from attacks.cli.parsing import parse
 
@@ -279,8 +280,8 @@ def _help() -> str:
             "commands:",
             *lines,
             "",
-            f"  {PROGRAM} COMMAND --help  the options of one command",
-            f"  {PROGRAM} --version       the version",
+            f"  {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help",
+            f"  {PROGRAM} --version     the version",
             "",
             "exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage",
             "",

@@ -31,7 +31,7 @@ def run(options: DaggerOptions) -> int:
         chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
         weights = chosen.weights(loaded)
         require_visible(weights)
-        detectors = load_detectors(options.detector, options.weights, flag="--detector")
+        detectors = load_detectors(options.detectors, options.weights)
         advance("attacking", 0)
         result = attack(
             loaded.scene,
@@ -81,7 +81,7 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     several = len(result.detectors) > 1
     counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
     reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
-    show(f"{outcome}: {' and '.join(options.detector)} shall {aim} in place of {_name(options)}; {reached}.")
+    show(f"{outcome}: {' and '.join(options.detectors)} shall {aim} in place of {_name(options)}; {reached}.")
     effort = (
         f"after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."

@@ -42,7 +42,7 @@ def small_weights(name: str, weights: Path | None) -> Path:
     if weights is not None:
         return Path(weights)
     if name in NOT_SHIPPED:
-        do = f"train it with mi-splat train-detector --detector {name}, then name its best.safetensors"
+        do = f"train it with mi-splat train-detector --detectors {name}, then name its best.safetensors"
         raise DetectorError(message(f"weights of {name}", "a file", "none: none are shipped", do)).hinted("--weights")
     return SMALL_WEIGHTS[name]
 

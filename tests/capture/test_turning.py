@@ -129,7 +129,7 @@ OPTIONS: dict[str, tuple[list[str], str]] = {
     "cameras": (["--cameras", "orbit:2@30"], "cameras 'orbit:2@20', now 'orbit:2@30'"),
     "fov": (["--fov", "50"], "fov 45.0, now 50.0"),
     "distance": (["--distance", "9"], "distance None, now 9.0"),
-    "size": (["--size", "20"], "size [16], now [20]"),
+    "size": (["--size", "20"], "size [16, 16], now [20, 20]"),
 }
 
 

@@ -19,7 +19,7 @@ from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
 from tests.fakes import ColourDetector, toy_scene
 
-VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32", "32"]
+VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32"]
 
 
 def painted(scene: GaussianScene, mask: torch.Tensor, colour: tuple[float, float, float]) -> GaussianScene:

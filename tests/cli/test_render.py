@@ -13,7 +13,7 @@ from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from tests.fakes import camera, toy_scene
 
-SMALL = ["--size", "24", "16"]
+SMALL = ["--size", "24x16"]
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_frames_of_different_sizes_are_no_animation(toy: Path, capsys: pytest.Ca
     words = ["render", "toy.ply", "--cameras", "cameras.json", "--out", "a.gif"]
     assert cli.main(words) == 1
     assert "cameras of one size, got 16 x 16, 20 x 20; pass --size" in capsys.readouterr().err
-    assert cli.main([*words, "--size", "24", "16"]) == 0
+    assert cli.main([*words, "--size", "24x16"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def pixels(path: Path) -> np.ndarray:
 
 def test_render_frames_a_bare_splat(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder / "new" / "picture.png"
-    assert cli.main(["render", str(folder / "cloud.ply"), "--out", str(out), "--size", "60", "40", "--json"]) == 0
+    assert cli.main(["render", str(folder / "cloud.ply"), "--out", str(out), "--size", "60x40", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == 400
     picture = pixels(out)
     assert picture.shape == (40, 60, 3)
@@ -83,7 +83,7 @@ def test_render_frames_a_bare_splat(folder: Path, capsys: pytest.CaptureFixture[
 
 
 def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
-    for words, shape in (([], (32, 48, 3)), (["--camera", "side"], (40, 20, 3)), (["--size", "24", "16"], (16, 24, 3))):
+    for words, shape in (([], (32, 48, 3)), (["--camera", "side"], (40, 20, 3)), (["--size", "24x16"], (16, 24, 3))):
         out = folder / "picture.png"
         assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
         picture = pixels(out)
@@ -97,14 +97,14 @@ def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) 
     (folder / "other.xml").write_text(XML.replace("cloud.ply", "cloud.glb"))
     found = {}
     for name in ("scene.xml", "other.xml", "cloud.ply", "cloud.glb"):
-        assert cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32", "24"]) == 0
+        assert cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32x24"]) == 0
         found[name] = pixels(folder / "a.png")
     assert np.array_equal(found["scene.xml"], found["other.xml"])
     assert np.array_equal(found["cloud.ply"], found["cloud.glb"])
 
 
 def test_render_puts_a_background_behind(folder: Path) -> None:
-    words = ["--background", "1", "0", "0", "--azimuth", "90", "--size", "32", "32"]
+    words = ["--background", "1", "0", "0", "--azimuth", "90", "--size", "32"]
     out = folder / "picture.png"
     assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
     assert pixels(out)[0, 0].tolist() == [255, 0, 0]

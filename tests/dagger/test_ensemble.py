@@ -124,7 +124,7 @@ def test_the_command_says_what_each_detector_saw(
     save_splat(scene, tmp_path / "toy.ply")
     monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: [FINE, COARSE])
     words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--eps", "20"]
-    words += ["--distance", "3", "--fov", "50", "--size", "32", "32", "--noise-draws", "0", "--detector", "a", "b"]
+    words += ["--distance", "3", "--fov", "50", "--size", "32", "--noise-draws", "0", "--detectors", "a", "b"]
     np.save(tmp_path / "mask.npy", np.arange(10, 40))
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -201,7 +201,7 @@ class TestCommand:
     """The command, on the toy scene."""
 
     WORDS = ("--mask", "mask.npy", "--eps", "10", "--steps", "8", "--seeds", "2")
-    VIEW = ("--distance", "3", "--fov", "50", "--size", "32", "32")
+    VIEW = ("--distance", "3", "--fov", "50", "--size", "32")
 
     @pytest.fixture(autouse=True)
     def folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,7 +232,7 @@ class TestCommand:
     ) -> None:
         few = [check for check in CHECKS if check.__name__ in ("clean", "gradient")]
         monkeypatch.setattr(dagger_sanity, "CHECKS", few)
-        assert self.call("--detector", "flipped", "--surrogate", "none", "--json") == 1
+        assert self.call("--detectors", "flipped", "--surrogate", "none", "--json") == 1
         values = json.loads(capsys.readouterr().out)
         assert values["passed"] is False
         assert "gradient" in {one["check"] for one in values["checks"] if one["colour"] == "red"}

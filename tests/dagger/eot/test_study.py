@@ -153,7 +153,7 @@ def test_the_command_attacks_and_tells(
 ) -> None:
     save_splat(toy_scene()[0], tmp_path / "a.ply")
     monkeypatch.setattr(dagger_eot, "load_detectors", lambda names, weights: [ColourDetector()])
-    words = "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 32 --fov 45"
+    words = "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 --fov 45"
     words += " --azimuths 250 290 --elevations 0 20 --eps 2 --steps 6 --step-factor 4 --pool 6 --validation 2"
     words += " --image-psnr None"
     out = tmp_path / "out"
