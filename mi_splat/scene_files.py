@@ -178,7 +178,7 @@ def orbit_camera(
     if not 0 < fov < 180:
         raise InvalidValueError(message("fov", "degrees between 0 and 180", fov, "45 is usual"))
     if min(size) < 1:
-        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance 640 480"))
+        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance (640, 480)"))
     middle, radius = bounds(scene)
     half = math.radians(fov) / 2
     if distance is None:

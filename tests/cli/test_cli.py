@@ -15,7 +15,6 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.cli.parsing import argument_parser, parse
 from mi_splat.cli import console
 from mi_splat.errors import MiSplatError
 from mi_splat.io import save_splat
@@ -279,37 +278,3 @@ def test_help_before_a_command_is_that_command_s(command: str, capsys: pytest.Ca
 def test_help_of_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["help", "dager"]) == 2
     assert "did you mean dagger?" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", ["render", "capture", "view", "dagger", "train"])
-def test_values_have_one_spelling_in_every_command(command: str) -> None:
-    def option(name: str, *words: str) -> object:
-        needed = {"train": ["set", "--out", "out"], "dagger": [], "view": ["a"], "render": ["a"], "capture": ["a"]}
-        options = parse(command, cli.COMMANDS[command], [*needed[command], f"--{name}", *words])
-        return getattr(options, name, None) or getattr(getattr(options, "view", options), name)
-
-    if command != "train":
-        assert option("size", "128") == (128, 128)
-        assert option("size", "256x192") == (256, 192)
-    if command != "capture":
-        assert option("background", "white") == option("background", "1", "1", "1") == (1.0, 1.0, 1.0)
-        assert option("background", "#80b0e0") == (128 / 255, 176 / 255, 224 / 255)
-        assert option("background", "SkyBlue") == (135 / 255, 206 / 255, 235 / 255)
-
-
-def test_an_axis_is_a_letter_or_three_numbers() -> None:
-    for words, up in ((["-y"], (0, -1, 0)), (["+x"], (1, 0, 0)), (["0", "-1", "0"], (0, -1, 0)), (["z"], (0, 0, 1))):
-        options = parse("render", cli.COMMANDS["render"], ["--up", *words, "a.ply"])
-        assert (options.view.up, options.scene.name) == (up, "a.ply")
-    for typed, up in (("-z", "-z"), ("+y", "y"), ("x", "x")):
-        assert parse("capture", cli.COMMANDS["capture"], ["a.ply", "--up", typed]).mesh.up == up
-    for typed, front in (("y", "+y"), ("-x", "-x")):
-        assert parse("capture", cli.COMMANDS["capture"], ["a.ply", "--front", typed]).mesh.front == front
-
-
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_detectors_are_named_by_one_flag(command: str) -> None:
-    flags = {
-        flag for action in argument_parser(command, cli.COMMANDS[command])._actions for flag in action.option_strings
-    }
-    assert "--detector" not in flags

@@ -127,7 +127,7 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     [
         (["clean.ply", "clean.ply"], "one that differs from the other"),
         (["clean.ply", "half.ply"], "the same Gaussians in both, got 40 and 20"),
-        (["clean.ply", "attacked.ply", "--target", "unicorn"], "one of car, person, stop sign, got unicorn"),
+        (["clean.ply", "attacked.ply", "--target", "unicorn"], "tv, train, suitcase for fasterrcnn_small, got unicorn"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -180,7 +180,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
     monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
-    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: [ColourDetector()])
+    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights: [ColourDetector()])
     return loaded
 
 
@@ -218,24 +218,29 @@ def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pyt
     assert Path(document["files"]["result.json"]).is_file()
 
 
-@pytest.mark.parametrize(("eps", "change"), [("0.1", "The picture changed to a PSNR of"), ("0", "No picture changed")])
+@pytest.mark.parametrize(("eps", "change"), [("0.1", "The picture changed to a PSNR"), ("1e-6", "No picture changed")])
 def test_an_attack_that_fails_is_a_result(
     eps: str, change: str, toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["--object", "thing", "--eps", eps, "--noise-draws", "1", "--out", str(tmp_path)]
     assert cli.main(["dagger", *words]) == 0
     text = capsys.readouterr().out
-    assert text.startswith("FAILED")
+    assert text.startswith("FAILED: fake_colour does not see a person in place of the thing; 0 of 1 views.")
     assert change in text
     psnr = json.loads((tmp_path / "result.json").read_text())["image_psnr"]
-    assert (psnr is None) == (eps == "0")
+    assert (psnr is None) == (eps == "1e-6")
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         (["--object", "bicycle"], "rest, thing"),
-        (["--object", "thing", "--target", "unicorn"], "unicorn"),
+        (["--object", "thing", "--target", "unicorn"], "--target: expected one of car, person, "),
+        (["--object", "thing", "--target", "car"], "expected another class than is seen before the attack, got car"),
+        (
+            ["--object", "stop_sign", "--target", "stop sign"],
+            "than the object's, stop sign, got stop sign",
+        ),
         (["--object", "thing", "--views", "behind"], "front, aside"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -254,7 +259,7 @@ def test_dagger_says_what_is_wrong(
     ("words", "says"),
     [
         (["--eps", "1", "2"], "eps: expected one number for all of sh"),
-        (["--eps", "-1"], "--eps: expected a number >= 0 (units of the splat file), got -1"),
+        (["--eps", "0"], "--eps: expected a number > 0 (units of the splat file), got 0"),
         (["--steps", "0"], "steps: expected a number >= 1"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -27,7 +27,7 @@ from mi_splat.cli import selecting
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.scene import GaussianScene
-from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
 
 
 class Reversed(torch.autograd.Function):
@@ -210,6 +210,7 @@ class TestCommand:
         monkeypatch.chdir(tmp_path)
         known = {"fasterrcnn_small": ColourDetector(), "other": CoarseDetector(), "flipped": FlippedDetector()}
         monkeypatch.setattr(dagger_sanity, "load_detector", lambda name, weights=None: known[name])
+        register(monkeypatch, known)
         monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
 
     def call(self, *words: str) -> int:

@@ -160,7 +160,7 @@ def test_the_command_attacks_and_tells(
     line = ["dagger-eot", str(tmp_path / "a.ply"), *words.split(), "--held-out", "4", "--out", str(out)]
     assert cli.main(line) == 0
     said = capsys.readouterr().out
-    assert said.startswith("SUCCESS: fasterrcnn_small shall see a person; 4 of 4")
+    assert said.startswith("SUCCESS: fasterrcnn_small sees a person in place of the selection in 4 of 4")
     assert sorted(path.name for path in out.iterdir()) == ["attacked.ply", "held_out.png", "mask.npy", "result.json"]
     assert not (tmp_path / "out.checkpoint").exists()
     assert cli.main(line) == 1  # the folder is in use
