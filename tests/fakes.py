@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -107,10 +109,14 @@ def toy_scene(*, degree: int = 1, seed: int = 0, count: int = 30) -> tuple[Gauss
     return scene, mask
 
 
+def _given(detector: Detector, weights: Path | None) -> Detector:
+    return detector
+
+
 def register(monkeypatch: pytest.MonkeyPatch, detectors: Mapping[str, Detector]) -> None:
     """Make detectors known by name to every command, as those of an installed package are."""
     for name, detector in detectors.items():
         spec = DetectorSpec(
-            name=name, load=lambda _, it=detector: it, classes=detector.classes, origin="a test", licence="none"
+            name=name, load=partial(_given, detector), classes=detector.classes, origin="a test", licence="none"
         )
         monkeypatch.setitem(registry._REGISTRY._specs, name, spec)

@@ -48,7 +48,9 @@ def _colour(words: Sequence[str]) -> tuple[float, float, float]:
     from PIL import ImageColor  # only where it is needed
 
     try:
-        red, green, blue = ImageColor.getrgb(words[0])
+        red, green, blue, *rest = ImageColor.getrgb(words[0])
+        if rest:
+            raise ValueError(f"{words[0]} is transparent")
     except ValueError:
         do = nearest(words[0], ImageColor.colormap, "write for instance white, #80b0e0 or 0.5 0.7 0.9")
         raise ValueError(f"expected a colour, got {words[0]!r}; {do}") from None
