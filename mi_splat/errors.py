@@ -51,3 +51,14 @@ def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
     by_small = {one.lower(): one for one in known}
     near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
     return f"did you mean {by_small[near[0]]}?" if near else otherwise
+
+
+def install(extra: str) -> str:
+    """What to do where an optional part of the package is not installed.
+
+    The package is in no index: by its bare name, pip would fetch whatever somebody has put there.
+
+    Args:
+        extra: Name of the part in pyproject.toml.
+    """
+    return f"pip install -e '.[{extra}]' in your checkout of mi-splat"

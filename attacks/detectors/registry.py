@@ -30,7 +30,7 @@ from attacks.detectors.weight_files import (
     hub_download,
     torch_download,
 )
-from mi_splat.errors import message, nearest
+from mi_splat.errors import install, message, nearest
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
@@ -213,7 +213,7 @@ def _published_transformers(name: str, weights: Path | None) -> Detector:
 
 _TO_TRAIN = "none are shipped; mi-splat train-detector makes them, name the file with --weights"
 _YOLO_LICENCE = "AGPL-3.0"
-_YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
+_YOLO_INSTALL = f"it is AGPL-3.0; {install('yolo')}"
 
 for _name, _path in SMALL_WEIGHTS.items():
     register_detector(
@@ -289,6 +289,6 @@ for _name, _entry in TRANSFORMERS_HUB.items():
             weights=partial(hub_download, _entry),
             advice="not here; downloaded when first used, or name a folder with --weights",
             requires=("transformers",),
-            install="pip install 'mi-splat[transformers]'",
+            install=install("transformers"),
         )
     )

@@ -22,7 +22,7 @@ from attacks.detectors.classes import BACKGROUND, UNUSED
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.weight_files import TRANSFORMERS_HUB
-from mi_splat.errors import message
+from mi_splat.errors import install, message
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
 try:
@@ -36,7 +36,7 @@ try:
     from transformers.utils import logging as library_logging
 except ImportError as error:
     what = "the package transformers"
-    raise DetectorError(message("detector", what, str(error), 'pip install "mi-splat[transformers]"')) from error
+    raise DetectorError(message("detector", what, str(error), install("transformers"))) from error
 
 _MIN_CONFIDENCE = 0.5
 """The library's own threshold of `post_process_object_detection`."""

@@ -24,7 +24,7 @@ from attacks.detectors.errors import DetectorError
 from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.weight_files import SMALL_YOLO_WEIGHTS
 from attacks.detectors.weights import apply_weights, read_weights
-from mi_splat.errors import message
+from mi_splat.errors import install, message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
 os.environ.setdefault("YOLO_OFFLINE", "true")
@@ -48,7 +48,7 @@ except ImportError as error:
             "detector",
             "the package ultralytics, which is AGPL-3.0, and what its OpenCV needs",
             str(error),
-            'pip install "mi-splat[yolo]"; for libGL on Debian: apt install libgl1 libglib2.0-0',
+            f"{install('yolo')}; for libGL on Debian: apt install libgl1 libglib2.0-0",
         )
     ) from error
 finally:

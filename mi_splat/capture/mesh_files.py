@@ -16,7 +16,7 @@ from mi_splat.capture.gltf import GltfError, gltf_notes
 from mi_splat.capture.mesh_colours import Surface, coloured
 from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
 from mi_splat.capture.settings import Front, MeshSettings, Up
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 UP: dict[str, Up] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
@@ -143,8 +143,8 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     try:
         import trimesh
     except ImportError as error:
-        do = "pip install 'mi-splat[meshes]'"
-        raise InvalidValueError(message("trimesh", "the package, to read mesh files", "not installed", do)) from error
+        what, do = "the package, to read mesh files", install("meshes")
+        raise InvalidValueError(message("trimesh", what, "not installed", do)) from error
     if not path.is_file():
         raise MeshFileError(message(str(path), "a mesh file", "no such file", "check the path"))
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it would print, is said here

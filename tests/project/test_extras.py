@@ -88,7 +88,7 @@ def test_a_missing_extra_is_told_before_anything_is_written(
     given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
     done = warm.run("-m", "attacks", *given, "--out", str(out), cwd=ROOT, missing=[EXTRAS[extra]])
     assert done.returncode == 1, done.stderr
-    assert f"mi-splat[{extra}]" in done.stderr.splitlines()[-1]
+    assert f"pip install -e '.[{extra}]'" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
     assert not out.exists()
 
@@ -96,7 +96,7 @@ def test_a_missing_extra_is_told_before_anything_is_written(
 def test_a_page_needs_viser_and_says_so(warm: Warm) -> None:
     done = warm.run("-m", "attacks", "view", "scenes/car_street.xml", cwd=ROOT, missing=[EXTRAS["view"]])
     assert (done.returncode, done.stdout) == (1, "")
-    assert "mi-splat[view]" in done.stderr
+    assert "pip install -e '.[view]'" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
