@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 import sys
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ import torch
 from torch import Tensor
 
 from mi_splat import rotation as quaternion
-from mi_splat.attributes import ATTRIBUTES
+from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
@@ -213,11 +212,8 @@ def merge(*scenes: GaussianScene) -> GaussianScene:
 
 def scene_hash(scene: GaussianScene) -> str:
     """SHA-256 (hexadecimal) over names, dtypes, shapes and values of the five tensors; the device does not matter."""
-    digest = hashlib.sha256()
-    for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True):
-        digest.update(f"{name} {value.dtype} {tuple(value.shape)};".encode())
-        digest.update(value.detach().cpu().contiguous().numpy().data)
-    return digest.hexdigest()
+    arrays = (value.detach().cpu().contiguous().numpy() for value in scene.tensors())
+    return values_hash(dict(zip(ATTRIBUTES, arrays, strict=True)))
 
 
 def _check_form(scene: GaussianScene) -> None:

@@ -38,9 +38,12 @@ def check_names(options: object) -> None:
     weights = getattr(options, "weights", None)
     if len(names) > 1 or isinstance(weights, tuple):
         check_detectors(names, weights or ())
+    asked = (*names, *_others(options))
+    if not asked:
+        return
     from attacks.detectors.registry import detector_spec  # not for commands that have none
 
-    known = {name: detector_spec(name).classes for name in (*names, *_others(options))}
+    known = {name: detector_spec(name).classes for name in asked}
     for flag in ("original", "target"):
         for name in names if not weights else ():  # a file of weights may have other classes
             check_class(getattr(options, flag, None), name, known[name], what=f"--{flag}")

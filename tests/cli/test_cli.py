@@ -17,8 +17,8 @@ import torch
 from attacks import cli
 from mi_splat.cli import console
 from mi_splat.errors import MiSplatError
-from mi_splat.io import save_splat
-from mi_splat.scene import GaussianScene
+from mi_splat.io import load_splat, save_splat
+from mi_splat.scene import GaussianScene, scene_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,12 +29,14 @@ def splat(tmp_path: Path) -> Path:
     count = 200
     turns = torch.nn.functional.normalize(torch.randn(count, 4), dim=1)
     middle = torch.tensor([1.0, 2.0, 3.0])
+    sh = torch.ones(count, 4, 3)
+    sh[0] *= 2
     scene = GaussianScene(
         means=middle + 0.3 * torch.randn(count, 3),
         scales=torch.full((count, 3), 0.1),
         rotations=turns,
         opacities=torch.full((count,), 0.8),
-        sh=torch.ones(count, 4, 3),
+        sh=sh,
     )
     path = tmp_path / "cloud.ply"
     save_splat(scene, path)
@@ -278,3 +280,14 @@ def test_help_before_a_command_is_that_command_s(command: str, capsys: pytest.Ca
 def test_help_of_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["help", "dager"]) == 2
     assert "did you mean dagger?" in capsys.readouterr().err
+
+
+def test_info_of_a_ply_needs_no_torch(tmp_path: Path) -> None:
+    code = "import sys; from attacks.cli import main; assert main(sys.argv[1:]) == 0; print('torch' in sys.modules)"
+    path = ROOT / "scenes" / "car_street_car.ply"
+    words = [sys.executable, "-c", code, "info", str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
+    lines = done.stdout.splitlines()
+    assert lines[-1] == "False"
+    assert lines[2].split() == ["gaussians", "10,075"]
+    assert lines[-3].split() == ["hash", scene_hash(load_splat(path))]

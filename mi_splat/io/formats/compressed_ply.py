@@ -34,14 +34,6 @@ _WIDE, _NARROW, _BYTE, _TEN = 2047, 1023, 255, 1023
 _SH_LIMIT = 4.0
 
 
-def is_compressed(header: Header) -> bool:
-    """Whether a PLY is a compressed splat, from its header."""
-    return any(
-        element.name == "vertex" and _PACKED[0] in [column.name for column in element.properties]
-        for element in header.elements
-    )
-
-
 def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     """Read a compressed PLY, with or without ranges of colours and SH.
 

@@ -1,17 +1,18 @@
-"""Rows of a 3DGS PLY file to tensors and back."""
+"""Rows of a 3DGS PLY file to arrays, which needs no torch, and from tensors back."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from mi_splat.io.parameters import activate, to_raw_parameters
+from mi_splat.io.loaded import unit
 from mi_splat.io.ply.blocks import Rows
-from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.scene import GaussianScene
 
 COLUMNS = {
     "means": ("x", "y", "z"),
@@ -53,6 +54,8 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
     Returns:
         Whether all values are finite.
     """
+    from mi_splat.io.parameters import to_raw_parameters  # brings torch, which reading does without
+
     values = {name: value.numpy() for name, value in to_raw_parameters(part).items()}
     for name in COLUMNS:
         rows[name] = values[name]
@@ -62,26 +65,27 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
     return bool(np.isfinite(rows.view("<f4")).all())
 
 
-def unpack(rows: Rows, rest: int, part: Sequence[Tensor]) -> NDArray[np.bool_]:
-    """Fill the five float32 tensors `part` from rows of a file, in any kinds and byte order.
+def unpack(rows: Rows, rest: int, part: Sequence[NDArray[np.float32]]) -> NDArray[np.bool_]:
+    """Fill the five float32 arrays `part` from rows of a file, in any kinds and byte order.
 
     Returns:
         (rows,) which Gaussians are valid.
     """
     table, place = _table(rows, rest)
-    values = {name: torch.from_numpy(_columns(table, place, columns)) for name, columns in COLUMNS.items()}
-    values["opacities"] = values["opacities"][:, 0]
-    logits = values["opacities"].numpy()
-    values["sh"] = values["means"][:, None]
-    for target, value in zip(part[:4], activate(values)[:4], strict=True):
-        target.copy_(value)
-    colours = part[4].numpy()
-    with np.errstate(over="ignore"):
+    means, scales, rotations, opacities, colours = part
+    values = {name: _columns(table, place, columns) for name, columns in COLUMNS.items()}
+    logits = values["opacities"][:, 0]
+    with np.errstate(all="ignore"):  # of a thread; what is not finite is judged below
+        means[:] = values["means"]
+        # As `mi_splat.io.parameters.activate`: in float64, rounded once to the file's kind.
+        scales[:] = np.exp(values["scales"], dtype=np.float64).astype(values["scales"].dtype)
+        rotations[:] = unit(values["rotations"])
+        opacities[:] = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(logits.dtype)
         colours[:, 0] = _columns(table, place, DC)
         for channel in range(3 if rest else 0):
             names = rest_names(rest)[channel * rest // 3 : (channel + 1) * rest // 3]
             colours[:, 1:, channel] = _columns(table, place, names)
-    return _valid([value.numpy() for value in part], logits)
+    return _valid(part, logits)
 
 
 def _table(rows: Rows, rest: int) -> tuple[NDArray[np.floating], dict[str, int]]:
