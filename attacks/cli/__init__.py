@@ -259,9 +259,11 @@ def _dispatch(words: list[str]) -> int:
             message("command", f"one of {', '.join(COMMANDS)}", name, nearest(name, COMMANDS, f"try {PROGRAM} --help"))
         )
         return MISUSED
+    from attacks.cli.names import check_names
     from attacks.cli.parsing import parse
 
     options = parse(name, COMMANDS[name], rest)
+    check_names(options)
     with progress("starting"):
         module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
     return int(module.run(options))

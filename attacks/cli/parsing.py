@@ -24,7 +24,6 @@ from tyro.constructors import (
 
 from attacks.cli.examples import ALIASES, EXAMPLES, SEE_ALSO
 from attacks.cli.metavars import metavar
-from attacks.cli.names import check_names
 from attacks.cli.ranges import ALL_RANGES
 from attacks.cli.usage_errors import in_one_line
 from mi_splat.cli.console import PROGRAM
@@ -51,14 +50,12 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
 
     Raises:
         UsageError: The words are no options of the command, or a number is out of its range.
-        MiSplatError: As in `check_names`.
     """
     given = as_one_word([_canonical(word, ALIASES.get(name, {})) for word in words])
     with in_one_line():
         kind, told = _told(name, command, words)
         options = tyro.cli(kind, args=given, description=description(name, kind), **told)
     check_ranges(options, ALL_RANGES)
-    check_names(options)
     return options
 
 
