@@ -21,6 +21,7 @@ from mi_splat.cli.ranges import UsageError
 from mi_splat.errors import MiSplatError
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
+_MAX_PIXELS = ("--max-pixels", "--max_pixels")
 
 
 class Command(NamedTuple):
@@ -223,7 +224,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except UsageError as error:
-        warn(f"{words[0]}: {error} (see {PROGRAM} {words[0]} --help)")
+        name = words[0] if words and words[0] in COMMANDS else ""
+        warn(f"{f'{name}: ' if name else ''}{error} (see {PROGRAM} {f'{name} ' if name else ''}--help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
         hint = error.hint if isinstance(error, MiSplatError) else ""
@@ -244,6 +246,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
+    most = _taken(words)
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
         return DONE if words else MISUSED
@@ -263,7 +266,26 @@ def _dispatch(words: list[str]) -> int:
     options = parse(name, COMMANDS[name], rest)
     with progress("starting"):
         module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
-    return int(module.run(options))
+    if most is None:
+        return int(module.run(options))
+    from mi_splat.io.picture_files import pixel_limit
+
+    with pixel_limit(most):
+        return int(module.run(options))
+
+
+def _taken(words: list[str]) -> int | None:
+    """The number behind --max-pixels, which every command takes; the flag is removed from the words."""
+    found = None
+    for word in [word for word in words if word.partition("=")[0] in _MAX_PIXELS]:
+        place = words.index(word)
+        values = [word.partition("=")[2]] if "=" in word else words[place + 1 : place + 2]
+        del words[place : place + (1 if "=" in word else 2)]
+        if not values or not values[0].isdecimal() or int(values[0]) < 1:
+            got = values[0] if values else "nothing"
+            raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
+        found = int(values[0])
+    return found
 
 
 def _help() -> str:
@@ -281,6 +303,7 @@ def _help() -> str:
             "",
             f"  {PROGRAM} COMMAND --help  the options of one command",
             f"  {PROGRAM} --version       the version",
+            "  --max-pixels N           with any command: pixels that a picture which is read may have (50000000)",
             "",
             "exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage",
             "",

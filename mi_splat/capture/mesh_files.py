@@ -17,6 +17,7 @@ from mi_splat.capture.mesh_colours import Surface, coloured
 from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
 from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.picture_files import pixels_bounded
 
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 UP: dict[str, Literal["y", "z"]] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
@@ -143,7 +144,8 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     try:
         notes = read(path)
         given = str(path) if notes.data is None else io.BytesIO(notes.data)
-        scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
+        with pixels_bounded():
+            scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     except GltfError as error:
         raise MeshFileError(str(error)) from error

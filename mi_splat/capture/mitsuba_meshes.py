@@ -15,6 +15,7 @@ from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.texture_files import check_texture
 from mi_splat.mitsuba_log import log_to_stderr
 
 VARIANT = "scalar_rgb"
@@ -178,11 +179,13 @@ def read_environment(path: Path) -> Floats:
 
     Raises:
         InvalidValueError: There is no such file, or it is no OpenEXR or Radiance HDR picture of finite values >= 0.
+        PictureFileError: It has too many pixels, or no header that says how many.
     """
     expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
     if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
         found = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
         raise InvalidValueError(message("environment", expected, found, "check the path"))
+    check_texture(path, f"environment {path}")
     with scalar_variant():
         try:
             bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)

@@ -24,6 +24,7 @@ from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.picture_files import load_picture
 
 OnStep = Callable[[int, int], None]
 Record = dict[str, Any]
@@ -153,7 +154,7 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
         raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
     pictures = []
     for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
-        image = torch.from_numpy(np.array(Image.open(folder / name)))
+        image = torch.from_numpy(np.array(load_picture(folder / name)))
         boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
         conditions = tuple(ViewingConditions(**values) for values in record.get("conditions", ()))
         pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64), conditions))
