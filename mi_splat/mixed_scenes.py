@@ -7,7 +7,6 @@ import os
 import re
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import torch
 from torch import Tensor
@@ -15,6 +14,7 @@ from torch import Tensor
 from mi_splat import variant
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.scene_xml import check_scene_file, scene_elements
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import SplatScene, load_mitsuba_scene, values_of
 
@@ -28,10 +28,10 @@ SAMPLES = 64
 def holds_surfaces(path: Path) -> bool:
     """Whether a scene file names shapes that are no splats; False where it cannot be read."""
     try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError):
+        elements = scene_elements(path)
+    except InvalidValueError:
         return False
-    return any(shape.get("type") not in SPLATS for shape in root.iter("shape"))
+    return any(one.get("type") not in SPLATS for one in elements if one.tag == "shape")
 
 
 def contents_hash(path: Path) -> str:
@@ -40,8 +40,9 @@ def contents_hash(path: Path) -> str:
     They are looked for where Mitsuba does: beside the scene file, then in the working folder.
 
     Raises:
-        InvalidValueError: The scene file cannot be read.
+        InvalidValueError: The scene file cannot be read, or is none that Mitsuba may read.
     """
+    check_scene_file(path)
     digest = hashlib.sha256()
     for file in _with_named_files(path):
         digest.update(hashlib.sha256(file.read_bytes()).digest())
@@ -50,10 +51,7 @@ def contents_hash(path: Path) -> str:
 
 def _with_named_files(path: Path) -> list[Path]:
     """A scene file and those that its strings and inclusions name, in their order."""
-    try:
-        elements = list(ElementTree.parse(path).iter())
-    except (OSError, ElementTree.ParseError) as error:
-        raise InvalidValueError(message(f"scene {path}", "a Mitsuba XML file", str(error), "check the path")) from error
+    elements = scene_elements(path)
     defaults = {f"${one.get('name')}": one.get("value", "") for one in elements if one.tag == "default"}
     words = [one.get("value" if one.tag == "string" else "filename", "") for one in elements]
     found = [path]

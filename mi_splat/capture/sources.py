@@ -23,6 +23,7 @@ from mi_splat.capture.path_tracer import Light, PathTracer, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.working_frame import WorkingFrame, working_frame
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.scene_xml import check_scene_file
 
 SMALLEST, LARGEST = 1e-4, 1e6
 """Radii in metres of a mesh."""
@@ -183,6 +184,7 @@ def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", str(path), "check the path"))
+    check_scene_file(path)
     content = path.read_bytes()
     if _SPLATS.search(_COMMENT.sub(b"", content)):
         do = f"see it with `mi-splat render {path}`, or name a scene of meshes"

@@ -44,7 +44,7 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
 
 def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.xml").write_text("<scene")
-    with pytest.raises(MiSplatError, match=r"bad\.xml: expected a scene"):
+    with pytest.raises(MiSplatError, match=r"bad\.xml: expected a Mitsuba XML file"):
         open_source(str(tmp_path / "bad.xml"))
 
 
