@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import logging
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -33,16 +35,10 @@ COARSE = 1e-3
 _TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
 """Degrees about z that turn a front to +x."""
 
-# What trimesh raises for files that are broken in one way or another.
+# What trimesh raises for files that are broken in one way or another; NameError, where it assumes an element.
 _BROKEN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NotImplementedError,
-    ArithmeticError,
-    AssertionError,
+    *(OSError, ValueError, LookupError, TypeError, AttributeError, NotImplementedError, ArithmeticError, EOFError),
+    *(AssertionError, NameError, RecursionError, MemoryError, SyntaxError, struct.error, zlib.error),
 )
 
 
@@ -66,6 +62,7 @@ class LoadedMesh:
     warnings: tuple[str, ...] = ()
 
 
+@np.errstate(all="ignore")  # numbers that are not finite are refused where they end up
 def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     """All meshes of a file as one asset, with z up.
 
@@ -168,8 +165,7 @@ def _too_coarse(pieces: list[tuple[Any, NDArray[np.float64]]], surfaces: list[Su
     size, coarsest, where = float(np.ptp(points, axis=0).max()), 0.0, 0.0
     for piece, placed in pieces:
         farthest = float(np.abs(piece.vertices).max())
-        with np.errstate(all="ignore"):  # numbers that are not finite are refused later
-            step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
+        step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
         coarsest, where = max((coarsest, where), (step, farthest))
     if not coarsest > COARSE * size > 0:
         return []
