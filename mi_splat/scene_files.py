@@ -85,7 +85,8 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
         among: What else it may hold.
 
     Raises:
-        InvalidValueError: It holds no `gaussians` shape or no sensor, or shapes that it may not hold.
+        InvalidValueError: It holds no `gaussians` shape or no sensor, a sensor that is no pinhole camera, or shapes
+            that it may not hold.
     """
     from mi_splat.plugins import sensor as sensors
     from mi_splat.plugins.gaussian_shapes import GaussianShapes
@@ -98,7 +99,12 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
     scenes = shapes.scenes()
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
     scene = merge(*scenes)
-    cameras = {sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()}
+    cameras = dict[str, Camera]()
+    for sensor in loaded.sensors():
+        try:
+            cameras[sensor.id()] = sensors.camera(sensor)
+        except InvalidValueError as error:
+            raise InvalidValueError(f'{path}, sensor "{sensor.id()}": {error}') from error
     return SplatScene(
         scene=scene,
         objects={name: slice(start, end) for name, start, end in zip(shapes.names, ends[:-1], ends[1:], strict=True)},

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning
 from mi_splat.rotation import normalise
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import LARGEST, GaussianScene
 
 SHOWN = 5
 """How many names or rows a message lists."""
@@ -84,11 +84,11 @@ def judged(
     arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
     arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
     good = [
-        np.isfinite(arrays[0]),
-        np.isfinite(arrays[1]) & (arrays[1] > 0),
+        np.abs(arrays[0]) <= LARGEST,
+        (arrays[1] > 0) & (arrays[1] <= LARGEST),
         np.isfinite(arrays[2]),
         (arrays[3] >= 0) & (arrays[3] <= 1),
-        np.isfinite(arrays[4]),
+        np.abs(arrays[4]) <= LARGEST,
     ]
     scene = GaussianScene.unchecked(*(torch.from_numpy(value) for value in arrays))
     valid = np.ones(len(arrays[0]), np.bool_)

@@ -18,7 +18,7 @@ from mi_splat.io.ply.blocks import Rows, for_each_block
 from mi_splat.io.ply.body import locate, read_rows
 from mi_splat.io.ply.header import Element, Header
 from mi_splat.io.ply.rows import REST_COUNTS, describe, file_names, file_record, needed_names, pack, unpack
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import ATTRIBUTES, LARGEST, GaussianScene
 from mi_splat.sh import coefficient_count
 
 
@@ -48,7 +48,7 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         SplatFileError: The file cannot be written; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     rest = 3 * (scene.sh.shape[1] - 1)
     properties = "\n".join(f"property float {name}" for name in file_names(rest))
@@ -62,7 +62,8 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
             last = first + len(rows)
             if not pack(GaussianScene.unchecked(*(value[first:last] for value in tensors)), rows):
                 found = f"others between rows {first} and {last - 1}"
-                raise InvalidValueError(message("scene", "values that are finite in float32", found, "remove them"))
+                expected = f"values that are finite in float32, up to {LARGEST:g}"
+                raise InvalidValueError(message("scene", expected, found, "remove them"))
             with lock:
                 file.seek(len(head) + first * record.itemsize)
                 write_all(file, rows.view(np.uint8).data)
