@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from mi_splat import rotation as quaternion
-from mi_splat.attributes import ATTRIBUTES
+from mi_splat.attributes import ATTRIBUTES, LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
@@ -25,13 +25,6 @@ __all__ = [
     "merge",
     "scene_hash",
 ]
-
-LARGEST = 1e9
-"""Largest coordinate, scale and SH coefficient of a scene, and largest coordinate and focal length of a camera.
-
-Renderers compute in float32, which ends at 3e38: the fourth power of this number, as in the determinant of a footprint,
-is just inside. Coordinates on Earth, whatever their origin, are below 3e7 metres. At 1e9, float32 steps are 64 units.
-"""
 
 UNIT_TOLERANCE = 1e-3
 """How far from one the norm of a scene's quaternions may be."""

@@ -17,11 +17,10 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from mi_splat.cli.console import PROGRAM, progress, warn
-from mi_splat.cli.ranges import UsageError
-from mi_splat.errors import MiSplatError
+from mi_splat.cli.ranges import UsageError, take_max_pixels
+from mi_splat.errors import MiSplatError, printable
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
-_MAX_PIXELS = ("--max-pixels", "--max_pixels")
 
 
 class Command(NamedTuple):
@@ -237,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _plain_warnings() -> Iterator[None]:
     """Show warnings in one line each, without the line of code that raised them."""
     before = warnings.formatwarning
-    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {' '.join(str(text).split())}\n"
+    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {printable(' '.join(str(text).split()))}\n"
     try:
         yield
     finally:
@@ -246,7 +245,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
-    most = _taken(words)
+    most = take_max_pixels(words)
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
         return DONE if words else MISUSED
@@ -272,20 +271,6 @@ def _dispatch(words: list[str]) -> int:
 
     with pixel_limit(most):
         return int(module.run(options))
-
-
-def _taken(words: list[str]) -> int | None:
-    """The number behind --max-pixels, which every command takes; the flag is removed from the words."""
-    found = None
-    for word in [word for word in words if word.partition("=")[0] in _MAX_PIXELS]:
-        place = words.index(word)
-        values = [word.partition("=")[2]] if "=" in word else words[place + 1 : place + 2]
-        del words[place : place + (1 if "=" in word else 2)]
-        if not values or not values[0].isdecimal() or int(values[0]) < 1:
-            got = values[0] if values else "nothing"
-            raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
-        found = int(values[0])
-    return found
 
 
 def _help() -> str:

@@ -12,14 +12,12 @@ from pathlib import Path
 import hypothesis
 import numpy as np
 import pytest
-import torch
 from hypothesis import strategies as st
 
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
-from mi_splat.io.points import load_points
+from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
 from mi_splat.scene import GaussianScene
-from tests.gaussians import ply_bytes, ply_header, random_scene, splat_names, splat_rows
+from tests.gaussians import ply_bytes, ply_header, splat_names, splat_rows
 
 ROWS = splat_rows(10, 1)
 HEAD = ply_header(ROWS)
@@ -182,23 +180,6 @@ def test_invalid_gaussians_are_refused_or_dropped(change: dict[str, float], word
     assert caught[0].filename == __file__
     np.testing.assert_array_equal(scene.means[:, 0], np.delete(rows["x"], [3, 7]))
     GaussianScene(*scene.tensors())
-
-
-@pytest.mark.parametrize("ending", ["ply", "glb"])
-def test_scenes_with_coordinates_of_a_map_are_valid(ending: str, tmp_path: Path) -> None:
-    scene = random_scene(5)
-    save_splat(scene.replace(means=scene.means + torch.tensor([5e5, 5.8e6, -2e7])), tmp_path / f"a.{ending}")
-    assert load_splat(tmp_path / f"a.{ending}").means.abs().max() > 1e7
-
-
-def test_points_too_far_away_are_named(tmp_path: Path) -> None:
-    rows = splat_rows(10)
-    rows["y"][7] = 1e30
-    (tmp_path / "points.ply").write_bytes(ply_bytes(rows))
-    with pytest.raises(
-        SplatFileError, match=r"points\.ply.*coordinates up to 1e\+09, got .* in row 7 \(1 of 10 rows\)"
-    ):
-        load_points(tmp_path / "points.ply")
 
 
 def test_doubles_that_leave_float32_are_invalid(tmp_path: Path) -> None:
