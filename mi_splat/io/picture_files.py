@@ -6,7 +6,6 @@ A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes i
 from __future__ import annotations
 
 import io
-import re
 import struct
 import threading
 import warnings
@@ -24,14 +23,17 @@ MOST_PIXELS = 50_000_000
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 """Kinds of files that are read: those that the endings of the names promise, whatever else Pillow knows."""
 
-BROKEN = (OSError, SyntaxError, ValueError, EOFError, LookupError, TypeError, struct.error, OverflowError, ImportError)
+BROKEN = (
+    *(OSError, SyntaxError, ValueError, EOFError, LookupError, TypeError, struct.error, OverflowError, MemoryError),
+    *(AttributeError, ImportError, Warning),
+)
 """What Pillow raises for files that are broken in one way or another.
 
-ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed.
+ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed. Warning: where the
+caller has made errors of warnings.
 """
 
 _ANIMATED = ("PNG", "WEBP")
-_TOO_LARGE = (Image.DecompressionBombWarning, Image.DecompressionBombError)
 _lock = threading.RLock()
 _most = MOST_PIXELS
 
@@ -63,9 +65,16 @@ def pixels_bounded() -> Iterator[None]:
 
     For libraries that open pictures themselves; what has to be decoded is decoded later.
     """
-    with _lock, warnings.catch_warnings():
+    with _pillow_limit(_most), warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, _most
+        yield
+
+
+@contextmanager
+def _pillow_limit(most: int | None) -> Iterator[None]:
+    """Another limit of Pillow's own, of which it warns, and raises at twice as many; None is none."""
+    with _lock:
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, most
         try:
             yield
         finally:
@@ -109,10 +118,10 @@ def load_picture(source: Path | bytes, what: str = "", *, formats: Sequence[str]
 @contextmanager
 def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator[Image.Image]:
     """A picture whose header is right; what Pillow raises in the block is said in our words."""
+    file = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
-        with pixels_bounded():
-            opened = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=tuple(formats))
-        with opened:
+        with _pillow_limit(None), Image.open(file, formats=tuple(formats)) as opened:
+            check_pixels(what, *opened.size)
             yield opened
     except FileNotFoundError as error:
         do = "put the picture there or take it off the list"
@@ -120,20 +129,10 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
     except UnidentifiedImageError as error:
         kinds = f"a picture that can be read ({', '.join(formats)})"
         raise PictureFileError(message(what, kinds, "something else", "save it as one of these")) from error
-    except _TOO_LARGE as error:
-        found = re.search(r"\d+", str(error))
-        raise _too_large(what, int(found[0]) if found else None) from error
     except BROKEN as error:
         found_text = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
         raise PictureFileError(message(what, "a picture that can be read", found_text, do)) from error
-
-
-def _too_large(what: str, pixels: int | None) -> PictureFileError:
-    """The error for a picture of too many pixels."""
-    found = "more" if pixels is None else f"{pixels:,}"
-    error = PictureFileError(message(what, f"at most {_most:,} pixels", found, "make it smaller, or allow more"))
-    return error.hinted("--max-pixels")
 
 
 def check_pixels(what: str, width: int, height: int) -> None:
@@ -150,4 +149,6 @@ def check_pixels(what: str, width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise PictureFileError(message(what, "a picture with pixels", f"{width} x {height}", "write it again"))
     if width * height > _most:
-        raise _too_large(what, width * height)
+        expected, found = f"at most {_most:,} pixels", f"{width * height:,}"
+        error = PictureFileError(message(what, expected, found, "make it smaller, or allow more"))
+        raise error.hinted("--max-pixels")

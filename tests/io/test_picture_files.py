@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import random
 import struct
 import warnings
 import zlib
@@ -52,6 +53,14 @@ def test_too_many_pixels_are_refused_from_the_header(size: tuple[int, int], acti
     assert before == Image.MAX_IMAGE_PIXELS
 
 
+@pytest.mark.parametrize("kind", ["PNG", "TIFF", "WEBP"])
+def test_a_raised_limit_is_above_pillow_s_own(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = saved(kind)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
+    assert load_picture(data, "square").size == (256, 256)
+    assert Image.MAX_IMAGE_PIXELS == 1000
+
+
 def test_the_limit_can_be_raised_and_lowered(tmp_path: Path) -> None:
     path = tmp_path / "large.png"
     path.write_bytes(png(20_000, 20_000))
@@ -71,6 +80,23 @@ def test_whole_files_are_read_and_broken_ones_refused(kind: str) -> None:
     assert load_picture(data, "square").size == (256, 256)
     with pytest.raises(PictureFileError, match="square: expected a picture that can be read"):
         load_picture(data[: len(data) // 2], "square")
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TIFF"])
+def test_mutants_are_pictures_or_refused(kind: str) -> None:
+    dice, data = random.Random(kind), saved(kind)
+    refused = 0
+    for _ in range(150):
+        mutant = bytearray(data)
+        for _ in range(dice.randint(1, 4)):
+            mutant[dice.randrange(200)] = dice.randrange(256)
+        with warnings.catch_warnings():
+            warnings.simplefilter(dice.choice(["error", "ignore"]))
+            try:
+                load_picture(bytes(mutant), "mutant")
+            except PictureFileError:
+                refused += 1
+    assert refused > 10
 
 
 @pytest.mark.parametrize("kind", ["GIF", "PPM", "EPS", "PDF", "TGA", "ICO"])
