@@ -53,16 +53,14 @@ def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera]
     entries = _entries(document)
     if not entries or (not reference and "reference" in document):
         return None
-    cameras, name = dict[str, Camera](), ""
-    for number, entry in enumerate(entries):
-        try:
-            name = str(number)
-            name = str(entry.get("name", entry.get("img_name", number)))
-            cameras[name] = camera_of(entry)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            got, do = f"in camera {name}: {error}", "write it again"
-            raise InvalidValueError(message(str(path), "cameras as the commands write them", got, do)) from error
-    return cameras
+    try:
+        return {
+            str(entry.get("name", entry.get("img_name", number))): camera_of(entry)
+            for number, entry in enumerate(entries)
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        do = "write it again"
+        raise InvalidValueError(message(str(path), "cameras as the commands write them", error, do)) from error
 
 
 def _entries(document: Any) -> list[Any]:
