@@ -28,7 +28,7 @@ from mi_splat.datasets.transforms import POINTS, WORLD_OFFSET
 from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_png
-from mi_splat.io.picture_files import PictureFileError, load_picture
+from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import load_points, save_points, to_bytes
 
 _GREY = (0.5, 0.5, 0.5)
@@ -89,6 +89,7 @@ def write_capture(
 
     Raises:
         InvalidValueError: There are no cameras, the folder holds something else, or no picture shows a surface.
+        PictureFileError: Pictures would have too many pixels to be read again.
         SplatFileError: A file cannot be written.
     """
     settings = settings or CaptureSettings()
@@ -135,6 +136,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
     with scalar_variant():
         for camera in (*cameras, *test):
             check_camera(camera)
+            check_pixels("size", camera.width, camera.height)  # or they could not be read again
     parts = {"train": cameras, "test": test}
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
 

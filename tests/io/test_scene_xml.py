@@ -29,6 +29,7 @@ def nested(depth: int) -> bytes:
 
 
 ENTITIES = '<!DOCTYPE scene [<!ENTITY a "aa">' + "".join(f'<!ENTITY b{i} "&a;&a;">' for i in range(9)) + "]>"
+DOUBLED = '<default name="p{}" value="$p{}$p{}"/>'
 REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
     "8,000 in each other": (lambda: nested(8000), f"more than {DEEPEST} elements in each other"),
     "a million in each other": (lambda: nested(300_000), "in each other"),
@@ -50,6 +51,14 @@ REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
     "a circle": (lambda: scene('<include filename="b/b.xml"/>'), r"a\.xml includes b\.xml includes a\.xml"),
     "a broken one": (lambda: scene('<include filename="b/c.xml"/>'), r"c\.xml.*not well-formed"),
     "one in a path": (lambda: scene('<path value="b"/><include filename="c.xml"/>'), r"c\.xml.*not well-formed"),
+    "parameters of parameters": (
+        lambda: scene('<default name="p0" value="x"/>', *map(DOUBLED.format, range(1, 40), range(39), range(39))),
+        "at most 16,777,216 characters",
+    ),
+    "a long parameter": (
+        lambda: scene(f'<default name="p" value="{"x" * 100_000}"/>', f'<string name="{"$p" * 10_000}" value=""/>'),
+        "at most 16,777,216 characters",
+    ),
     "a tree of many": (lambda: scene('<include filename="t4.xml"/>' * 50), "at most 1,000 inclusions"),
 }
 
