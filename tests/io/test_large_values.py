@@ -1,15 +1,18 @@
-"""Large values: coordinates of a map are read, those that float32 cannot bear are refused by their row."""
+"""Large values: those on a map are read, what float32 cannot bear is refused by its row, renderers bear the rest."""
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
 
+from mi_splat.cameras import Camera, look_at
 from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.points import load_points
+from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import LARGEST, GaussianScene
 from tests.gaussians import ply_bytes, random_scene, splat_rows
 
@@ -49,3 +52,14 @@ def test_values_that_are_too_large_are_refused_in_every_format(
     with pytest.raises(SplatFileError, match=r"a coordinate of the mean is -?2e\+09"):
         load_splat(path)
     assert LARGEST == 1e9
+
+
+@pytest.mark.parametrize("method", ["tile", "ray"])
+@pytest.mark.parametrize("focal", [1e9, 40.0, 1e-9])
+def test_renderers_bear_the_largest_values(method: Literal["tile", "ray"], focal: float) -> None:
+    scene = random_scene(50, 3)
+    means, sh = (value / value.abs().max() * LARGEST for value in (scene.means, scene.sh))
+    large = scene.replace(means=means, scales=torch.full_like(means, LARGEST))
+    for shown, eye in ((large, (0.9 * LARGEST, 1, 1)), (scene.replace(sh=sh), (3, 1, 1)), (scene, (LARGEST, 1, 1))):
+        camera = Camera(to_world=look_at(eye, (0, 0, 0)), focal=focal, width=32, height=24)
+        assert Renderer(RenderSettings(method=method))(shown, camera).isfinite().all()
