@@ -140,7 +140,7 @@ class View:
 
 
 class ViewSet(Sequence[View]):
-    """Views that need not be in memory: what can be known of them without reading a picture, the set says itself."""
+    """Views that need not be in memory: what can be known of them without decoding a picture, the set says itself."""
 
     __slots__ = ()
 
@@ -151,7 +151,7 @@ class ViewSet(Sequence[View]):
 
     @property
     def fingerprint(self) -> str | None:
-        """What tells the pictures of this set from others; None where only reading them would."""
+        """What tells this set from others, pixels included; None where only decoding the pictures would."""
         return None
 
 
@@ -161,7 +161,7 @@ def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:
 
 
 def fingerprint_of(views: Sequence[View]) -> str | None:
-    """What tells the pictures of a `ViewSet` from others without reading them; None of any other sequence."""
+    """What tells the pictures of a `ViewSet` from others without decoding them; None of any other sequence."""
     return views.fingerprint if isinstance(views, ViewSet) else None
 
 

@@ -17,7 +17,7 @@ from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io import SplatFileError, load_splat
 from mi_splat.io.errors import path_name
-from mi_splat.io.scene_xml import check_scene_file
+from mi_splat.io.scene_parts import check_scene_file
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, merge
 

@@ -15,7 +15,7 @@ from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.scene_xml import check_scene_file
+from mi_splat.io.scene_parts import check_scene_file
 from mi_splat.io.texture_files import check_texture
 from mi_splat.mitsuba_log import log_to_stderr
 

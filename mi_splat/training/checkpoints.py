@@ -24,8 +24,9 @@ from mi_splat.training.evaluation import Scores
 from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import strategy_config, strategy_name
 
-FORMAT = 2
-"""Of a checkpoint: 2 names its tensors as gsplat does (`sh0`, `shN`), and holds the state of any strategy."""
+FORMAT = 3
+"""Of a checkpoint: 2 named its tensors as gsplat does (`sh0`, `shN`), and held the state of any strategy; 3 knows the
+pictures of a set by their bytes, and no longer by names and sizes."""
 _ADAM = ("exp_avg", "exp_avg_sq", "step")
 _STRATEGY = "strategy/"
 
@@ -106,7 +107,7 @@ def load_state(path: Path) -> tuple[TrainState, int]:
         with safe_open(path, framework="pt") as file:
             notes = json.loads(file.metadata()["notes"])
             if notes.get("format", 1) != FORMAT:
-                expected = f"format {FORMAT}, which names strategies and SH as gsplat does"
+                expected = f"format {FORMAT}, which knows its pictures by their bytes"
                 do = "end it with the version that began it, or train anew in another folder"
                 raise CheckpointError(message(f"checkpoint {path}", expected, f"format {notes.get('format', 1)}", do))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118

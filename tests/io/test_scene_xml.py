@@ -10,11 +10,12 @@ import pytest
 from PIL import Image
 
 from attacks import cli
-from mi_splat.capture.mitsuba_meshes import load_scene
+from mi_splat.capture.mitsuba_meshes import load_scene, scalar_variant
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
-from mi_splat.io.scene_xml import DEEPEST, MOST_BYTES, MOST_ELEMENTS, check_scene_file
+from mi_splat.io.scene_parts import check_scene_file, scene_parts
+from mi_splat.io.scene_xml import DEEPEST, MOST_BYTES, MOST_ELEMENTS
 from mi_splat.mixed_scenes import MixedScene, contents_hash, holds_surfaces
 from mi_splat.scene_files import read_scene
 from tests.project.layers import ROOT
@@ -114,6 +115,17 @@ def test_pictures_that_a_scene_names_are_counted(tmp_path: Path) -> None:
         assert open_source(str(path)).radius > 0
     with pixel_limit(1199), pytest.raises(MiSplatError, match=r"wood\.png: expected at most 1,199 pixels"):
         open_source(str(path))
+
+
+def test_an_inclusion_is_first_looked_for_beside_the_file_that_includes_it(tmp_path: Path) -> None:
+    for folder in ("b", "c"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "leaf.xml").write_bytes(scene(f'<shape type="sphere" id="{folder}"/>'))
+    (tmp_path / "b" / "inner.xml").write_bytes(scene('<include filename="leaf.xml"/>'))
+    (tmp_path / "a.xml").write_bytes(scene('<path value="c"/><include filename="b/inner.xml"/>'))
+    assert scene_parts(tmp_path / "a.xml").files[1:] == [tmp_path / "b" / "inner.xml", tmp_path / "b" / "leaf.xml"]
+    with scalar_variant():  # as Mitsuba does
+        assert [shape.id() for shape in load_scene(tmp_path / "a.xml").shapes()] == ["b"]
 
 
 def test_shipped_scenes_pass() -> None:

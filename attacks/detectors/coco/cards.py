@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from datetime import datetime, timezone
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS, PublishedDetector, folder_of
+from mi_splat.io.documents import sha256
 
 
 def card(detector: PublishedDetector, folder: Path, origin: str) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def card(detector: PublishedDetector, folder: Path, origin: str) -> dict[str, An
         "source_licence": detector.source_licence,
         "taken_from": origin,
         "sha256_published": {file.member: file.sha256 for file in detector.files},
-        "sha256": {name: _sha256(folder / name) for name in (WEIGHTS, GRAPH)},
+        "sha256": {name: sha256(folder / name) for name in (WEIGHTS, GRAPH)},
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
 
@@ -73,10 +73,6 @@ def flaw(detector: PublishedDetector) -> str:
         published, written = found["sha256_published"], found["sha256"]
         if published != {file.member: file.sha256 for file in detector.files}:
             return "its card is of another version"
-        return next((f"{name} has changed" for name in (WEIGHTS, GRAPH) if _sha256(folder / name) != written[name]), "")
+        return next((f"{name} has changed" for name in (WEIGHTS, GRAPH) if sha256(folder / name) != written[name]), "")
     except (OSError, ValueError, KeyError, TypeError) as error:
         return f"it is not there ({type(error).__name__})"
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -95,6 +95,7 @@ class Training:
         averaged: State dict of the running average of its weights, as float32.
         epoch: Number of finished epochs.
         history: One dict of figures a finished epoch.
+        data: Digest of what it is trained on; empty before `go_on_with`.
     """
 
     def __init__(self, config: TrainConfig, trainer: DetectorTrainer) -> None:
@@ -104,6 +105,7 @@ class Training:
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.epoch = 0
         self.history: list[dict[str, object]] = []
+        self.data = ""
         groups = [
             {"params": [p for p in self.model.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
             {"params": [p for p in self.model.parameters() if p.ndim <= 1], "weight_decay": 0.0},
@@ -205,6 +207,7 @@ class Training:
             "config": asdict(self.config),
             "epoch": self.epoch,
             "history": self.history,
+            "data": self.data,
         }
         temporary = folder / "checkpoint.partial"
         save_file(tensors, temporary, metadata={"notes": json.dumps(notes)})
@@ -238,7 +241,24 @@ class Training:
             state["state"].setdefault(int(number), {})[name] = value
         training._optimiser.load_state_dict(state)
         training.epoch, training.history = notes["epoch"], notes["history"]
+        training.data = notes.get("data", "not known to an older version")
         return training
+
+    def go_on_with(self, data: str, folder: Path) -> None:
+        """Say what the run is trained on; one that is resumed goes on with the same alone.
+
+        Args:
+            data: Digest of all pictures, and of the weights to begin from.
+            folder: That of the run, for the message.
+
+        Raises:
+            DetectorError: It is something else.
+        """
+        if self.data not in ("", data):
+            expected = "the pictures and the weights to begin from that it began with"
+            do = "pass the same folder of pictures and the same start, or train in another folder"
+            raise DetectorError(message(f"the training in {folder}", expected, "others", do))
+        self.data = data
 
 
 def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:
