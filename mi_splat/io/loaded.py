@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning
 from mi_splat.rotation import normalise
-from mi_splat.scene import LARGEST, GaussianScene
+from mi_splat.scene import GaussianScene
 
 SHOWN = 5
 """How many names or rows a message lists."""

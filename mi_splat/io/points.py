@@ -11,13 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.ply.blocks import Rows
 from mi_splat.io.ply.body import locate, read_rows
 from mi_splat.io.ply.header import Element, read_header
-from mi_splat.scene import LARGEST
 
 _AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
 # Readers of other trainers ask for normals as well.

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.scene import LARGEST, GaussianScene
+from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, dc_to_colour, degree_of
 
 Array = NDArray[np.floating]

@@ -9,9 +9,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.attributes import LARGEST
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.io.ply.blocks import Rows
-from mi_splat.scene import LARGEST, GaussianScene
+from mi_splat.scene import GaussianScene
 
 COLUMNS = {
     "means": ("x", "y", "z"),

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError
@@ -18,7 +19,7 @@ from mi_splat.io.ply.blocks import Rows, for_each_block
 from mi_splat.io.ply.body import locate, read_rows
 from mi_splat.io.ply.header import Element, Header
 from mi_splat.io.ply.rows import REST_COUNTS, describe, file_names, file_record, needed_names, pack, unpack
-from mi_splat.scene import ATTRIBUTES, LARGEST, GaussianScene
+from mi_splat.scene import ATTRIBUTES, GaussianScene
 from mi_splat.sh import coefficient_count
 
 
