@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from mi_splat.cli.console import PROGRAM, progress, warn
-from mi_splat.cli.ranges import UsageError
-from mi_splat.errors import MiSplatError, message, nearest
+from mi_splat.cli.ranges import UsageError, take_max_pixels
+from mi_splat.errors import MiSplatError, message, nearest, printable
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
@@ -222,7 +222,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except UsageError as error:
-        warn(f"{words[0]}: {error} (see {PROGRAM} {words[0]} --help)")
+        name = words[0] if words and words[0] in COMMANDS else ""
+        warn(f"{f'{name}: ' if name else ''}{error} (see {PROGRAM} {f'{name} ' if name else ''}--help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
         hint = error.hint if isinstance(error, MiSplatError) else ""
@@ -234,7 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _plain_warnings() -> Iterator[None]:
     """Show warnings in one line each, without the line of code that raised them."""
     before = warnings.formatwarning
-    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {' '.join(str(text).split())}\n"
+    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {printable(' '.join(str(text).split()))}\n"
     try:
         yield
     finally:
@@ -243,6 +244,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
+    most = take_max_pixels(words)
     if words[:1] == ["help"] and len(words) > 1:
         words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
@@ -266,7 +268,12 @@ def _dispatch(words: list[str]) -> int:
     check_names(options)
     with progress("starting"):
         module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
-    return int(module.run(options))
+    if most is None:
+        return int(module.run(options))
+    from mi_splat.io.picture_files import pixel_limit
+
+    with pixel_limit(most):
+        return int(module.run(options))
 
 
 def _help() -> str:
@@ -284,6 +291,7 @@ def _help() -> str:
             "",
             f"  {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help",
             f"  {PROGRAM} --version     the version",
+            "  --max-pixels N         with any command: pixels that a picture which is read may have (50000000)",
             "",
             "exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage",
             "",

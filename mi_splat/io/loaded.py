@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.attributes import ATTRIBUTES, Attribute
+from mi_splat.attributes import ATTRIBUTES, LARGEST, Attribute
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning
 
@@ -118,11 +118,11 @@ def judged(
     arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
     arrays[2] = unit(arrays[2])
     good = [
-        np.isfinite(arrays[0]),
-        np.isfinite(arrays[1]) & (arrays[1] > 0),
+        np.abs(arrays[0]) <= LARGEST,
+        (arrays[1] > 0) & (arrays[1] <= LARGEST),
         np.isfinite(arrays[2]),
         (arrays[3] >= 0) & (arrays[3] <= 1),
-        np.isfinite(arrays[4]),
+        np.abs(arrays[4]) <= LARGEST,
     ]
     valid = np.ones(len(arrays[0]), np.bool_)
     for value in good:
