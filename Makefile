@@ -31,7 +31,7 @@ help:
 	@echo "make clean    remove .venv, out, dist and caches"
 
 demo: $(STAMP)
-	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --seed 0 --force --out $(OUT)
+	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --cameras rear --seed 0 --force --out $(OUT)
 
 demo-cloak: $(STAMP)
 	@$(BIN)/mi-splat cloak scenes/cloak_demo.toml --out $(OUT)-cloak

@@ -146,12 +146,12 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Time attacks on colours with frozen views beside those without.")
     parser.add_argument("--rounds", type=int, default=15, help="interleaved runs of everything")
-    parser.add_argument("--detector", nargs="+", default=["fasterrcnn_small"], help="for DAGGER")
+    parser.add_argument("--detectors", nargs="+", default=["fasterrcnn_small"], help="for DAGGER")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
     variant.use()
-    rows = measure(arguments.detector, arguments.rounds)
+    rows = measure(arguments.detectors, arguments.rounds)
     if arguments.json:
         print(json.dumps(rows, indent=2))  # noqa: T201
         return

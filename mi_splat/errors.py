@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+import unicodedata
+from collections.abc import Iterable
 from typing import TypeVar
 
 _Error = TypeVar("_Error", bound="MiSplatError")
@@ -26,6 +29,22 @@ class InvalidValueError(MiSplatError, ValueError):
     """A value that a function of this library cannot work with."""
 
 
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Kinds of characters that a terminal obeys instead of showing: controls, directions of writing, ends of lines."""
+
+
+def printable(text: str) -> str:
+    """A text as a terminal may be given it: what a terminal would obey is written as Python writes it in a string.
+
+    Names in files may hold anything. New lines and tabs stay.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        repr(sign)[1:-1] if unicodedata.category(sign) in _UNSEEN and sign not in "\n\t" else sign for sign in text
+    )
+
+
 def message(what: str, expected: object, got: object, do: str) -> str:
     """The one form of an error message: what was looked at, what was expected, what came, what to do.
 
@@ -36,3 +55,27 @@ def message(what: str, expected: object, got: object, do: str) -> str:
         do: What the reader should do about it.
     """
     return f"{what}: expected {expected}, got {got}; {do}"
+
+
+def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
+    """What to do about a word that is not known: "did you mean X?", for the one that is most like it.
+
+    Args:
+        word: What came; small and capital letters count as the same.
+        known: What would have been right.
+        otherwise: What to do where none of them is like it.
+    """
+    by_small = {one.lower(): one for one in known}
+    near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
+    return f"did you mean {by_small[near[0]]}?" if near else otherwise
+
+
+def install(extra: str) -> str:
+    """What to do where an optional part of the package is not installed.
+
+    The package is in no index: by its bare name, pip would fetch whatever somebody has put there.
+
+    Args:
+        extra: Name of the part in pyproject.toml.
+    """
+    return f"pip install -e '.[{extra}]' in your checkout of mi-splat"

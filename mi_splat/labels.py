@@ -2,7 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from PIL import ImageDraw, ImageFont
+
+Plate = tuple[float, float, float, float]
+"""Left, top, right and bottom of a label's plate, pixels."""
+
+
+def plate_of(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, *, size: float = 16) -> Plate:
+    """Where `write_label` puts its plate.
+
+    Args:
+        draw: Of the picture.
+        corner: Left and top of the plate, pixels; it is moved into the picture.
+        text: One line.
+        size: Of the font, pixels.
+    """
+    left, top, right, bottom = draw.textbbox((0, 0), text, font=ImageFont.load_default(size=size))
+    width, height = right - left + size / 2, bottom - top + 3 * size / 8
+    x = min(max(corner[0], 0), max(draw.im.size[0] - width, 0))
+    y = min(max(corner[1], 0), max(draw.im.size[1] - height, 0))
+    return x, y, x + width, y + height
+
+
+def free_plate(plates: Sequence[Plate], taken: Sequence[Plate]) -> Plate:
+    """The first of some plates that covers nothing that is taken; else the one that covers least of it."""
+    return min(plates, key=lambda plate: sum(_shared(plate, other) for other in taken))
+
+
+def _shared(one: Plate, other: Plate) -> float:
+    """Pixels that are in both."""
+    width = min(one[2], other[2]) - max(one[0], other[0])
+    height = min(one[3], other[3]) - max(one[1], other[1])
+    return max(width, 0) * max(height, 0)
 
 
 def write_label(
@@ -18,9 +51,7 @@ def write_label(
         size: Of the font, pixels.
     """
     font = ImageFont.load_default(size=size)
-    left, top, right, bottom = draw.textbbox((0, 0), text, font=font)
-    width, height = right - left + size / 2, bottom - top + 3 * size / 8
-    x = min(max(corner[0], 0), max(draw.im.size[0] - width, 0))
-    y = min(max(corner[1], 0), max(draw.im.size[1] - height, 0))
-    draw.rectangle((x, y, x + width, y + height), fill=colour)
+    left, top, _, _ = draw.textbbox((0, 0), text, font=font)
+    x, y, right, bottom = plate_of(draw, corner, text, size=size)
+    draw.rectangle((x, y, right, bottom), fill=colour)
     draw.text((x + size / 4 - left, y + 3 * size / 16 - top), text, fill="#ffffff", font=font)

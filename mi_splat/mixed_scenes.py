@@ -39,7 +39,7 @@ def contents_hash(path: Path) -> str:
     See `scene_parts` for where they are looked for.
 
     Raises:
-        InvalidValueError: The scene file cannot be read.
+        InvalidValueError: The scene file cannot be read, or is none that Mitsuba may read.
     """
     digest = hashlib.sha256()
     for file in scene_parts(path).files:

@@ -8,11 +8,20 @@ A colour is max(0, 0.5 + sum_k sh_k basis_k).
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, TypeVar
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from mi_splat.errors import InvalidValueError, message
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+_Values = TypeVar("_Values", bound="Any")
+"""A tensor or a NumPy array."""
 
 MAX_DEGREE = 3
 
@@ -49,11 +58,15 @@ def degree_of(count: int) -> int:
     return degree
 
 
-def _band(x: Tensor, y: Tensor, z: Tensor, degree: int) -> list[Tensor]:
-    """The 2 * degree + 1 basis functions of one band."""
+def band(directions: tuple[_Values, _Values, _Values], degree: int) -> list[_Values]:
+    """The 2 * degree + 1 basis functions of one band at unit vectors x, y, z, which are tensors or arrays."""
+    x: Any
+    y: Any
+    z: Any
+    x, y, z = directions
     xx, yy, zz = x * x, y * y, z * z
     if degree == 0:
-        return [torch.full_like(x, _C0)]
+        return [x * 0 + _C0]
     if degree == 1:
         return [-_C1 * y, _C1 * z, -_C1 * x]
     if degree == 2:
@@ -93,8 +106,10 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
         raise InvalidValueError(
             message("directions", "shape (..., 3)", tuple(directions.shape), "pass unit vectors in the last dimension")
         )
+    import torch  # not for those who only count coefficients
+
     x, y, z = directions.unbind(-1)
-    return torch.stack([value for band in range(degree + 1) for value in _band(x, y, z, band)], dim=-1)
+    return torch.stack([value for number in range(degree + 1) for value in band((x, y, z), number)], dim=-1)
 
 
 def sh_to_colour(sh: Tensor, directions: Tensor) -> Tensor:
@@ -121,7 +136,9 @@ def dc_to_colour(dc: Tensor) -> Tensor:
     return dc * _C0 + 0.5
 
 
-def colours_by_direction(sh: Tensor, directions: Tensor, *, rows: int = 1 << 16) -> tuple[Tensor, Tensor]:
+def colours_by_direction(
+    sh: NDArray[np.floating[Any]], directions: NDArray[np.float64], *, rows: int = 1 << 14
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean colour of all Gaussians in each direction, and the largest; an honest splat has nearly the same in all.
 
     Args:
@@ -132,22 +149,25 @@ def colours_by_direction(sh: Tensor, directions: Tensor, *, rows: int = 1 << 16)
     Returns:
         (M,) mean over Gaussians and channels, and (M,) largest value; sRGB, not clamped from above.
     """
-    basis = sh_basis(directions.to(sh), degree_of(sh.shape[-2]))
-    means, most = sh.new_zeros(len(directions)), sh.new_zeros(len(directions))
-    for part in torch.split(sh, rows):
-        colours = (torch.einsum("mk,nkc->mnc", basis, part) + 0.5).clamp(min=0).flatten(1)
-        means += colours.sum(1) / (3 * len(sh))
-        most = torch.maximum(most, colours.amax(1))
+    degree, (x, y, z) = degree_of(sh.shape[-2]), directions.T
+    values = [value for number in range(degree + 1) for value in band((x, y, z), number)]
+    basis = np.stack(values, axis=1).astype(sh.dtype)
+    means, most = np.zeros(len(directions)), np.zeros(len(directions))
+    for first in range(0, len(sh), rows):
+        part = sh[first : first + rows].transpose(1, 0, 2).reshape(sh.shape[1], -1)
+        colours = np.maximum(basis @ part + sh.dtype.type(0.5), 0)
+        means += colours.sum(axis=1, dtype=np.float64) / (3 * len(sh))
+        most = np.maximum(most, colours.max(axis=1))
     return means, most
 
 
-def even_directions(count: int = 64) -> Tensor:
-    """(count, 3) float64 directions spread evenly over the sphere (Fibonacci lattice, Swinbank and Purser 2006)."""
-    index = torch.arange(count, dtype=torch.float64) + 0.5
+def even_directions(count: int = 64) -> NDArray[np.float64]:
+    """(count, 3) directions spread evenly over the sphere (Fibonacci lattice, Swinbank and Purser 2006)."""
+    index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
     angle = index * math.pi * (3 - math.sqrt(5))
-    ring = (1 - z * z).sqrt()
-    return torch.stack([ring * angle.cos(), ring * angle.sin(), z], dim=-1)
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=-1)
 
 
 def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
@@ -163,13 +183,15 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
     Returns:
         (K, K) float64 block-diagonal orthogonal matrix D on the CPU, K = (degree + 1)^2.
     """
+    import torch
+
     turn = rotation.detach().to("cpu", torch.float64)
-    probes = even_directions()
+    probes = torch.from_numpy(even_directions())
     # Row vectors: probes @ R is R^T d for each probe d.
     here, there = sh_basis(probes, degree), sh_basis(probes @ turn, degree)
     result = torch.zeros(here.shape[1], here.shape[1], dtype=torch.float64)
-    for band in range(degree + 1):
-        rows = slice(band**2, (band + 1) ** 2)
+    for number in range(degree + 1):
+        rows = slice(number**2, (number + 1) ** 2)
         result[rows, rows] = torch.linalg.lstsq(here[:, rows], there[:, rows]).solution
     return result
 
@@ -184,5 +206,7 @@ def rotate_sh(sh: Tensor, rotation: Tensor) -> Tensor:
     Returns:
         (..., K, 3) coefficients.
     """
+    import torch
+
     degree = degree_of(sh.shape[-2])
     return sh if degree == 0 else torch.matmul(sh_rotation(rotation, degree).to(sh), sh)

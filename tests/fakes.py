@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import pytest
 import torch
 from torch import Tensor
 
-from attacks.detectors.base import Candidates, Detections
+from attacks.detectors import DetectorSpec, registry
+from attacks.detectors.base import Candidates, Detections, Detector
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, sh_to_colour
@@ -101,3 +107,16 @@ def toy_scene(*, degree: int = 1, seed: int = 0, count: int = 30) -> tuple[Gauss
         sh=sh,
     )
     return scene, mask
+
+
+def _given(detector: Detector, weights: Path | None) -> Detector:
+    return detector
+
+
+def register(monkeypatch: pytest.MonkeyPatch, detectors: Mapping[str, Detector]) -> None:
+    """Make detectors known by name to every command, as those of an installed package are."""
+    for name, detector in detectors.items():
+        spec = DetectorSpec(
+            name=name, load=partial(_given, detector), classes=detector.classes, origin="a test", licence="none"
+        )
+        monkeypatch.setitem(registry._REGISTRY._specs, name, spec)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from torch import Tensor
 
+from attacks.cli.names import DEFAULT_OBJECT, DEFAULT_TARGET
 from attacks.objectives import Objective, hide, relabel, untargeted
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene
@@ -15,20 +16,17 @@ from mi_splat.scene_writing import write_scene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.masks import save_mask
 
-DEFAULT_OBJECT = "car"
-"""Part that is attacked if nothing else is said."""
 
-
-def aim(objective: str, target: str, confidence: float | None) -> Objective:
+def aim(objective: str, target: str | None, confidence: float | None) -> Objective:
     """The attacker's aim.
 
     Args:
         objective: Its name on the command line.
-        target: Class that detectors shall see (relabel).
+        target: Class that detectors shall see (relabel); None is the usual one.
         confidence: What counts as success; None is the objective's own.
     """
     aims: dict[str, Callable[..., Objective]] = {
-        "relabel": lambda **limit: relabel(target, **limit),
+        "relabel": lambda **limit: relabel(target or DEFAULT_TARGET, **limit),
         "hide": hide,
         "untargeted": untargeted,
     }
@@ -39,6 +37,37 @@ def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:
     """What the options select; the part called car if they say nothing and there is one."""
     nothing = selection.is_empty and DEFAULT_OBJECT in loaded.objects
     return dataclasses.replace(selection, object=DEFAULT_OBJECT) if nothing else selection
+
+
+def object_name(selection: Selection) -> str:
+    """The object, as a human calls it."""
+    if selection.is_empty:
+        return f"the {DEFAULT_OBJECT}"
+    return "the selection" if selection.object is None else f"the {selection.object}"
+
+
+def sentence(objective: Objective, detectors: Sequence[str], name: str, *, success: bool, clear: bool = True) -> str:
+    """What detectors make of an attacked object, measured by the aim.
+
+    Args:
+        objective: The aim.
+        detectors: Their names, at least one.
+        name: The object, as a human calls it.
+        success: Whether the aim was reached.
+        clear: Whether no other class is reported there with more confidence.
+    """
+    who, plural = " and ".join(detectors), len(detectors) > 1
+    see, take, do = ("see", "take", "do") if plural else ("sees", "takes", "does")
+    if objective.label is not None:
+        wanted = f"{'an' if objective.label[0] in 'aeiou' else 'a'} {objective.label}"
+        if not success:
+            return f"{who} {do} not see {wanted} in place of {name}"
+        if not clear:
+            return f"{who} {see} {wanted} where {name} is, and something else there with more confidence"
+        return f"{who} {see} {wanted} in place of {name}"
+    if objective.name == "hide":
+        return f"{who} {see} nothing in place of {name}" if success else f"{who} still {see} something where {name} is"
+    return f"{who} {do} not take {name} for what it was" if success else f"{who} still {take} {name} for what it was"
 
 
 def write_parts(loaded: SplatScene, mask: Tensor, attacked: GaussianScene, folder: Path) -> list[Path]:

@@ -25,7 +25,7 @@ def run(options: ArtifactOptions) -> int:
         detectors = []
         if options.detections:
             limit_threads((os.cpu_count() or 1) // 2)
-            detectors = load_detectors(detectors_of(options.result), options.weights, flag="--detections")
+            detectors = load_detectors(detectors_of(options.result), options.weights)
         contents = pack_artifact(
             options.result,
             options.out,

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from mi_splat.errors import MiSplatError
+from mi_splat.errors import MiSplatError, install
 from mi_splat.llvm import llvm_hint
 from mi_splat.provenance import versions
 
@@ -127,7 +127,7 @@ def _extra(name: str, module: str) -> Finding:
         name=f"extra {name}",
         state="works" if there else "absent",
         detail=module if there else f"no {module}",
-        advice="" if there else f"optional: pip install 'mi-splat[{name}]'",
+        advice="" if there else f"optional: {install(name)}",
         required=False,
     )
 

@@ -22,7 +22,7 @@ from mi_splat.comparison.compare import GRADIENT, CompareConfig, compare
 from mi_splat.comparison.methods import load_methods
 from mi_splat.comparison.results import as_dict
 from mi_splat.comparison.sheets import save_sheets
-from mi_splat.errors import MiSplatError
+from mi_splat.errors import MiSplatError, install
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import check_new_folder, new_folder
@@ -90,7 +90,7 @@ def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
     """Write the page into the folder, which will be called `out`, where the packages for it are there."""
     missing = missing_packages()
     if missing:
-        warn(f"no page: {' and '.join(missing)} not installed; pip install 'mi-splat[report]', then mi-splat report")
+        warn(f"no page: {' and '.join(missing)} not installed; {install('report')}, then mi-splat report")
         return False
     write_page([renderers.read(out, document, files=folder)], folder / PAGE)
     return True

@@ -7,15 +7,17 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from attacks.cli.aims import DEFAULT_OBJECT, aim, chosen_object, write_parts
+from attacks.cli.aims import aim, chosen_object, object_name, sentence, write_parts
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import DaggerOptions
 from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_files
 from attacks.dagger.result import Result
 from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import Chosen, choose
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.scene_files import SplatScene, open_scene
 from mi_splat.selection.select import doubts, require_visible
@@ -31,17 +33,18 @@ def run(options: DaggerOptions) -> int:
         chosen = choose(loaded, chosen_object(loaded, options.selection), options.view)
         weights = chosen.weights(loaded)
         require_visible(weights)
-        detectors = load_detectors(options.detector, options.weights, flag="--detector")
+        detectors = load_detectors(options.detectors, options.weights)
+        objective = aim(options.objective, options.target, options.confidence)
         advance("attacking", 0)
         result = attack(
             loaded.scene,
             chosen.mask,
             list(chosen.cameras.values()),
             detectors,
-            aim(options.objective, options.target, options.confidence),
+            objective,
             render=chosen.render,
             config=config,
-            on_step=_follow(advance),
+            on_step=_follow(advance, objective.label, config),
         )
         result = dataclasses.replace(
             result,
@@ -67,21 +70,29 @@ def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[
     }
 
 
-def _follow(advance: Callable[..., None]) -> Callable[[Step], None]:
-    """A callback that shows each step of the attack."""
-    return lambda step: advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
+def _follow(advance: Callable[..., None], label: str | None, config: DaggerConfig) -> Callable[[Step], None]:
+    """A callback that shows each step of the attack, and ends it if the clean object is taken for the class wanted."""
+
+    def note(step: Step) -> None:
+        if label is not None and step.index == step.restart == 0 and step.unambiguous and not config.random_start:
+            do = "name another class with --target"
+            raise InvalidValueError(message("--target", "another class than is seen before the attack", label, do))
+        advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
+
+    return note
 
 
 def _tell(result: Result, options: DaggerOptions) -> None:
     """What happened in three lines, warnings if there are some, and where to look."""
     found = summary(result)
-    aim = {"relabel": f"see a {options.target}", "hide": "see nothing"}.get(options.objective, "see something else")
     radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
-    outcome = "SUCCESS" if result.success else "FAILED"
     several = len(result.detectors) > 1
     counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
     reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
-    show(f"{outcome}: {' and '.join(options.detector)} shall {aim} in place of {_name(options)}; {reached}.")
+    names = [one.detector for one in result.detectors if one.verdict.success == result.success]
+    name, clear = object_name(options.selection), result.verdict.unambiguous
+    said = sentence(result.objective, names, name, success=result.success, clear=clear)
+    show(f"{'SUCCESS' if result.success else 'FAILED'}: {said}; {reached}.")
     effort = (
         f"after {found['steps']} of {options.config.steps} steps "
         f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
@@ -103,13 +114,6 @@ def _tell(result: Result, options: DaggerOptions) -> None:
         show(f"warning: {warning}")
     show(f"Look at {options.out / 'detections.png'} first. Beside it: before.png, after.png, difference.png,")
     show("the splat (attacked.ply), the object (mask.npy) and every number (result.json).")
-
-
-def _name(options: DaggerOptions) -> str:
-    """The object, as a human calls it."""
-    if options.selection.is_empty:
-        return f"the {DEFAULT_OBJECT}"
-    return "the selection" if options.selection.object is None else f"the {options.selection.object}"
 
 
 def _seen(found: Mapping[str, Any], views: Sequence[Mapping[str, Any]]) -> str:

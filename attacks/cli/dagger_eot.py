@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from attacks.cli.aims import aim, chosen_object, write_parts
+from attacks.cli.aims import aim, chosen_object, object_name, sentence, write_parts
 from attacks.cli.eot_options import DaggerEotOptions
 from attacks.cli.loading import load_detectors
 from attacks.dagger.eot.attack import attack_views
@@ -90,11 +90,11 @@ def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
 
 def _tell(result: EotResult, options: DaggerEotOptions) -> None:
     """What happened, warnings if there are some, and where to look."""
-    aims = {"relabel": f"see a {options.target}", "hide": "see nothing"}
     radii = ", ".join(f"{name} {eps:g}" for name, eps in result.config.radius.items())
+    objective = aim(options.objective, options.target, options.confidence)
+    said = sentence(objective, options.detectors, object_name(options.selection), success=True)
     show(
-        f"{'SUCCESS' if result.success else 'FAILED'}: {', '.join(options.detectors)} shall "
-        f"{aims.get(options.objective, 'see something else')}; {_words(result.rate)} held-out views, "
+        f"{'SUCCESS' if result.success else 'FAILED'}: {said} in {_words(result.rate)} held-out views; "
         f"{result.config.required_views:.0%} are needed."
     )
     show(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,8 +63,9 @@ def run(options: DetectOptions) -> int:
         raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
     _check_idle(options)
     check_new_folder(options.out, force=options.force, record=RECORD)
-    with progress("loading the detectors") as advance:
-        detectors = load_detectors(options.detectors, options.weights)
+    with progress("loading") as advance:
+        # Not before the first file is read and its cameras are found: a wrong name is told at once.
+        detectors = functools.cache(lambda: load_detectors(options.detectors, options.weights))
         found = []
         for source in options.inputs:
             advance(f"looking at {source}")
@@ -76,7 +78,7 @@ def run(options: DetectOptions) -> int:
         document = {
             "min_confidence": options.min_confidence,
             "view": _given(options.view),
-            "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
+            "fingerprints": {detector.name: detector.fingerprint for detector in detectors()},
             "pictures": rows,
             **provenance.origin(),
         }
@@ -95,12 +97,12 @@ def run(options: DetectOptions) -> int:
     return 0
 
 
-def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Iterator[Seen]:
+def seen_in(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Seen]:
     """What every detector reports on a picture, or on a scene from every camera.
 
     Args:
         source: A picture, or a scene.
-        detectors: With different names.
+        detectors: Loads them; they have different names.
         view: Where a scene is looked at from.
 
     Yields:
@@ -111,7 +113,7 @@ def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Ite
     """
     if _is_picture(source):
         image, _ = read_picture(source, downscale=1, background=view.background or (0.0, 0.0, 0.0))
-        for detector in detectors:
+        for detector in detectors():
             with torch.no_grad():
                 (detections,) = detector.detect(image[None])
             yield Seen(source=source, camera=None, detector=detector.name, image=image, detections=detections)
@@ -120,7 +122,7 @@ def seen_in(source: Path, detectors: list[Detector], view: CameraOptions) -> Ite
     cameras = find_cameras(loaded, view)
     render = renderer_of(loaded, view, cameras)
     places = [describe(name, camera) for name, camera in cameras.items()]
-    for one in detect_views(loaded.scene, list(cameras.values()), detectors, render=render):
+    for one in detect_views(loaded.scene, list(cameras.values()), detectors(), render=render):
         yield Seen(
             source=source,
             camera=places[one.view],

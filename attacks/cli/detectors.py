@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from attacks.cli.options import DetectorsOptions
-from attacks.detectors.coco.sources import weights_of
+from attacks.detectors.coco.sources import published, weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.registry import DETECTORS
 from mi_splat.cli.console import progress, show, show_json
@@ -68,6 +68,8 @@ def run(options: DetectorsOptions) -> int:
 
 def _get(options: DetectorsOptions) -> int:
     """Get the detectors that are named, or those that the files hold."""
+    for name in options.get:
+        published(name)
     from attacks.detectors.coco.fetch import fetch  # torch comes with it
 
     got: list[Fetched] = []

@@ -37,8 +37,8 @@ class DaggerEotOptions:
     """What happens to the pictures between renderer and detector; by default nothing."""
     objective: Literal["relabel", "hide", "untargeted"] = "relabel"
     """The aim: another class (--target), no detection at all, or any but the right class."""
-    target: str = "person"
-    """Class that the detectors shall see there (relabel)."""
+    target: str | None = None
+    """Class that the detectors shall see there (relabel); None is person."""
     confidence: float | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
     detectors: tuple[str, ...] = ("fasterrcnn_small",)

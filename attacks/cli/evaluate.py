@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from attacks.cli.loading import load_detectors
+from attacks.cli.names import check_class
 from attacks.cli.options import EvaluateOptions
 from attacks.detectors import Detector
 from attacks.evaluation.comparison import Comparison, changed_mask, compare, side_by_side
@@ -17,7 +18,6 @@ from mi_splat import provenance
 from mi_splat.cameras import Camera
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.selecting import Chosen, choose, look_at_object
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD as RESULT
@@ -48,8 +48,9 @@ def run(options: EvaluateOptions) -> int:
         else:
             chosen = choose(clean, options.selection, options.view)
         detectors = load_detectors(options.detectors, options.weights)
-        for name in (options.original, options.target):
-            _check_class(name, {detector.name: tuple(detector.classes) for detector in detectors})
+        for detector in detectors:
+            check_class(options.original, detector.name, detector.classes, what="--original")
+            check_class(options.target, detector.name, detector.classes, what="--target")
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
         cameras = list(chosen.cameras.values())
         advance(f"looking from {len(cameras)} cameras")
@@ -112,14 +113,6 @@ def _save_pictures(
     for detector in detectors if most else ():
         drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=detector, most=most, names=names)
         save_png(drawn, folder / f"{detector}.png")
-
-
-def _check_class(name: str | None, classes: Mapping[str, tuple[str, ...]]) -> None:
-    """Raise if a detector does not know a class."""
-    for detector, known in classes.items():
-        if name is not None and name not in known:
-            do = "name a class that it knows"
-            raise InvalidValueError(message(f"class for {detector}", f"one of {', '.join(known)}", name, do))
 
 
 def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Path) -> list[str]:

@@ -30,7 +30,7 @@ from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
 from mi_splat import provenance
 from mi_splat.cli.console import progress, show, show_json, show_table
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, install, message
 from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
@@ -105,7 +105,7 @@ def write_tables(text: str, several: Sequence[Mapping[str, Any]], path: Path) ->
     tables, picture = path.with_suffix(".md"), path.with_suffix(".png")
     save_text(text, tables)
     if importlib.util.find_spec("matplotlib") is None:
-        return f"{tables}: tables (no picture: pip install 'mi-splat[figures]')"
+        return f"{tables}: tables (no picture: {install('figures')})"
     figure = draw_recall(several)
     with atomic_write(picture) as file:
         figure.savefig(file, format="png")

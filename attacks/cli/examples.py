@@ -26,7 +26,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "select desk.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
         "select scenes/car_street.xml --object car --out car.ply",
     ),
-    "view": ("view desk.ply", "view out/dagger --detector fasterrcnn_small", "view out/cloak --export cloak.html"),
+    "view": ("view desk.ply", "view out/dagger --detectors fasterrcnn_small", "view out/cloak --export cloak.html"),
     "convert": ("convert desk.ply desk.spz", "convert web.ksplat web.ply", "convert desk.ply small.sog --sh-degree 1"),
     "info": ("info desk.ply", "info scenes/car_street.xml --json"),
     "example-scenes": ("example-scenes stop_sign --out out/scenes",),
@@ -52,7 +52,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "dagger-sanity": (
         "dagger-sanity scenes/car_street.xml --object car --target person --out out/sanity",
-        "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detector yolov8n_small --seeds 5 --out out/sanity",
+        "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
     ),
     "dagger-pairs": (
         "dagger-pairs --detectors centernet_coco nanodet_coco --search strong --eps 10 --steps 40 --out out/pairs",
@@ -85,10 +85,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "detectors --get centernet_coco nanodet_coco",
         "detectors --from vladmandic-human-3.3.6.tgz",
     ),
-    "train-detector": ("train-detector --detector fasterrcnn_small --out out/detector",),
+    "train-detector": ("train-detector --detectors fasterrcnn_small --out out/detector",),
     "evaluate-detector": (
         "evaluate-detector --weights out/detector/best.safetensors",
-        "evaluate-detector --detector centernet_coco --out out/centernet.json",
+        "evaluate-detector --detectors centernet_coco --out out/centernet.json",
     ),
     "compare-detectors": ("compare-detectors out/detector/held-out.json out/centernet.json --out out/detectors.md",),
     "plot-detector-training": ("plot-detector-training out/detector/curves.json --out curves.png",),

@@ -12,7 +12,11 @@ from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
 from attacks.limits import SearchName
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.values import Colour, Size
 from mi_splat.selection.config import Selection
+
+OneDetector = Annotated[str, arg(name="detectors", metavar="DETECTOR")]
+"""A detector of a command that takes one; the flag is called as where there may be several."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,11 +36,11 @@ class DaggerOptions:
     """The cameras attacked at once."""
     objective: Literal["relabel", "hide", "untargeted"] = "relabel"
     """The aim: another class (--target), no detection at all, or any but the right class."""
-    target: str = "person"
-    """Class that the detector shall see there (relabel)."""
+    target: str | None = None
+    """Class that the detector shall see there (relabel); None is person."""
     confidence: float | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detector: tuple[str, ...] = ("fasterrcnn_small",)
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
     """Name of the detector, or names of several to deceive at once (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
@@ -126,7 +130,7 @@ class DaggerStudyOptions:
     """Tables to make, all if none is named."""
     scenes: Path = Path("scenes")
     """Folder with the scene files."""
-    detector: str = "fasterrcnn_small"
+    detector: OneDetector = "fasterrcnn_small"
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
@@ -209,14 +213,15 @@ class ViewOptions:
     """Splat file of any format that is read, scene XML made of splats, or folder of results."""
     clean: Path | None = None
     """Splat or scene to compare with; of a folder of results it is found."""
-    detector: str | None = None
+    detector: Annotated[str | None, arg(name="detectors", metavar="DETECTOR")] = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
-    size: tuple[int, int] | None = None
-    """Width and height in pixels of the picture that the detector sees; None is that of the scene's cameras."""
-    background: tuple[float, float, float] | None = None
-    """sRGB colour behind the Gaussians; None is the scene's own, black for a bare splat file."""
+    size: Size | None = None
+    """Pixels of the picture that the detector sees, as 256 or 256x192; None is that of the scene's cameras."""
+    background: Colour | None = None
+    """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,
+    black for a bare splat file."""
     near: float | None = None
     """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
     host: str = "127.0.0.1"

@@ -28,6 +28,7 @@ from attacks.cli.ranges import ALL_RANGES
 from attacks.cli.usage_errors import in_one_line
 from mi_splat.cli.console import PROGRAM
 from mi_splat.cli.ranges import UsageError, check_range, check_ranges, numbers_of
+from mi_splat.cli.values import as_one_word
 from mi_splat.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def parse(name: str, command: Command, words: Sequence[str]) -> object:
     Raises:
         UsageError: The words are no options of the command, or a number is out of its range.
     """
-    given = [_canonical(word, ALIASES.get(name, {})) for word in words]
+    given = as_one_word([_canonical(word, ALIASES.get(name, {})) for word in words])
     with in_one_line():
         kind, told = _told(name, command, words)
         options = tyro.cli(kind, args=given, description=description(name, kind), **told)

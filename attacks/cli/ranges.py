@@ -7,7 +7,7 @@ from mi_splat.cli.ranges import FRACTION, POSITIVE_FRACTION, RANGES, SEED, Range
 ALL_RANGES: dict[str, Range] = {
     **RANGES,
     # DAGGER
-    "eps": at_least(0, "units of the splat file", "5 is the paper's"),
+    "eps": above(0, "units of the splat file", "5 is the paper's"),
     "confidence": FRACTION,
     "min_confidence": FRACTION,
     "step_factor": above(0, do="2 is the paper's"),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
+from attacks.cli.options import OneDetector
 from attacks.detectors.training.config import BackgroundConfig, SplatConfig, TrainConfig, TrainingSetConfig
 
 SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
@@ -20,7 +21,7 @@ class TrainDetectorOptions:
     A training that was interrupted goes on where it stopped when the same command is given again.
     """
 
-    detector: SmallDetector = "fasterrcnn_small"
+    detector: Annotated[SmallDetector, arg(name="detectors")] = "fasterrcnn_small"
     """Which one; yolov8n_small needs the extra `yolo`."""
     data: Path = Path("out/detector-data")
     """Folder of the pictures; what is missing in it is made first."""
@@ -52,7 +53,7 @@ class EvaluateDetectorOptions:
     is listed.
     """
 
-    detector: str = "fasterrcnn_small"
+    detector: OneDetector = "fasterrcnn_small"
     """Name of a detector that knows the eight classes (see `mi-splat detectors`)."""
     weights: Path | None = None
     """Weights to score; None takes the usual ones."""

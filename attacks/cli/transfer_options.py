@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from attacks.cli.options import OneDetector
 from attacks.limits import NormName
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.selection.config import Selection
@@ -88,7 +89,7 @@ class DaggerSanityOptions:
     """Class that the detector shall see there."""
     confidence: float = 0.7
     """Confidence in it that counts as success."""
-    detector: str = "fasterrcnn_small"
+    detector: OneDetector = "fasterrcnn_small"
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""

@@ -25,7 +25,9 @@ def run(options: ViewOptions) -> int:
     """Serve the page until Ctrl-C or SIGTERM, or write it."""
     limit_threads((os.cpu_count() or 1) // 2)
     if options.weights is not None and options.detector is None:
-        raise InvalidValueError(message("weights", "a detector that they belong to", "none", "name it with --detector"))
+        raise InvalidValueError(
+            message("weights", "a detector that they belong to", "none", "name it with --detectors")
+        )
     if options.export is not None:
         check_export(options.export, options.views, force=options.force)
     else:

@@ -18,7 +18,7 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Verdict
 from attacks.pgd import Evaluation, Parameters
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.scene import GaussianScene
 from mi_splat.view_freezing import freeze_views
 
@@ -148,7 +148,10 @@ def _check(detectors: Sequence[Detector], objective: Objective) -> None:
     for detector in detectors:
         if objective.label is not None and objective.label not in detector.classes:
             of = "" if len(detectors) == 1 else f" of {detector.name}"
-            expected, do = f"one of {', '.join(detector.classes)}", "choose a class that it knows"
+            expected, do = (
+                f"one of {', '.join(detector.classes)}",
+                nearest(objective.label, detector.classes, "choose one of them"),
+            )
             raise InvalidValueError(message(f"target{of}", expected, objective.label, do))
 
 

@@ -9,7 +9,6 @@ by `register_detector(DetectorSpec(...))`, and for every command by an entry poi
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from attacks.detectors.weight_files import (
     hub_download,
     torch_download,
 )
-from mi_splat.errors import message
+from mi_splat.errors import install, message, nearest
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
@@ -157,11 +156,22 @@ def load_detector(name: str, *, weights: Path | None = None) -> Detector:
     Raises:
         DetectorError: there is no such detector, or its weights are missing or do not fit.
     """
+    return detector_spec(name).load(weights)
+
+
+def detector_spec(name: str) -> DetectorSpec:
+    """The spec of a detector; nothing heavy is imported for those of this project.
+
+    Args:
+        name: Key of `DETECTORS`.
+
+    Raises:
+        DetectorError: There is no such detector.
+    """
     if not isinstance(name, str) or name not in DETECTORS:
-        near = difflib.get_close_matches(str(name), DETECTORS, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else "choose one of them"
-        raise DetectorError(message("detector", " or ".join(DETECTORS), repr(name), hint))
-    return DETECTORS[name].load(weights)
+        do = nearest(str(name), DETECTORS, "choose one of them")
+        raise DetectorError(message("detector", " or ".join(DETECTORS), repr(name), do))
+    return DETECTORS[name]
 
 
 def _small(weights: Path | None) -> Detector:
@@ -201,7 +211,7 @@ def _published_transformers(name: str, weights: Path | None) -> Detector:
 
 
 _YOLO_LICENCE = "AGPL-3.0"
-_YOLO_INSTALL = "it is AGPL-3.0; pip install 'mi-splat[yolo]'"
+_YOLO_INSTALL = f"it is AGPL-3.0; {install('yolo')}"
 
 register_detector(
     DetectorSpec(
@@ -276,6 +286,6 @@ for _name, _entry in TRANSFORMERS_HUB.items():
             weights=partial(hub_download, _entry),
             advice="not here; downloaded when first used, or name a folder with --weights",
             requires=("transformers",),
-            install="pip install 'mi-splat[transformers]'",
+            install=install("transformers"),
         )
     )

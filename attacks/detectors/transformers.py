@@ -21,8 +21,8 @@ from attacks.detectors.batch_norm import keep_gradients_right
 from attacks.detectors.classes import BACKGROUND, UNUSED
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.frozen import FrozenDetector
-from attacks.detectors.weight_files import TRANSFORMERS_HUB
-from mi_splat.errors import message
+from attacks.detectors.weight_files import TRANSFORMERS_HUB, elsewhere
+from mi_splat.errors import install, message
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
 try:
@@ -36,7 +36,7 @@ try:
     from transformers.utils import logging as library_logging
 except ImportError as error:
     what = "the package transformers"
-    raise DetectorError(message("detector", what, str(error), 'pip install "mi-splat[transformers]"')) from error
+    raise DetectorError(message("detector", what, str(error), install("transformers"))) from error
 
 _MIN_CONFIDENCE = 0.5
 """The library's own threshold of `post_process_object_detection`."""
@@ -191,7 +191,7 @@ def load_published(name: str, weights: Path | None = None) -> TransformersDetect
     source = name if weights is None else weights
     model_class, processor_class, _ = _KINDS[hub.architecture]
     expected = f"a folder of {_FILES}, or a network that reaches the library's hub"
-    do = "download the folder elsewhere and pass its path"
+    do = elsewhere("folder")
     with _quiet(), _explained(f"weights of {source}", expected, do):
         config = AutoConfig.from_pretrained(**where)
     if config.model_type != hub.architecture:

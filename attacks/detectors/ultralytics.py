@@ -22,9 +22,9 @@ from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.frozen import FrozenDetector
-from attacks.detectors.weight_files import SMALL_YOLO_WEIGHTS
+from attacks.detectors.weight_files import SMALL_YOLO_WEIGHTS, elsewhere
 from attacks.detectors.weights import apply_weights, read_weights
-from mi_splat.errors import message
+from mi_splat.errors import install, message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
 os.environ.setdefault("YOLO_OFFLINE", "true")
@@ -48,7 +48,7 @@ except ImportError as error:
             "detector",
             "the package ultralytics, which is AGPL-3.0, and what its OpenCV needs",
             str(error),
-            'pip install "mi-splat[yolo]"; for libGL on Debian: apt install libgl1 libglib2.0-0',
+            f"{install('yolo')}; for libGL on Debian: apt install libgl1 libglib2.0-0",
         )
     ) from error
 finally:
@@ -218,8 +218,7 @@ def _unpickled(name: str, weights: Path | None) -> Any:
     except Exception as error:  # what the library raises has no common base
         reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
-        do = "download the file elsewhere and pass its path"
-        raise DetectorError(message(f"weights of {name}", expected, reason, do)) from error
+        raise DetectorError(message(f"weights of {name}", expected, reason, elsewhere("file"))) from error
     family = _FAMILY.match(Path(str(model.yaml.get("yaml_file", ""))).stem)
     if family is not None and family[0] != name[:-1]:
         do = f"load them as {family[0]}{name[-1]}, or pass weights of {name}"

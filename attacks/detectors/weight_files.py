@@ -50,6 +50,16 @@ TRANSFORMERS_HUB = {
 """Published COCO detectors of transformers."""
 
 
+def elsewhere(what: str) -> str:
+    """What to do where weights cannot be downloaded.
+
+    Args:
+        what: The file or folder that holds them.
+    """
+    others = "mi-splat detectors --get centernet_coco"
+    return f"download the {what} elsewhere and pass its path (--weights), or get another: {others}"
+
+
 def torch_download(file: str) -> Path:
     """Where torch's hub keeps a file that it has downloaded; TORCH_HOME and XDG_CACHE_HOME as torch documents them."""
     cache = os.environ.get("XDG_CACHE_HOME", "~/.cache")

@@ -14,8 +14,10 @@ from torch import Tensor
 
 from attacks.detectors.base import Detections
 from mi_splat.io.images import to_bytes
-from mi_splat.labels import write_label
+from mi_splat.labels import Plate, free_plate, plate_of, write_label
 
+_LINE = 22
+"""Pixels from one label to the next below it."""
 _COLOURS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080", "#9a6324", "#000075")
 
 
@@ -36,30 +38,55 @@ def annotated(
     """
     canvas = _enlarged(to_bytes(picture), width)
     draw = ImageDraw.Draw(canvas)
-    draw_detections(draw, detections, scale=canvas.width / picture.shape[1], min_confidence=min_confidence)
-    write_label(draw, (6, canvas.height - 26), title, "#000000")
+    scale, corner = canvas.width / picture.shape[1], (6, canvas.height - 26)
+    taken = [plate_of(draw, corner, title)]
+    draw_detections(draw, detections, scale=scale, min_confidence=min_confidence, taken=taken)
+    write_label(draw, corner, title, "#000000")
     return np.asarray(canvas)
 
 
 def draw_detections(
-    draw: ImageDraw.ImageDraw, detections: Detections, *, scale: float = 1.0, min_confidence: float = 0.3
+    draw: ImageDraw.ImageDraw,
+    detections: Detections,
+    *,
+    scale: float = 1.0,
+    min_confidence: float = 0.3,
+    taken: Sequence[Plate] = (),
 ) -> None:
-    """Draw boxes, labels and confidences, the best last and so on top.
+    """Draw boxes, labels and confidences, the best last and so on top; no label covers another one.
 
     Args:
         draw: Of the picture.
-        detections: What is reported in it.
+        detections: What is reported in it, the best first.
         scale: Pixels of the picture for one of the boxes' pixels.
         min_confidence: Confidence from which a detection is drawn, in [0, 1].
+        taken: Other labels in the picture.
     """
-    for label, score, box in reversed(
-        list(zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True))
-    ):
-        if score >= min_confidence:
-            colour = _colour(label)
-            x0, y0, x1, y1 = (scale * x for x in box)
-            draw.rectangle((x0, y0, x1, y1), outline=colour, width=3)
-            write_label(draw, (x0, y0 - 22 if y0 >= 22 else y0 + 2), f"{label} {score:.0%}", colour)
+    rows = zip(detections.labels, detections.scores.tolist(), (scale * detections.boxes).tolist(), strict=True)
+    shown = [(label, f"{label} {score:.0%}", box) for label, score, box in rows if score >= min_confidence]
+    for label, _, box in reversed(shown):
+        draw.rectangle(box, outline=_colour(label), width=3)
+    plates = list(taken)
+    for label, text, box in shown:
+        plate = free_plate([plate_of(draw, corner, text) for corner in _corners(box, draw.im.size[1])], plates)
+        plates.append(plate)
+        write_label(draw, plate[:2], text, _colour(label))
+
+
+def _corners(box: Sequence[float], height: float) -> list[tuple[float, float]]:
+    """Where the label of a box may begin, the best place first: above it, in it, at its right, below, anywhere."""
+    x0, y0, x1, y1 = box
+    inside = y0 + 2 if y0 < height else height
+    lines = range(0, max(1, int(height) - _LINE), _LINE)
+    return [
+        *([(x0, y0 - _LINE)] if y0 >= _LINE else []),
+        (x0, inside),
+        *((x0, inside + line) for line in lines if inside + line + _LINE <= y1),
+        (x1, inside),
+        (x1, y1 - _LINE),
+        (x0, y1 + 2),
+        *((x, float(line)) for x in (x0, x1) for line in lines),
+    ]
 
 
 def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.uint8]:

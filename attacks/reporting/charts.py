@@ -14,7 +14,7 @@ from typing import Any
 
 from attacks.reporting.section import Chart, Line, Point, Table
 from attacks.reporting.wording import percent
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, install, message
 
 SIZE = (4.5, 2.9)
 """Width and height in inches of 72 points; a telephone shows them at about their size."""
@@ -50,7 +50,7 @@ def need_packages() -> None:
     """
     missing = missing_packages()
     if missing:
-        do = "pip install 'mi-splat[report]'"
+        do = install("report")
         raise InvalidValueError(message(" and ".join(missing), "the package, for pages", "not installed", do))
 
 

@@ -36,7 +36,9 @@ def flags(values: Mapping[str, Any], defaults: object, *, skip: Sequence[str] = 
 
 def flag(name: str, value: Any) -> list[str]:
     """One flag with its value, as the command line reads it; a switch has none."""
-    words = name.replace("_", "-")
+    words = "detectors" if name == "detector" else name.replace("_", "-")
+    if name == "size":
+        return ["--size", "x".join(map(word, value))]
     if isinstance(value, bool):
         return [f"--{words}" if value else f"--no-{words}"]
     several = value if isinstance(value, (list, tuple)) else [value]

@@ -32,7 +32,7 @@ def repeat_dagger(
         return None
     words = [
         *_conditions(result, cameras, mask),
-        *("--detector", *(one["detector"] for one in result["detectors"])),
+        *("--detectors", *(one["detector"] for one in result["detectors"])),
         *flags(result["config"], DaggerConfig(), skip=("objective",)),
         *out,
     ]

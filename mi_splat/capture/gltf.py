@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import struct
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +19,8 @@ from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes
 from mi_splat.errors import MiSplatError, message
 
 _READ = {"EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform", "KHR_lights_punctual"}
+_UNPACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization"}
+"""What glTF Transform's command takes out of a file."""
 _FLOAT, _FAN = 5126, 6
 _HEADER, _CHUNK_HEADER = 20, 8
 """Bytes of a GLB before its JSON, and before what each chunk after it holds."""
@@ -99,6 +102,9 @@ def _check_extensions(document: dict[str, Any], path: Path) -> None:
     needed = [name for name in document.get("extensionsRequired", []) if name not in read]
     if unread := [name for name in needed if not name.startswith("KHR_materials_")]:
         do = "export it without"
+        if set(unread) <= _UNPACKED:
+            names = map(str, (path, path.with_stem(f"{path.stem}-unpacked")))
+            do = f"unpack it: npx @gltf-transform/cli dequantize {shlex.join(names)}"
         raise GltfError(message(str(path), "a glTF file without extensions that change the mesh", unread[0], do))
 
 

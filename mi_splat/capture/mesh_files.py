@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import logging
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +17,12 @@ from mi_splat.assets.mesh import Asset, Mesh, exact_rotation
 from mi_splat.capture.gltf import GltfError, gltf_notes
 from mi_splat.capture.mesh_colours import Surface, coloured
 from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
-from mi_splat.capture.settings import Front, MeshSettings
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.capture.settings import Front, MeshSettings, Up
+from mi_splat.errors import InvalidValueError, MiSplatError, install, message
+from mi_splat.io.picture_files import pixels_bounded
 
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
-UP: dict[str, Literal["y", "z"]] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
+UP: dict[str, Up] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
 """Which axis points up in a file, unless told otherwise; only glTF's is laid down."""
 
 FARTHEST = 1000.0
@@ -29,19 +32,23 @@ still resolves a sixteen-thousandth of the radius; farther away the mesh is move
 COARSE = 1e-3
 """Steps between coordinates of a file, as a part of its mesh's size, from which it is warned of."""
 
+_UPRIGHT: dict[Up, tuple[str, float]] = {
+    "x": ("y", -90.0),
+    "-x": ("y", 90.0),
+    "y": ("x", 90.0),
+    "-y": ("x", -90.0),
+    "z": ("x", 0.0),
+    "-z": ("x", 180.0),
+}
+"""Axis and degrees of the turn that takes what is up in a file to z."""
+
 _TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
 """Degrees about z that turn a front to +x."""
 
-# What trimesh raises for files that are broken in one way or another.
+# What trimesh raises for files that are broken in one way or another; NameError, where it assumes an element.
 _BROKEN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NotImplementedError,
-    ArithmeticError,
-    AssertionError,
+    *(OSError, ValueError, LookupError, TypeError, AttributeError, NotImplementedError, ArithmeticError, EOFError),
+    *(AssertionError, NameError, RecursionError, MemoryError, SyntaxError, struct.error, zlib.error),
 )
 
 
@@ -65,6 +72,7 @@ class LoadedMesh:
     warnings: tuple[str, ...] = ()
 
 
+@np.errstate(all="ignore")  # numbers that are not finite are refused where they end up
 def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     """All meshes of a file as one asset, with z up.
 
@@ -101,10 +109,10 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     return LoadedMesh(asset=Asset(path.stem, meshes), world_offset=(x, y, z), warnings=warnings)
 
 
-def turning(settings: MeshSettings, *, up: Literal["y", "z"]) -> NDArray[np.float64]:
+def turning(settings: MeshSettings, *, up: Up) -> NDArray[np.float64]:
     """(3, 3) matrix from the file's axes and unit to z up, the front to +x, and metres."""
     x, y, z = settings.rotate
-    matrix = exact_rotation("x", 90 if up == "y" else 0)
+    matrix = exact_rotation(*_UPRIGHT[up])
     for axis, degrees in (("x", x), ("y", y), ("z", z), ("z", _TURNS[settings.front or "+x"])):
         matrix = exact_rotation(axis, degrees) @ matrix
     turned: NDArray[np.float64] = settings.scale * matrix[:3, :3]
@@ -133,8 +141,8 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     try:
         import trimesh
     except ImportError as error:
-        do = "pip install 'mi-splat[meshes]'"
-        raise InvalidValueError(message("trimesh", "the package, to read mesh files", "not installed", do)) from error
+        what, do = "the package, to read mesh files", install("meshes")
+        raise InvalidValueError(message("trimesh", what, "not installed", do)) from error
     if not path.is_file():
         raise MeshFileError(message(str(path), "a mesh file", "no such file", "check the path"))
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it would print, is said here
@@ -143,7 +151,8 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     try:
         notes = read(path)
         given = str(path) if notes.data is None else io.BytesIO(notes.data)
-        scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
+        with pixels_bounded():
+            scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     except GltfError as error:
         raise MeshFileError(str(error)) from error
@@ -166,8 +175,7 @@ def _too_coarse(pieces: list[tuple[Any, NDArray[np.float64]]], surfaces: list[Su
     size, coarsest, where = float(np.ptp(points, axis=0).max()), 0.0, 0.0
     for piece, placed in pieces:
         farthest = float(np.abs(piece.vertices).max())
-        with np.errstate(all="ignore"):  # numbers that are not finite are refused later
-            step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
+        step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
         coarsest, where = max((coarsest, where), (step, farthest))
     if not coarsest > COARSE * size > 0:
         return []

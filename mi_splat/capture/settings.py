@@ -9,6 +9,7 @@ from typing import Literal
 
 from mi_splat.errors import InvalidValueError, message
 
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 Front = Literal["+x", "-x", "+y", "-y"]
 Ground = Literal["road", "grass", "none"]
 MissingTextures = Literal["refuse", "warn"]
@@ -62,7 +63,7 @@ class MeshSettings:
         InvalidValueError: A number is out of range.
     """
 
-    up: Literal["y", "z"] | None = None
+    up: Up | None = None
     scale: float = 1.0
     rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     front: Front | None = None

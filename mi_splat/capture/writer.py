@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from PIL import Image
 
 from mi_splat.cameras import Camera
 from mi_splat.capture.passes import PASSES
@@ -30,6 +29,7 @@ from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_png
 from mi_splat.io.locks import locked_folder
+from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import load_points, save_points, to_bytes
 
 _GREY = (0.5, 0.5, 0.5)
@@ -90,6 +90,7 @@ def write_capture(
 
     Raises:
         InvalidValueError: There are no cameras, the folder holds something else, or no picture shows a surface.
+        PictureFileError: Pictures would have too many pixels to be read again.
         SplatFileError: A file cannot be written, or another process has the folder.
     """
     settings = settings or CaptureSettings()
@@ -137,6 +138,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
     with scalar_variant():
         for camera in (*cameras, *test):
             check_camera(camera)
+            check_pixels("size", camera.width, camera.height)  # or they could not be read again
     parts = {"train": cameras, "test": test}
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
 
@@ -172,9 +174,8 @@ def _render(
 def _black_pictures(images: Path, names: Sequence[str]) -> tuple[str, ...]:
     """A warning if nothing but black is to be seen in any picture."""
     for name in names:
-        with Image.open(images / name) as picture:
-            if any(high > 0 for _, high in np.reshape(picture.convert("RGB").getextrema(), (3, 2))):
-                return ()
+        if any(high > 0 for _, high in np.reshape(load_picture(images / name).convert("RGB").getextrema(), (3, 2))):
+            return ()
     do = "move them away (--distance), or light the scene"
     cause = "black alone, as from cameras inside the object or far too near"
     return (message("pictures", "some that are not black", cause, do),)
@@ -183,8 +184,7 @@ def _black_pictures(images: Path, names: Sequence[str]) -> tuple[str, ...]:
 def _is_complete(path: Path, camera: Camera, alpha: bool) -> bool:
     """Whether a picture is on the disk, whole and of the right size and kind."""
     try:
-        with Image.open(path) as picture:
-            picture.load()
-            return picture.size == (camera.width, camera.height) and picture.mode == ("RGBA" if alpha else "RGB")
-    except (OSError, SyntaxError, ValueError):
+        picture = load_picture(path)
+    except PictureFileError:
         return False
+    return picture.size == (camera.width, camera.height) and picture.mode == ("RGBA" if alpha else "RGB")

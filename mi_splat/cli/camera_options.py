@@ -7,6 +7,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from mi_splat.cli.values import Colour, Direction, Size
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraOptions:
@@ -29,16 +31,18 @@ class CameraOptions:
     """World units from the centre; None is as near as shows the object or the scene whole."""
     centre: tuple[float, float, float] | None = None
     """Point that cameras of an orbit or a set look at; None is the middle of the object, or of all Gaussians."""
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Direction that is up in the scene, for orbits and sets; scenes from COLMAP often have 0 -1 0."""
+    up: Direction = (0.0, 0.0, 1.0)
+    """Direction that is up in the scene, for orbits and sets: an axis, or three numbers; scenes from COLMAP often have
+    -y."""
     fov: float = 45.0
     """Field of view of orbits and sets in degrees, over the shorter side of the picture."""
-    size: tuple[int, int] | None = None
-    """Width and height in pixels; None is the camera's own, 640 x 480 for orbits and sets."""
+    size: Size | None = None
+    """Pixels, as 256 or 256x192; None is the camera's own, 640x480 for orbits and sets."""
     near: float | None = None
     """Gaussians nearer than this to the camera are not drawn, world units; None is what suits scene and cameras."""
-    background: tuple[float, float, float] | None = None
-    """sRGB colour behind the Gaussians; None is the scene's own, black for a bare splat file."""
+    background: Colour | None = None
+    """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,
+    black for a bare splat file."""
 
     @property
     def orbits(self) -> bool:

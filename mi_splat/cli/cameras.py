@@ -184,7 +184,7 @@ def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[flo
     if not 0 < options.fov < 180:
         raise InvalidValueError(message("fov", "degrees between 0 and 180", options.fov, "45 is usual"))
     if min(size) < 1:
-        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance 640 480"))
+        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance 640x480"))
     middle, radius = bounds(target)
     distance, focal = framing(radius, fov=options.fov, size=size)
     centre = middle if options.centre is None else options.centre

@@ -20,7 +20,7 @@ from mi_splat.datasets.transforms import read_world_offset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import own_folder
 
-SIZE, FOV = (256,), 45.0
+SIZE, FOV = (256, 256), 45.0
 """Size in pixels and field of view in degrees that are taken where none are given."""
 
 
@@ -32,7 +32,7 @@ def run(options: CaptureOptions) -> int:
 
 def _capture(options: CaptureOptions) -> int:
     """As `run`, in a folder that is this process's own."""
-    size, fov = _size(options), FOV if options.fov is None else options.fov
+    size, fov = options.size or SIZE, FOV if options.fov is None else options.fov
     _check_fov(fov)
     _check_meaning(options)
     with progress("building the scene"):
@@ -58,14 +58,6 @@ def _capture(options: CaptureOptions) -> int:
         warn(text)
     _report(done, source, options, (cameras[0].width, cameras[0].height))
     return 0
-
-
-def _size(options: CaptureOptions) -> tuple[int, int]:
-    """Width and height in pixels."""
-    size = SIZE if options.size is None else options.size
-    if len(size) not in (1, 2) or min(size) < 1:
-        raise InvalidValueError(message("size", "one or two positive numbers", size, "for instance 256"))
-    return size[0], size[-1]
 
 
 def _check_meaning(options: CaptureOptions) -> None:

@@ -1,4 +1,4 @@
-"""`mi-splat info`: what a splat file or a scene XML holds."""
+"""`mi-splat info`: what a splat file or a scene XML holds; of a PLY it is told without torch, and so at once."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
+from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import progress, show_json, show_table
 from mi_splat.cli.options import InfoOptions
-from mi_splat.io import SplatFileWarning, load_splat
-from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.sh import colours_by_direction, even_directions
+from mi_splat.io.errors import SplatFileWarning
+from mi_splat.io.loaded import Arrays
+from mi_splat.io.reading import load_arrays
+from mi_splat.sh import colours_by_direction, degree_of, even_directions
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
@@ -20,7 +23,7 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 def run(options: InfoOptions) -> int:
     """Print the facts about a file."""
     with progress(f"reading {options.file}"):
-        facts = _scene_file_facts(options.file) if options.file.suffix.lower() == ".xml" else _splat_facts(options.file)
+        facts = _scene_file_facts(options.file) if options.file.suffix.lower() == ".xml" else _file_facts(options.file)
     if options.json:
         show_json({"file": str(options.file), **facts})
     else:
@@ -28,13 +31,13 @@ def run(options: InfoOptions) -> int:
     return 0
 
 
-def _splat_facts(path: Path) -> dict[str, object]:
+def _file_facts(path: Path) -> dict[str, object]:
     """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SplatFileWarning)
-        scene = load_splat(path, on_invalid="drop")
+        splat = load_arrays(path, on_invalid="drop")
     dropped = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
-    return {"parts": None, **scene_facts(scene), "invalid": " ".join(dropped) or None}
+    return {"parts": None, **splat_facts(splat), "invalid": " ".join(dropped) or None}
 
 
 def _scene_file_facts(path: Path) -> dict[str, object]:
@@ -44,12 +47,13 @@ def _scene_file_facts(path: Path) -> dict[str, object]:
     loaded = read_scene(path)
     parts = {name: len(range(*rows.indices(len(loaded.scene)))) for name, rows in loaded.objects.items()}
     cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
-    boxes = {name: _bounds(loaded.scene.select(rows)) for name, rows in loaded.objects.items() if parts[name]}
-    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **scene_facts(loaded.scene)}
+    splat: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, loaded.scene.tensors(), strict=True)}
+    boxes = {name: _bounds(splat["means"][rows]) for name, rows in loaded.objects.items() if parts[name]}
+    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat)}
 
 
-def scene_facts(scene: GaussianScene) -> dict[str, object]:
-    """Numbers that describe a scene, as JSON can hold them; bounds and scales in world units.
+def splat_facts(splat: Arrays) -> dict[str, object]:
+    """Numbers that describe a splat, as JSON can hold them; bounds and scales in world units.
 
     Of a captured scene `bounds` are those of the farthest floaters; `box`, of the middle 98 % along each axis, tells
     where the scene is, and `middle`, the median, where most of it is: often the object. Half of the Gaussians are
@@ -57,36 +61,51 @@ def scene_facts(scene: GaussianScene) -> dict[str, object]:
     least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
     of what cameras saw alone.
     """
-    facts: dict[str, object] = {"gaussians": len(scene), "sh_degree": scene.degree}
-    if len(scene):
-        facts["bounds"] = _bounds(scene)
-        facts["box"] = _bounds(scene, outside=0.01)
-        middle = scene.means.median(dim=0).values
+    means = splat["means"]
+    facts: dict[str, object] = {"gaussians": len(means), "sh_degree": degree_of(splat["sh"].shape[1])}
+    if len(means):
+        facts["bounds"] = _bounds(means)
+        facts["box"] = _bounds(means, outside=0.01)
+        middle = _median(means)
         facts["middle"] = middle.tolist()
-        facts["reach"] = float((scene.means - middle).norm(dim=1).median())
-        facts["opacity"] = _quantiles(scene.opacities)
-        facts["scale"] = _quantiles(scene.scales.flatten())
-        facts["colour"] = _colours(scene)
-    return {**facts, "hash": scene_hash(scene)}
+        facts["reach"] = float(_median(_lengths(means - middle)))
+        facts["opacity"] = _quantiles(splat["opacities"])
+        facts["scale"] = _quantiles(splat["scales"].ravel())
+        facts["colour"] = _colours(splat["sh"])
+    return {**facts, "hash": values_hash(splat)}
 
 
-def _bounds(scene: GaussianScene, *, outside: float = 0.0) -> list[list[float]]:
+def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The lower median along the first axis."""
+    last: NDArray[np.float32] = np.sort(values, axis=0)[(len(values) - 1) // 2]
+    return last
+
+
+def _lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Lengths of rows, each sum rounded to float32 once, as torch's norm does it."""
+    squares = np.zeros(len(vectors), np.float32)
+    for column in vectors.T.astype(np.float64):
+        squares = (column**2 + squares).astype(np.float32)
+    return np.sqrt(squares)
+
+
+def _bounds(means: NDArray[np.float32], *, outside: float = 0.0) -> list[list[float]]:
     """Lower and upper corner of the box around the means, without so large a share at either end of each axis."""
-    ordered = scene.means.sort(dim=0).values
+    ordered = np.sort(means, axis=0)
     last = len(ordered) - 1
     return [ordered[round(share * last)].tolist() for share in (outside, 1 - outside)]
 
 
-def _quantiles(values: Tensor) -> dict[str, float]:
-    """Minimum, 5 %, median, 95 % and maximum (torch.quantile takes no more than 16 million values)."""
-    ordered = values.sort().values
+def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
+    """Minimum, 5 %, median, 95 % and maximum; each is one of the values."""
+    ordered = np.sort(values)
     rows = [round(q * (len(ordered) - 1)) for q in QUANTILES]
     return {f"{q:.0%}": float(ordered[row]) for q, row in zip(QUANTILES, rows, strict=True)}
 
 
-def _colours(scene: GaussianScene) -> dict[str, float]:
+def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
     """How bright the Gaussians are over all directions."""
-    means, most = colours_by_direction(scene.sh, even_directions())
+    means, most = colours_by_direction(sh, even_directions())
     return {"least mean": float(means.min()), "most mean": float(means.max()), "largest": float(most.max())}
 
 

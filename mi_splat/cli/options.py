@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.values import Colour, Size
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.selection.config import Selection
 from mi_splat.training.config import FitConfig
@@ -107,8 +108,8 @@ class CaptureOptions:
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
     out: Path = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
-    size: tuple[int, ...] | None = None
-    """Width and height in pixels, or one number for both; 1 to 32768. None is 256, or what a transforms .json says."""
+    size: Size | None = None
+    """Pixels, as 256 or 256x192; 1 to 32768. None is 256, or what a transforms .json says."""
     test: int = 0
     """Pictures held out, from other cameras over the same range; 0 or more."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
@@ -162,8 +163,9 @@ class TrainOptions:
     """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
     downscale: int = 1
     """Integer factor by which the pictures shrink."""
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """sRGB colour behind the splat, and behind transparent pixels; white is 1 1 1. See also --random-background."""
+    background: Colour = (0.0, 0.0, 0.0)
+    """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]. See also
+    --random-background."""
     near: float | None = None
     """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
     scene or the distance of its cameras is small."""

@@ -101,6 +101,9 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         if _PLACE in out.name:
             do = f"leave {_PLACE} out, or end the name in .png or .jpg"
             raise InvalidValueError(message("--out", "one name, since an animation is one file", out, do))
+        if len(cameras) < 2:
+            do = "pass for instance --cameras orbit:60@20, or end the name in .png"
+            raise InvalidValueError(message("--out", "two cameras or more for an animation", f"one, {out}", do))
         sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
         if len(sizes) > 1:
             raise InvalidValueError(message("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size"))

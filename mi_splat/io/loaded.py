@@ -1,4 +1,4 @@
-"""What a reader of splat files hands over: a scene, and which of its Gaussians are not valid."""
+"""What a reader of splat files hands over: arrays, and which of their Gaussians are not valid; needs no torch."""
 
 from __future__ import annotations
 
@@ -7,16 +7,22 @@ import os
 import stat
 import warnings
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
+from mi_splat.attributes import ATTRIBUTES, LARGEST, Attribute
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning
-from mi_splat.rotation import normalise
-from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.scene import GaussianScene
+
+Arrays = dict[Attribute, NDArray[np.float32]]
+"""The five tensors of a scene as float32 arrays, in the order of `ATTRIBUTES`."""
+UNIT_SLACK = 1e-6
+"""As in `mi_splat.rotation`."""
 
 SHOWN = 5
 """How many names or rows a message lists."""
@@ -30,17 +36,28 @@ class Loaded:
     """The content of a splat file.
 
     Attributes:
-        scene: All its Gaussians, unchecked.
+        arrays: All its Gaussians, unchecked.
         invalid: Rows that are not valid, in order.
         reason: What is wrong with the first of these.
     """
 
-    scene: GaussianScene
+    arrays: Arrays
     invalid: NDArray[np.int64]
     reason: str
 
-    def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> GaussianScene:
-        """The scene, after the Gaussians that are not valid were refused or dropped.
+    @classmethod
+    def of(cls, scene: GaussianScene, invalid: NDArray[np.int64], reason: str) -> Loaded:
+        """The same from a scene, whose memory is shared."""
+        arrays: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+        return cls(arrays, invalid, reason)
+
+    @property
+    def scene(self) -> GaussianScene:
+        """All Gaussians as a scene, unchecked, whose memory is shared."""
+        return as_scene(self.arrays)
+
+    def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> Arrays:
+        """The arrays, after the Gaussians that are not valid were refused or dropped.
 
         Args:
             path: For messages.
@@ -50,9 +67,9 @@ class Loaded:
         Raises:
             SplatFileError: There are some and `on_invalid` is "raise".
         """
-        bad, count = self.invalid, len(self.scene)
+        bad, count = self.invalid, len(self.arrays["means"])
         if not len(bad):
-            return self.scene
+            return self.arrays
         which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
         found = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
         if on_invalid == "raise":
@@ -60,9 +77,26 @@ class Loaded:
             raise error.hinted(f"mi-splat convert {path} VALID.ply --drop-invalid")
         text = message(path, "valid Gaussians", found, "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
-        keep = torch.ones(count, dtype=torch.bool)
-        keep[torch.from_numpy(bad)] = False
-        return self.scene.select(keep)
+        keep = np.ones(count, np.bool_)
+        keep[bad] = False
+        return {name: value[keep] for name, value in self.arrays.items()}
+
+
+def as_scene(arrays: Arrays) -> GaussianScene:
+    """The arrays as a scene, unchecked, whose memory is shared."""
+    import torch  # only where a scene is wanted
+
+    from mi_splat.scene import GaussianScene
+
+    return GaussianScene.unchecked(*(torch.from_numpy(arrays[name]) for name in ATTRIBUTES))
+
+
+def unit(quaternions: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """`mi_splat.rotation.normalise` of an array, to the bit."""
+    wide = quaternions.astype(np.float64)
+    with np.errstate(all="ignore"):
+        factor = 1 / np.sqrt((wide * wide).sum(-1, keepdims=True))
+        return (wide * np.where(np.abs(factor - 1) <= UNIT_SLACK, 1.0, factor)).astype(quaternions.dtype)
 
 
 def judged(
@@ -72,7 +106,7 @@ def judged(
     opacities: NDArray[np.floating],
     sh: NDArray[np.floating],
 ) -> Loaded:
-    """Decoded Gaussians as float32 tensors, with normalised quaternions, and which of them are valid.
+    """Decoded Gaussians in float32, with normalised quaternions, and which of them are valid.
 
     Args:
         means: (N, 3) world units.
@@ -82,21 +116,22 @@ def judged(
         sh: (N, K, 3).
     """
     arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
-    arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
+    arrays[2] = unit(arrays[2])
     good = [
-        np.isfinite(arrays[0]),
-        np.isfinite(arrays[1]) & (arrays[1] > 0),
+        np.abs(arrays[0]) <= LARGEST,
+        (arrays[1] > 0) & (arrays[1] <= LARGEST),
         np.isfinite(arrays[2]),
         (arrays[3] >= 0) & (arrays[3] <= 1),
-        np.isfinite(arrays[4]),
+        np.abs(arrays[4]) <= LARGEST,
     ]
-    scene = GaussianScene.unchecked(*(torch.from_numpy(value) for value in arrays))
     valid = np.ones(len(arrays[0]), np.bool_)
     for value in good:
         if not value.all():
             valid &= value.reshape(len(valid), -1).all(1)
     bad = np.flatnonzero(~valid)
-    return Loaded(scene, bad, _reason(arrays, good, int(bad[0])) if len(bad) else "")
+    return Loaded(
+        dict(zip(ATTRIBUTES, arrays, strict=True)), bad, _reason(arrays, good, int(bad[0])) if len(bad) else ""
+    )
 
 
 def _reason(arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], row: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.io.atomic import atomic_write, write_all
 
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
@@ -60,7 +60,7 @@ def check_animation(path: Path) -> None:
         VideoError: The package that a video needs is not installed.
     """
     if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        do = "pip install 'mi-splat[video]', or end the name in .gif"
+        do = f"{install('video')}, or end the name in .gif"
         raise VideoError(message(str(path), "imageio-ffmpeg, which writes videos", "no such package", do))
 
 

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import io
 import os
 import warnings
 from collections.abc import Callable
 from typing import Literal
 
-import numpy as np
-
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import message
 from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.errors import SplatLossWarning, from_os_error, path_name
-from mi_splat.io.formats.compressed_ply import is_compressed, read_compressed_ply, write_compressed_ply
-from mi_splat.io.formats.detection import HEAD, META, format_to_read, format_to_write
+from mi_splat.io.errors import SplatLossWarning, path_name
+from mi_splat.io.formats.compressed_ply import write_compressed_ply
+from mi_splat.io.formats.detection import format_to_write
 from mi_splat.io.formats.encoded import Encoded
-from mi_splat.io.formats.gltf import read_glb, write_glb
-from mi_splat.io.formats.ksplat import read_ksplat
-from mi_splat.io.formats.sog import read_sog, read_sog_folder, write_sog
-from mi_splat.io.formats.splat32 import read_splat, write_splat
-from mi_splat.io.formats.spz import read_spz, write_spz
-from mi_splat.io.loaded import Loaded, open_regular
-from mi_splat.io.ply.header import read_header
-from mi_splat.io.ply.splat import read_ply, write_ply
+from mi_splat.io.formats.gltf import write_glb
+from mi_splat.io.formats.sog import write_sog
+from mi_splat.io.formats.splat32 import write_splat
+from mi_splat.io.formats.spz import write_spz
+from mi_splat.io.loaded import as_scene
+from mi_splat.io.ply.splat import write_ply
+from mi_splat.io.reading import load_arrays
 from mi_splat.scene import GaussianScene, check_scene
 
 
@@ -39,24 +35,16 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
 
     Args:
         path: A splat file, or the meta.json of an unbundled SOG.
-        on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32, the scale vanishes,
-            the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many and which.
+        on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32 or above 1e9, the
+            scale vanishes, the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many
+            and which.
 
     Raises:
         SplatFileError: The file cannot be read, is no splat, is damaged, or holds Gaussians that are not valid and
             `on_invalid` is "raise".
         InvalidValueError: on_invalid is something else, or path is no path.
     """
-    if on_invalid not in ("raise", "drop"):
-        raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
-    name = path_name(path)
-    try:
-        # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
-        with open_regular(name) as file, np.errstate(all="ignore"):
-            loaded = _READERS[format_to_read(name, os.pread(file.fileno(), HEAD, 0))](file, name)
-    except OSError as error:
-        raise from_os_error(name, "a splat file that can be read", error) from error
-    return loaded.settle(name, on_invalid, stacklevel=2)
+    return as_scene(load_arrays(path, on_invalid=on_invalid, stacklevel=2))
 
 
 def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
@@ -72,7 +60,8 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         SplatFileError: The file cannot be written, or the name fits no format; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32, or the arguments are no scene and no path.
+        InvalidValueError: A value is not finite in float32 or too large (`LARGEST`), or the arguments are no scene and
+            no path.
 
     Warns:
         SplatLossWarning: Something is lost beyond that rounding: SH bands are dropped, values are clamped.
@@ -108,23 +97,6 @@ def write_splat_file(
         write_all(file, memoryview(encoded.data))
     return encoded
 
-
-def _read_any_ply(file: io.FileIO, path: str) -> Loaded:
-    """Read a PLY, compressed or not: its header says which."""
-    file.seek(0)
-    header = read_header(file, path)
-    return (read_compressed_ply if is_compressed(header) else read_ply)(file, header, path)
-
-
-_READERS: dict[str, Callable[[io.FileIO, str], Loaded]] = {
-    ".ply": _read_any_ply,
-    ".glb": read_glb,
-    ".spz": read_spz,
-    ".sog": read_sog,
-    META: read_sog_folder,
-    ".splat": read_splat,
-    ".ksplat": read_ksplat,
-}
 
 _WRITERS: dict[str, Callable[[GaussianScene], Encoded]] = {
     ".compressed.ply": write_compressed_ply,

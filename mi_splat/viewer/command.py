@@ -35,7 +35,7 @@ def render_command(
     words += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
     if tuple(orbit.target) != tuple(middle):
         words += _option("centre", *orbit.target)
-    words += _option("size", *size)
+    words += ["--size", f"{size[0]}x{size[1]}"]
     if settings.background != own.background:
         words += _option("background", *settings.background)
     words += _option("near", settings.near)  # of a bare splat it follows the camera, unless it is given

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.viewer.composition import ways_of_showing
 from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
 from mi_splat.viewer.orbit import Orbit
@@ -40,7 +40,7 @@ def need_viser() -> None:
         InvalidValueError: viser is not installed.
     """
     if importlib.util.find_spec("viser") is None:
-        do = "pip install 'mi-splat[view]', or write a page with --export"
+        do = f"{install('view')}, or write a page with --export"
         raise InvalidValueError(message("viser", "the package, for pages", "not installed", do))
 
 

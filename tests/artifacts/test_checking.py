@@ -278,7 +278,10 @@ def test_the_command_packs(result: Path, tmp_path: Path, capsys: pytest.CaptureF
         (["artifact-check", "{packed}", "--splats", "."], "--splats: expected --rescore beside it"),
         (["artifact-check"], "expected folders of artifacts, got none"),
         (["artifact-check", "{packed}", "--every", "2"], "--every: expected --rescore beside it"),
-        (["artifact-check", "{packed}", "--detectors", "a"], "--detectors: expected --rescore beside it"),
+        (
+            ["artifact-check", "{packed}", "--detectors", "fasterrcnn_small"],
+            "--detectors: expected --rescore beside it",
+        ),
     ],
 )
 def test_flags_that_would_mean_nothing_are_refused(

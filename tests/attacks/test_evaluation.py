@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
+from PIL import ImageDraw
 from scipy.stats import binomtest
 from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections
+from attacks.evaluation import drawing
 from attacks.evaluation.drawing import annotated, difference, stacked
 from attacks.evaluation.rates import Rate, rates
 from attacks.evaluation.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
@@ -18,6 +22,7 @@ from attacks.objectives import relabel
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import through_png
+from mi_splat.labels import Plate, plate_of
 from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
@@ -189,3 +194,24 @@ def test_a_clean_scene_is_asked_for() -> None:
     scene, mask = toy_scene()
     with pytest.raises(InvalidValueError, match="scenes: expected one of the name clean"):
         evaluate({"attacked": scene}, mask, [camera()], [ColourDetector()], render=blobs)
+
+
+def test_every_box_has_a_label_of_its_own_inside_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    corners = [(51, 94, 182, 192), (50, 92, 181, 190), (52, 95, 180, 193), (0, 0, 256, 256), (230, 240, 256, 256)]
+    corners += [(-20, -10, 30, 30), (200, 1, 255, 40), (1, 230, 60, 256)]
+    labels = ("car", "train", "stop sign", "train", "suitcase", "person", "elephant", "bird")
+    found = Detections(torch.tensor(corners).float(), torch.linspace(0.9, 0.4, len(labels)), labels)
+    plates: list[Plate] = []
+
+    def spy(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, colour: str) -> None:
+        plates.append(plate_of(draw, corner, text))
+
+    monkeypatch.setattr(drawing, "write_label", spy)
+    annotated(torch.zeros(256, 256, 3), found, "title")
+    assert len(plates) == len(labels) + 1
+    for left, top, right, bottom in plates:
+        assert left >= 0
+        assert top >= 0
+        assert max(right, bottom) <= 512
+    for one, other in itertools.combinations(plates, 2):
+        assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1], (one, other)

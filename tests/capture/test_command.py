@@ -53,7 +53,7 @@ def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(command_line(tmp_path / "a", "--cameras", "orbit:2@30", "--size", "20", "12", "--rgba")) == 0
+    assert cli.main(command_line(tmp_path / "a", "--cameras", "orbit:2@30", "--size", "20x12", "--rgba")) == 0
     again = command_line(tmp_path / "b", "--cameras", str(tmp_path / "a" / "transforms_train.json"))
     again = [word for word in again if word not in ("--size", "16")]
     assert cli.main(again) == 0
@@ -103,7 +103,7 @@ def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
         (["--cameras", "orbit:0@20"], "1 to 100000 cameras, got 0"),
         (["--cameras", "hemisphere:1000000000"], "1 to 100000 cameras, got 1000000000"),
         (["--size", "0"], "size"),
-        (["--size", "1", "2", "3"], "size"),
+        (["--size", "1x2x3"], "size"),
         (["--size", "99999"], "99999"),
         (["--fov", "180"], "fov"),
         (["--distance", "-1"], "distance"),

@@ -16,7 +16,7 @@ from mi_splat.camera_sets import orbit
 from mi_splat.capture.mesh_files import load_mesh, turning
 from mi_splat.capture.mitsuba_meshes import scalar_variant
 from mi_splat.capture.path_tracer import PathTracer
-from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
+from mi_splat.capture.settings import MeshSettings, SurroundingsSettings, Up
 from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
@@ -47,7 +47,9 @@ def test_turns_come_in_the_order_that_is_written_down() -> None:
     matrix = turning(MeshSettings(rotate=(90, 0, 90), scale=2.0), up="z")
     # About x first: y goes to z and stays there; x goes to y, by the turn about z.
     assert np.allclose(matrix, [[0, 0, 2], [2, 0, 0], [0, 2, 0]], atol=1e-12)
-    assert np.allclose(turning(MeshSettings(), up="y") @ (0, 1, 0), (0, 0, 1))
+    ups: list[tuple[Up, tuple[int, int, int]]] = [("x", (1, 0, 0)), ("y", (0, 1, 0)), ("-z", (0, 0, -1))]
+    for up, direction in [*ups, ("-x", (-1, 0, 0)), ("-y", (0, -1, 0)), ("z", (0, 0, 1))]:
+        assert np.allclose(turning(MeshSettings(), up=up) @ direction, (0, 0, 1))
     # A front is where it is after the other turns: x, turned to y, faces +y.
     faces_y = MeshSettings(rotate=(0, 0, 90), front="+y")
     assert np.allclose(turning(faces_y, up="z"), np.eye(3), atol=1e-12)
@@ -129,7 +131,7 @@ OPTIONS: dict[str, tuple[list[str], str]] = {
     "cameras": (["--cameras", "orbit:2@30"], "cameras 'orbit:2@20', now 'orbit:2@30'"),
     "fov": (["--fov", "50"], "fov 45.0, now 50.0"),
     "distance": (["--distance", "9"], "distance None, now 9.0"),
-    "size": (["--size", "20"], "size [16], now [20]"),
+    "size": (["--size", "20"], "size [16, 16], now [20, 20]"),
 }
 
 

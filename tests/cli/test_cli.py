@@ -17,8 +17,8 @@ import torch
 from attacks import cli
 from mi_splat.cli import console
 from mi_splat.errors import MiSplatError
-from mi_splat.io import save_splat
-from mi_splat.scene import GaussianScene
+from mi_splat.io import load_splat, save_splat
+from mi_splat.scene import GaussianScene, scene_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,12 +29,14 @@ def splat(tmp_path: Path) -> Path:
     count = 200
     turns = torch.nn.functional.normalize(torch.randn(count, 4), dim=1)
     middle = torch.tensor([1.0, 2.0, 3.0])
+    sh = torch.ones(count, 4, 3)
+    sh[0] *= 2
     scene = GaussianScene(
         means=middle + 0.3 * torch.randn(count, 3),
         scales=torch.full((count, 3), 0.1),
         rotations=turns,
         opacities=torch.full((count,), 0.8),
-        sh=torch.ones(count, 4, 3),
+        sh=sh,
     )
     path = tmp_path / "cloud.ply"
     save_splat(scene, path)
@@ -74,7 +76,7 @@ def test_unknown_command_names_the_nearest(typed: str, meant: str, capsys: pytes
         ["dagger", "--norm", "l7"],
         ["dagger", "--steps", "many"],
         ["dagger", "--attributes", "colour"],
-        ["render", "a.ply", "--size", "640"],
+        ["render", "a.ply", "--size", "640", "480"],
     ],
     ids=" ".join,
 )
@@ -95,7 +97,20 @@ def test_wrong_usage_exits_with_2(words: list[str], capsys: pytest.CaptureFixtur
         (["dagger", "--confidence", "much"], "--confidence: expected a number, got 'much'"),
         (["dagger", "--steps", "0"], "dagger: --steps: expected a number >= 1 (steps), got 0"),
         (["dagger", "--norm", "l7"], "invalid choice 'l7' for argument '--norm'"),
-        (["render", "a.ply", "--size", "640"], "'--size'. Expected 2 values"),
+        (
+            ["render", "--size", "64", "48", "a.ply"],
+            "--size: expected pixels as 256 or 256x192, got 64 48; write 64x48",
+        ),
+        (["dagger", "--size", "small"], "--size: expected pixels as 256 or 256x192, got 'small'"),
+        (
+            ["view", "a.ply", "--background", "skyblu"],
+            "--background: expected a colour, got 'skyblu'; did you mean skyblue?",
+        ),
+        (
+            ["render", "a.ply", "--background", "2", "0", "0"],
+            "--background: expected a number in [0, 1] (sRGB), got 2.0",
+        ),
+        (["select", "a.ply", "--up", "q"], "--up: expected an axis such as y or -y, or three numbers, got 'q'"),
         (["train", "s", "--out", "o", "--strategy", "best"], "invalid choice: 'best'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -229,26 +244,30 @@ def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str])
     assert "fasterrcnn_small" in capsys.readouterr().out
 
 
-def test_progress_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
-    with console.progress("working", total=2) as advance:
-        advance("half")
-        advance()
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert captured.err == ""
-
-
-def test_progress_goes_to_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm")
-    with console.progress("working", total=2) as advance:
-        advance("half way")
-        advance()
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "half way" in captured.err
-
-
 def test_json_refuses_what_json_cannot_hold() -> None:
     with pytest.raises(ValueError, match="JSON"):
         console.show_json({"psnr": float("inf")})
+
+
+@pytest.mark.parametrize("command", ["dagger", "info", "detectors"])
+def test_help_before_a_command_is_that_command_s(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([command, "--help"]) == 0
+    asked = capsys.readouterr().out
+    assert cli.main(["help", command]) == 0
+    assert capsys.readouterr().out == asked
+
+
+def test_help_of_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["help", "dager"]) == 2
+    assert "did you mean dagger?" in capsys.readouterr().err
+
+
+def test_info_of_a_ply_needs_no_torch(tmp_path: Path) -> None:
+    code = "import sys; from attacks.cli import main; assert main(sys.argv[1:]) == 0; print('torch' in sys.modules)"
+    path = ROOT / "scenes" / "car_street_car.ply"
+    words = [sys.executable, "-c", code, "info", str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
+    lines = done.stdout.splitlines()
+    assert lines[-1] == "False"
+    assert lines[2].split() == ["gaussians", "10,075"]
+    assert lines[-3].split() == ["hash", scene_hash(load_splat(path))]

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cli import detect, evaluate
+from attacks.cli import dagger, detect, evaluate
 from attacks.cli.loading import load_detectors
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
@@ -19,7 +19,7 @@ from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
 from tests.fakes import ColourDetector, toy_scene
 
-VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32", "32"]
+VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32"]
 
 
 def painted(scene: GaussianScene, mask: torch.Tensor, colour: tuple[float, float, float]) -> GaussianScene:
@@ -127,7 +127,7 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     [
         (["clean.ply", "clean.ply"], "one that differs from the other"),
         (["clean.ply", "half.ply"], "the same Gaussians in both, got 40 and 20"),
-        (["clean.ply", "attacked.ply", "--target", "unicorn"], "one of car, person, stop sign, got unicorn"),
+        (["clean.ply", "attacked.ply", "--target", "unicorn"], "tv, train, suitcase for fasterrcnn_small, got unicorn"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -145,3 +145,15 @@ def test_detectors_and_weights_go_in_pairs(tmp_path: Path) -> None:
         load_detectors(["fasterrcnn_small"], [tmp_path / "a", tmp_path / "b"])
     with pytest.raises(InvalidValueError, match="different names"):
         load_detectors(["fasterrcnn_small"] * 2)
+
+
+@pytest.mark.parametrize(
+    "command", ["detect clean.ply", "dagger clean.ply --cluster 1", "evaluate clean.ply attacked.ply"]
+)
+def test_a_wrong_camera_is_told_before_a_detector_is_loaded(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for module in (detect, dagger, evaluate):
+        monkeypatch.setattr(module, "load_detectors", lambda names, weights: pytest.fail("loaded"))
+    assert cli.main([*command.split(), "--cameras", "behind", "--out", "none"]) == 1
+    assert "camera: expected no name" in capsys.readouterr().err

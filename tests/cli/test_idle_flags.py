@@ -12,7 +12,7 @@ from attacks import cli
 from mi_splat.io import save_splat
 from tests.fakes import toy_scene
 
-SMALL = ["--size", "24", "16"]
+SMALL = ["--size", "24x16"]
 
 
 @pytest.fixture

@@ -19,8 +19,6 @@ def test_no_value_is_called_by_its_type(command: str) -> None:
 
 def test_there_is_a_word_for_each_value() -> None:
     assert metavar("CameraOptions", "centre", "FLOAT FLOAT FLOAT") == "X Y Z"
-    assert metavar("CameraOptions", "size", "INT INT") == "WIDTH HEIGHT"
-    assert metavar("CaptureOptions", "size", "[INT ...]") == "[PIXELS ...]"
     assert metavar("CloakOptions", "seeds", "[INT ...]") == "[SEED ...]"
     assert metavar("DaggerStudyOptions", "seeds", "INT") == "COUNT"
     assert metavar("AnyOptions", "unheard_of", "FLOAT") == "NUMBER"

@@ -145,11 +145,11 @@ def test_a_folder_that_another_process_works_in_is_refused(
 @pytest.mark.parametrize(
     "line",
     [
-        "render a.ply --size 16 16 --out out/a.png",
-        "render a.ply --size 16 16 --cameras orbit:2@20 --out out/a.gif",
-        "select a.ply --cluster 1 --size 16 16 --out out/a.npy",
+        "render a.ply --size 16 --out out/a.png",
+        "render a.ply --size 16 --cameras orbit:2@20 --out out/a.gif",
+        "select a.ply --cluster 1 --size 16 --out out/a.npy",
         "convert a.ply out/b.glb",
-        "view a.ply --size 16 16 --views 1 1 --export out/a.html",
+        "view a.ply --size 16 --views 1 1 --export out/a.html",
     ],
 )
 def test_what_a_killed_call_left_beside_a_file_is_swept(line: str, folder: Path) -> None:

@@ -42,10 +42,10 @@ NEEDED = {
 
 def numbers(kind: Any, prefix: str = "", *, bare_names: bool = False) -> Iterator[tuple[str, str, bool, int]]:
     """Name and flag of every option of a dataclass that takes numbers, whether whole ones, and how many at least."""
-    hints = typing.get_type_hints(kind, include_extras=True)
+    hints, plain = typing.get_type_hints(kind, include_extras=True), typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
         hint, within = hints[field.name], f"{prefix}{field.name}."
-        bare = hint.__origin__ if typing.get_origin(hint) is typing.Annotated else hint
+        bare = plain[field.name]
         if dataclasses.is_dataclass(bare):
             omits = bare_names or (hint is not bare and OmitArgPrefixes in hint.__metadata__)
             yield from numbers(bare, prefix if omits else within, bare_names=omits)
@@ -85,6 +85,11 @@ def right_value(allowed: Range, whole: bool) -> str:
     return str(int(value) if whole else value)
 
 
+def said(flag: str, number: str, count: int) -> list[str]:
+    """A flag with so many of a number, as a user writes it."""
+    return [flag, "x".join([number] * count)] if flag == "--size" else [flag, *[number] * count]
+
+
 def options_of(command: str, words: list[str]) -> object:
     return parse(command, cli.COMMANDS[command], [*NEEDED.get(command, []), *words])
 
@@ -107,7 +112,7 @@ def test_wrong_numbers_are_refused(
         with pytest.raises(UsageError):
             check_range(name, float(number), ALL_RANGES)
     with pytest.raises((UsageError, SystemExit)) as refused:
-        options_of(command, [flag, *[wrong[-1]] * count])
+        options_of(command, said(flag, wrong[-1], count))
     assert getattr(refused.value, "code", 2) == 2
     assert capsys.readouterr().out == ""
 
@@ -117,7 +122,7 @@ def test_right_numbers_are_taken(command: str) -> None:
     """All of a command at once, but two seeds that have to differ."""
     together: list[str] = []
     for name, flag, whole, count in (case[1:] for case in CASES if case[0] == command):
-        words = [flag, *[right_value(ALL_RANGES[name], whole)] * count]
+        words = said(flag, right_value(ALL_RANGES[name], whole), count)
         if name == "judge_seed":
             options_of(command, words)
         else:

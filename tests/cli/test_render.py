@@ -13,7 +13,7 @@ from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from tests.fakes import camera, toy_scene
 
-SMALL = ["--size", "24", "16"]
+SMALL = ["--size", "24x16"]
 
 
 @pytest.fixture
@@ -55,12 +55,20 @@ def test_an_orbit_makes_an_animation(toy: Path) -> None:
         assert picture.info["duration"] == 200
 
 
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
+def test_one_camera_makes_no_animation(name: str, toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    assert cli.main(["render", "toy.ply", *SMALL, "--out", name]) == 1
+    assert "two cameras or more for an animation, got one, " + name + "; pass for instance" in capsys.readouterr().err
+    assert not (toy / name).exists()
+
+
 def test_frames_of_different_sizes_are_no_animation(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (toy / "cameras.json").write_text(json.dumps([describe("a", camera(16)), describe("b", camera(20))]))
     words = ["render", "toy.ply", "--cameras", "cameras.json", "--out", "a.gif"]
     assert cli.main(words) == 1
     assert "cameras of one size, got 16 x 16, 20 x 20; pass --size" in capsys.readouterr().err
-    assert cli.main([*words, "--size", "24", "16"]) == 0
+    assert cli.main([*words, "--size", "24x16"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -38,8 +38,8 @@ def splat(tmp_path: Path) -> Path:
         (["--export", "ball.ply"], "ends in .html"),
         (["--export", "old.html"], "--force"),
         (["--export", "page.html", "--clean", "half.ply"], "the scenes: expected the same Gaussians in both"),
-        (["--export", "page.html", "--detector", "fasterrcnn_smal"], "fasterrcnn_small"),
-        (["--export", "page.html", "--weights", "w.safetensors"], "name it with --detector"),
+        (["--export", "page.html", "--detectors", "fasterrcnn_smal"], "fasterrcnn_small"),
+        (["--export", "page.html", "--weights", "w.safetensors"], "name it with --detectors"),
         (["--export", "page.html", "--clean", "none.ply"], "none.ply"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -79,8 +79,8 @@ def test_a_taken_port_is_told(splat: Path, capsys: pytest.CaptureFixture[str]) -
 
 def test_the_page_in_a_file(splat: Path, capsys: pytest.CaptureFixture[str], variant: str) -> None:
     out = splat.parent / "page.html"
-    words = ["view", str(splat), "--clean", str(splat), "--views", "3", "1", "--size", "60", "40", "--export", str(out)]
-    assert cli.main([*words, "--detector", "fasterrcnn_small"]) == 0
+    words = ["view", str(splat), "--clean", str(splat), "--views", "3", "1", "--size", "60x40", "--export", str(out)]
+    assert cli.main([*words, "--detectors", "fasterrcnn_small"]) == 0
     assert "3 x 1 pictures" in capsys.readouterr().out
     page = out.read_text("utf-8")
     found = re.search(r'<script id="views" type="application/json">(.*?)</script>', page, re.DOTALL)

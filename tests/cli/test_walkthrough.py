@@ -83,23 +83,23 @@ def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> Non
     facts = walk.json("info run/splat.ply")
     assert facts["gaussians"] == longer["gaussians"]
 
-    walk("render run/splat.ply --cameras orbit:3@20 --size 48 48 --out orbit.gif")
-    walk("render run/splat.ply --azimuth 40 --elevation 15 --size 64 48 --out one.jpg")
+    walk("render run/splat.ply --cameras orbit:3@20 --size 48 --out orbit.gif")
+    walk("render run/splat.ply --azimuth 40 --elevation 15 --size 64x48 --out one.jpg")
     assert Path("one.jpg").read_bytes().startswith(b"\xff\xd8")
     assert spread("one.jpg") > 10
-    walk("render run/splat.ply --cameras set --size 48 48 --out pictures")
+    walk("render run/splat.ply --cameras set --size 48 --out pictures")
 
     low, high = ("{:.3f} {:.3f} {:.3f}".format(*corner) for corner in facts["bounds"])
     assert low < high
-    chosen = walk.json("select run/splat.ply --box -2.6 -1.1 0.2 2.6 1.1 2.2 --size 64 64 --out picked.png mask.npy")
+    chosen = walk.json("select run/splat.ply --box -2.6 -1.1 0.2 2.6 1.1 2.2 --size 64 --out picked.png mask.npy")
     assert chosen["gaussians"] > 100
-    attack = "--azimuth 40 --elevation 20 --distance 8 --size 96 96 --steps 2 --noise-draws 1"
+    attack = "--azimuth 40 --elevation 20 --distance 8 --size 96 --steps 2 --noise-draws 1"
     result = walk.json(f"dagger run/splat.ply --mask mask.npy {attack} --target person --out attacked")
     assert result["changed_gaussians"] <= chosen["gaussians"]
-    judged = "--cameras orbit:3@20 --size 96 96 --target person --detectors fasterrcnn_small"
+    judged = "--cameras orbit:3@20 --size 96 --target person --detectors fasterrcnn_small"
     assert walk.json(f"evaluate run/splat.ply attacked/attacked.ply {judged} --out judged")
-    walk("detect attacked/attacked.ply one.jpg --size 96 96 --out seen")
-    walk("view attacked --export page.html --views 3 1 --size 48 48")
+    walk("detect attacked/attacked.ply one.jpg --size 96 --out seen")
+    walk("view attacked --export page.html --views 3 1 --size 48")
     assert "http://" not in Path("page.html").read_text().replace("http://www.w3.org", "")
 
 
@@ -109,16 +109,16 @@ def test_a_foreign_splat_through_every_format(ending: str, walk: Walk, tmp_path:
     write_web_splat(tmp_path / "web.splat")
     found = walk.json(f"convert web.splat desk.{ending}")
     assert found["gaussians"] == 4500
-    walk(f"render desk.{ending} --azimuth 10 --elevation 25 --size 64 64 --out {ending}.png")
+    walk(f"render desk.{ending} --azimuth 10 --elevation 25 --size 64 --out {ending}.png")
     assert spread(f"{ending}.png") > 20
     walk(f"info desk.{ending}")
-    picked = walk.json(f"select desk.{ending} --click 32,32 --azimuth 0 --elevation 25 --size 64 64 --out ball.npy")
+    picked = walk.json(f"select desk.{ending} --click 32,32 --azimuth 0 --elevation 25 --size 64 --out ball.npy")
     assert 1400 <= picked["gaussians"] <= 1600
 
 
 def test_a_foreign_splat_is_attacked(walk: Walk, tmp_path: Path) -> None:
     write_web_splat(tmp_path / "web.splat")
-    attack = "--azimuth 10 --elevation 25 --size 64 64 --steps 2 --noise-draws 1 --objective untargeted"
+    attack = "--azimuth 10 --elevation 25 --size 64 --steps 2 --noise-draws 1 --objective untargeted"
     result = walk.json(f"dagger web.splat --cluster 2 {attack} --out attacked")
     assert result["object_gaussians"] == pytest.approx(1500, abs=100)
     clean, attacked = load_splat("web.splat"), load_splat("attacked/attacked.ply")

@@ -21,7 +21,7 @@ from tests.project.layers import ROOT
 from tests.reporting.test_page import Reader
 
 SCENE = str(ROOT / "scenes" / "car_street.xml")
-SMALL = ["--cameras", "front", "--size", "40", "32"]
+SMALL = ["--cameras", "front", "--size", "40x32"]
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_refused_in_one_line_with_nothing_written(
     words: list[str], status: int, said: str, toy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(toy.rglob("*"))
-    assert cli.main(["compare", "toy.ply", "--size", "16", "16", *words]) == status
+    assert cli.main(["compare", "toy.ply", "--size", "16", *words]) == status
     error = capsys.readouterr().err
     assert said in error
     assert len(error.splitlines()) == 1
@@ -108,7 +108,7 @@ def test_a_failure_on_the_way_leaves_nothing(toy: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(command, "write_page", broken)
     before = sorted(toy.rglob("*"))
-    words = ["compare", "toy.ply", "--size", "16", "16", "--no-gradients", "--rounds", "0", "--out", "found"]
+    words = ["compare", "toy.ply", "--size", "16", "--no-gradients", "--rounds", "0", "--out", "found"]
     assert cli.main(words) == 1
     assert sorted(toy.rglob("*")) == before
 
@@ -121,7 +121,7 @@ def test_lpips_without_its_network_is_not_measured(
 
     monkeypatch.setattr(command, "load_lpips", unreachable)
     monkeypatch.setattr(command, "missing_packages", lambda: ["Jinja2"])
-    words = ["compare", "toy.ply", "--size", "16", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "found"]
+    words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "found"]
     assert cli.main(words) == 0
     said = capsys.readouterr()
     assert "LPIPS was not measured" in said.err

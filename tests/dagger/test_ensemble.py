@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.cli import dagger
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig, EnsembleLoss
 from attacks.dagger.ensemble import Ensemble
@@ -25,7 +24,7 @@ from attacks.objectives import relabel
 from attacks.pgd import pgd
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
-from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
 
 FINE, COARSE = ColourDetector(), CoarseDetector()
 
@@ -122,13 +121,25 @@ def test_the_command_says_what_each_detector_saw(
 ) -> None:
     scene, _ = toy_scene()
     save_splat(scene, tmp_path / "toy.ply")
-    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights, flag: [FINE, COARSE])
+    register(monkeypatch, {one.name: one for one in (FINE, COARSE)})
     words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--eps", "20"]
-    words += ["--distance", "3", "--fov", "50", "--size", "32", "32", "--noise-draws", "0", "--detector", "a", "b"]
+    words += [
+        "--distance",
+        "3",
+        "--fov",
+        "50",
+        "--size",
+        "32",
+        "--noise-draws",
+        "0",
+        "--detectors",
+        FINE.name,
+        COARSE.name,
+    ]
     np.save(tmp_path / "mask.npy", np.arange(10, 40))
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "SUCCESS: a and b shall see a person in place of the selection; 2 of 2 detectors."
+    assert lines[0] == "SUCCESS: fake_colour and fake_coarse see a person in place of the selection; 2 of 2 detectors."
     assert [line.split(":")[0] for line in lines[1:3]] == [
         "fake_colour, 1 of 1 views",
         "fake_coarse, 1 of 1 views",

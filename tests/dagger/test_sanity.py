@@ -27,7 +27,7 @@ from mi_splat.cli import selecting
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.scene import GaussianScene
-from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
 
 
 class Reversed(torch.autograd.Function):
@@ -201,7 +201,7 @@ class TestCommand:
     """The command, on the toy scene."""
 
     WORDS = ("--mask", "mask.npy", "--eps", "10", "--steps", "8", "--seeds", "2")
-    VIEW = ("--distance", "3", "--fov", "50", "--size", "32", "32")
+    VIEW = ("--distance", "3", "--fov", "50", "--size", "32")
 
     @pytest.fixture(autouse=True)
     def folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,6 +210,7 @@ class TestCommand:
         monkeypatch.chdir(tmp_path)
         known = {"fasterrcnn_small": ColourDetector(), "other": CoarseDetector(), "flipped": FlippedDetector()}
         monkeypatch.setattr(dagger_sanity, "load_detector", lambda name, weights=None: known[name])
+        register(monkeypatch, known)
         monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
 
     def call(self, *words: str) -> int:
@@ -232,7 +233,7 @@ class TestCommand:
     ) -> None:
         few = [check for check in CHECKS if check.__name__ in ("clean", "gradient")]
         monkeypatch.setattr(dagger_sanity, "CHECKS", few)
-        assert self.call("--detector", "flipped", "--surrogate", "none", "--json") == 1
+        assert self.call("--detectors", "flipped", "--surrogate", "none", "--json") == 1
         values = json.loads(capsys.readouterr().out)
         assert values["passed"] is False
         assert "gradient" in {one["check"] for one in values["checks"] if one["colour"] == "red"}

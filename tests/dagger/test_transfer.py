@@ -27,7 +27,7 @@ from attacks.transformations.config import CameraRegion, Transformations
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from tests.dagger.test_study import toy
-from tests.fakes import CoarseDetector, ColourDetector
+from tests.fakes import CoarseDetector, ColourDetector, register
 
 
 class Blind(ColourDetector):
@@ -196,6 +196,7 @@ def test_the_command_takes_what_can_be_loaded(
     monkeypatch.setattr(dagger_transfer, "STUDIED", ("_colour",))
     monkeypatch.setattr(dagger_transfer, "DETECTORS", known)
     monkeypatch.setattr(dagger_transfer, "load_detector", lambda name: DETECTORS[name])
+    register(monkeypatch, DETECTORS)
     monkeypatch.setattr(
         dagger_transfer, "transfer_jobs", lambda names, **_: [job for job in JOBS if len(job.sources) == 1]
     )
@@ -257,6 +258,7 @@ def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
     (cell,) = cells(run_held_out(jobs[:1], tmp_path / "later", later))
     assert (cell.sources, cell.white_box) == (("fake_colour, weights 000000",), False)
     monkeypatch.setattr(dagger_transfer, "load_detector", DETECTORS.__getitem__)
+    register(monkeypatch, DETECTORS)
     monkeypatch.setattr(dagger_transfer, "read_attack_scene", lambda path: renamed())
     words = ["dagger-transfer", "--eot-study", str(study), "--detectors", "fake_coarse", "--views", "2"]
     assert cli.main([*words, "--out", str(tmp_path / "judged")]) == 0

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import from_raw_parameters, to_raw_parameters
+from mi_splat.io import from_raw_parameters, load_splat, to_raw_parameters
 from mi_splat.io.parameters import activate
+from mi_splat.io.ply.rows import file_names, file_record
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 from tests.gaussians import random_scene
 
@@ -52,15 +55,18 @@ def test_gradients_at_the_ends_are_zero_not_nan() -> None:
 def test_largest_scales_stay_finite() -> None:
     for dtype in (torch.float32, torch.float64):
         scene = random_scene(1, dtype=dtype)
-        big = scene.replace(scales=torch.full((1, 3), torch.finfo(dtype).max, dtype=dtype))
-        assert torch.isfinite(from_raw_parameters(to_raw_parameters(big)).scales).all()
+        means, _, *others = scene.tensors()
+        big = GaussianScene.unchecked(means, torch.full((1, 3), torch.finfo(dtype).max, dtype=dtype), *others)
+        assert torch.isfinite(activate(to_raw_parameters(big))[1]).all()
 
 
 @pytest.mark.parametrize(("log_scale", "got"), [(89.0, "inf"), (-120.0, "0"), (math.nan, "nan")])
 def test_log_scales_out_of_range_are_refused(log_scale: float, got: str) -> None:
     values = to_raw_parameters(random_scene(2))
     values["scales"] = torch.full((2, 3), log_scale)
-    with pytest.raises(InvalidValueError, match=rf"^scales: expected finite values > 0, got {got} in row 0"):
+    with pytest.raises(
+        InvalidValueError, match=rf"^scales: expected finite values > 0 up to 1e\+09, got {got} in row 0"
+    ):
         from_raw_parameters(values)
 
 
@@ -68,3 +74,20 @@ def test_names_must_be_the_five() -> None:
     values = to_raw_parameters(random_scene(2))
     with pytest.raises(InvalidValueError, match=re.escape("values: expected the names ('means'")):
         from_raw_parameters({name: values[name] for name in ATTRIBUTES[1:]})
+
+
+def test_a_file_is_read_to_the_bit_as_torch_would(tmp_path: Path) -> None:
+    count, generator = 2000, torch.Generator().manual_seed(0)
+    widths = {"means": (3,), "scales": (3,), "rotations": (4,), "opacities": (), "sh": (1, 3)}
+    values = {name: 3 * torch.randn(count, *width, generator=generator) for name, width in widths.items()}
+    values["opacities"][:6] = torch.tensor([-104.0, -30.0, -1e-8, 0.0, 17.5, 88.0])
+    values["rotations"][:2] = torch.tensor([[1.0, 0.0, 0.0, 0.0], [0.5, -0.5, 0.5, 0.5000001]])
+    rows = np.zeros(count, file_record(0))
+    for name in ("means", "scales", "rotations", "opacities"):
+        rows[name] = values[name].numpy()
+    properties = "".join(f"property float {name}\n" for name in file_names(0))
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
+    (tmp_path / "a.ply").write_bytes(head.encode() + rows.tobytes())
+    found = load_splat(tmp_path / "a.ply")
+    for value, wanted in zip(found.tensors()[:4], activate(values)[:4], strict=True):
+        assert torch.equal(value, wanted)

@@ -66,7 +66,7 @@ def test_a_video_shows_every_frame(tmp_path: Path) -> None:
 def test_without_the_package_a_video_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "imageio_ffmpeg", raising=False)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(VideoError, match=r"mi-splat\[video\]'?, or end the name in \.gif"):
+    with pytest.raises(VideoError, match=r"pip install -e '\.\[video\]' .*, or end the name in \.gif"):
         check_animation(tmp_path / "a.mp4")
     check_animation(tmp_path / "a.gif")
 

@@ -155,24 +155,24 @@ TINY: dict[str, dict[str, Change]] = {
         "--test": if_there("2"),
     },
     "train": {"--iterations": of_iterations(0.001), "--eval-interval": to("0"), "--sh-degree": to("1")},
-    "render": {"--cameras": fewer_cameras(2), "--size": if_there("32", "32"), "--samples": if_there("2")},
+    "render": {"--cameras": fewer_cameras(2), "--size": if_there("32"), "--samples": if_there("2")},
     "compare": {
         "--cameras": lambda old: ["front"] if old == ["all"] else old,
-        "--size": to("32", "32"),
+        "--size": to("32"),
         "--rounds": to("1"),
         "--lpips": to(),
     },
     "select": {"--cameras": fewer_cameras(2)},
-    "detect": {"--cameras": fewer_cameras(1), "--size": to("64", "64")},
-    "dagger": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--steps": to("1"), "--noise-draws": to("1")},
+    "detect": {"--cameras": fewer_cameras(1), "--size": to("64")},
+    "dagger": {"--cameras": fewer_cameras(2), "--size": to("64"), "--steps": to("1"), "--noise-draws": to("1")},
     "dagger-eot": {
-        "--size": to("64", "64"),
+        "--size": to("64"),
         "--steps": to("1"),
         "--pool": to("1"),
         "--validation": to("1"),
         "--held-out": to("1"),
     },
-    "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64", "64"), "--pictures": to("1")},
+    "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
     "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
     "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
@@ -204,7 +204,6 @@ SMALL: dict[str, dict[str, Change]] = {
 SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
 
 SHIPPED_WEIGHTS: dict[str, Change] = {
-    "--detector": if_there("fasterrcnn_small"),
     "--detectors": if_there("fasterrcnn_small"),
     "--weights": to(str(ROOT / "attacks" / "detectors" / "fasterrcnn_small.safetensors")),
 }

@@ -118,7 +118,7 @@ def test_the_street_from_both_renderers_shows_the_same_things() -> None:
 
 
 def test_the_command_renders_a_mixed_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["render", str(MIXED[0]), "--samples", "4", "--size", "24", "20", "--out", str(tmp_path / "street.png")]
+    words = ["render", str(MIXED[0]), "--samples", "4", "--size", "24x20", "--out", str(tmp_path / "street.png")]
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == 10075
     assert load_picture_size(tmp_path / "street.png") == (24, 20)
@@ -130,7 +130,7 @@ def test_the_command_traces_rays_of_splats_alone(tmp_path: Path) -> None:
     scene = ROOT / "scenes" / "car_street.xml"
     for method in ("tile", "ray"):
         out = str(tmp_path / f"{method}.png")
-        assert main(["render", str(scene), "--method", method, "--size", "48", "48", "--out", out]) == 0
+        assert main(["render", str(scene), "--method", method, "--size", "48", "--out", out]) == 0
     assert (tmp_path / "tile.png").read_bytes() != (tmp_path / "ray.png").read_bytes()
 
 

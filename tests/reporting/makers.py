@@ -122,7 +122,7 @@ def write_sanity(folder: Path) -> Path:
 
 def write_comparison(folder: Path) -> Path:
     save_splat(toy_scene()[0], folder.parent / "toy.ply")
-    words = ["compare", str(folder.parent / "toy.ply"), "--size", "16", "16", "--rounds", "1", "--out", str(folder)]
+    words = ["compare", str(folder.parent / "toy.ply"), "--size", "16", "--rounds", "1", "--out", str(folder)]
     assert main(words) == 0
     return folder
 

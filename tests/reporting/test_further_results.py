@@ -64,7 +64,7 @@ def test_detect_stores_what_its_page_shows(
     monkeypatch.setattr(detect, "load_detectors", lambda names, weights: [ColourDetector()])
     monkeypatch.chdir(tmp_path)
     save_splat(toy_scene()[0], tmp_path / "a.ply")
-    words = ["a.ply", "--cameras", "orbit:2@0", "--distance", "3", "--size", "24", "24", "--background", "1", "1", "1"]
+    words = ["a.ply", "--cameras", "orbit:2@0", "--distance", "3", "--size", "24", "--background", "1", "1", "1"]
     assert cli.main(["detect", *words, "--out", "seen"]) == 0
     section = read_section(Path("seen"))
     assert section.versions

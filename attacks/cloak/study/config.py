@@ -12,7 +12,7 @@ from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
 from attacks.cloak.study.value_checks import in_range, one_of
 from mi_splat.assets import ASSETS
-from mi_splat.capture.settings import Front, MeshSettings
+from mi_splat.capture.settings import Front, MeshSettings, Up
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_names
@@ -49,7 +49,7 @@ class SceneConfig:
     sun_azimuth: float = -50.0
     sun_elevation: float = 52.0
     background: Colour = (0.55, 0.7, 0.9)
-    up: Literal["y", "z"] | None = None
+    up: Up | None = None
     scale: float = 1.0
     rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     front: Front | None = None

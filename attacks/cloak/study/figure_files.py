@@ -12,7 +12,7 @@ import numpy as np
 
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
 from attacks.evaluation.rates import Rate
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, install, message
 from mi_splat.io.atomic import atomic_write
 
 TRUE = "path traced"
@@ -28,7 +28,7 @@ def need_matplotlib() -> None:
         InvalidValueError: matplotlib is not installed.
     """
     if importlib.util.find_spec("matplotlib") is None:
-        do = "pip install 'mi-splat[figures]'"
+        do = install("figures")
         raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
 
 

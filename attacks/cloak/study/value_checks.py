@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 
 
 def in_range(where: str, value: float, lowest: float, highest: float) -> None:
@@ -29,6 +28,5 @@ def in_range(where: str, value: float, lowest: float, highest: float) -> None:
 def one_of(where: str, value: Any, known: Any) -> None:
     """Raise unless a value is one of those known, naming the nearest."""
     if value not in known:
-        near = difflib.get_close_matches(str(value), [str(key) for key in known], n=1, cutoff=0.5)
-        do = f"did you mean {near[0]}?" if near else "choose one of them"
+        do = nearest(str(value), map(str, known), "choose one of them")
         raise InvalidValueError(message(where, " or ".join(map(str, known)), repr(value), do))

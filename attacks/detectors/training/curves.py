@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,8 +38,7 @@ def new_figure(width: float, height: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        do = "pip install 'mi-splat[figures]'"
-        raise MiSplatError(message("plot", "the package matplotlib", "none", do)) from error
+        raise MiSplatError(message("plot", "the package matplotlib", "none", install("figures"))) from error
     return Figure(figsize=(width, height), dpi=100, layout="constrained")
 
 

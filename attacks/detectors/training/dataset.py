@@ -25,6 +25,7 @@ from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
+from mi_splat.io.picture_files import load_picture
 
 OnStep = Callable[[int, int], None]
 Record = dict[str, Any]
@@ -157,7 +158,7 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     pictures = []
     for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
         _check_bytes(folder / name, record)
-        image = torch.from_numpy(np.array(Image.open(folder / name)))
+        image = torch.from_numpy(np.array(load_picture(folder / name)))
         boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
         conditions = tuple(ViewingConditions(**values) for values in record.get("conditions", ()))
         pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64), conditions))

@@ -34,14 +34,6 @@ _WIDE, _NARROW, _BYTE, _TEN = 2047, 1023, 255, 1023
 _SH_LIMIT = 4.0
 
 
-def is_compressed(header: Header) -> bool:
-    """Whether a PLY is a compressed splat, from its header."""
-    return any(
-        element.name == "vertex" and _PACKED[0] in [column.name for column in element.properties]
-        for element in header.elements
-    )
-
-
 def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     """Read a compressed PLY, with or without ranges of colours and SH.
 
@@ -87,7 +79,7 @@ def write_compressed_ply(scene: GaussianScene) -> Encoded:
     """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so that chunks are small in space.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     order = morton_order(Values.of(scene).means)
     values = Values.of(scene, order)

@@ -71,7 +71,7 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
         raise SplatFileError(message(path, f"a primitive with {EXTENSION}", found, "export the splat again"))
     if others:
         text = message(path, "splats only", f"{others} other primitives", "they were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=3)
+        warnings.warn(text, SplatFileWarning, stacklevel=4)
     return _together(parts)
 
 
@@ -122,15 +122,15 @@ def _placed(part: Loaded, matrix: Array, path: str) -> Loaded:
             scene = scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "matrix of a node"))
         except InvalidValueError as error:
             raise SplatFileError(message(path, "nodes that turn, move and resize", error, "export it again")) from None
-    return Loaded(half_turns.turned(scene, half_turns.Z), part.invalid, part.reason)
+    return Loaded.of(half_turns.turned(scene, half_turns.Z), part.invalid, part.reason)
 
 
 def _together(parts: list[Loaded]) -> Loaded:
     if len(parts) == 1:
         return parts[0]
-    starts = np.cumsum([0, *(len(part.scene) for part in parts[:-1])])
+    starts = np.cumsum([0, *(len(part.arrays["means"]) for part in parts[:-1])])
     invalid = np.concatenate([part.invalid + start for part, start in zip(parts, starts, strict=True)])
-    return Loaded(merge(*(part.scene for part in parts)), invalid, next((p.reason for p in parts if p.reason), ""))
+    return Loaded.of(merge(*(part.scene for part in parts)), invalid, next((p.reason for p in parts if p.reason), ""))
 
 
 def write_glb(scene: GaussianScene) -> Encoded:
@@ -139,7 +139,7 @@ def write_glb(scene: GaussianScene) -> Encoded:
     COLOR_0 is there for programs that draw points: linear light of the first SH coefficient, and the opacity.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
         SplatFileError: The scene is empty, which glTF has no accessors for.
     """
     if not len(scene):

@@ -49,11 +49,11 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
     if head.flags & _ANTIALIASED:
         found = "a splat that was trained with the filter of Mip-Splatting, which is not applied"
         warnings.warn(message(path, "no antialiasing flag", found, "expect smaller Gaussians to look thicker"),
-                      SplatFileWarning, stacklevel=3)  # fmt: skip
+                      SplatFileWarning, stacklevel=4)  # fmt: skip
     count, degree = head.count, min(head.degree, 3)
     if head.degree > degree:
         text = message(path, "SH of degree 0 to 3", head.degree, "the higher bands were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=3)
+        warnings.warn(text, SplatFileWarning, stacklevel=4)
     sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
     sh[:, 0] = (parts["colours"].reshape(count, 3) / 255.0 - 0.5) / COLOUR_SCALE
     rest = parts["sh"].reshape(count, (head.degree + 1) ** 2 - 1, 3)
@@ -66,7 +66,7 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
         parts["opacities"] / 255.0,
         sh,
     )
-    return Loaded(half_turns.turned(loaded.scene, _AXES[content.axes]), loaded.invalid, loaded.reason)
+    return Loaded.of(half_turns.turned(loaded.scene, _AXES[content.axes]), loaded.invalid, loaded.reason)
 
 
 def write_spz(scene: GaussianScene, version: Literal[2, 3, 4] = 3) -> Encoded:
@@ -79,7 +79,7 @@ def write_spz(scene: GaussianScene, version: Literal[2, 3, 4] = 3) -> Encoded:
         version: 3 is read by most programs; 4 is compressed with Zstandard; 2 has coarser rotations.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     values = Values.of(half_turns.turned(scene, half_turns.X))
     bits = _fraction_bits(values.means)

@@ -1,17 +1,19 @@
-"""Rows of a 3DGS PLY file to tensors and back."""
+"""Rows of a 3DGS PLY file to arrays, which needs no torch, and from tensors back."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from mi_splat.io.parameters import activate, to_raw_parameters
+from mi_splat.attributes import LARGEST
+from mi_splat.io.loaded import unit
 from mi_splat.io.ply.blocks import Rows
-from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.scene import GaussianScene
 
 COLUMNS = {
     "means": ("x", "y", "z"),
@@ -20,6 +22,7 @@ COLUMNS = {
     "opacities": ("opacity",),
 }
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_UNBOUNDED = (*COLUMNS["scales"], *COLUMNS["rotations"], *COLUMNS["opacities"])
 REST_COUNTS = (0, 9, 24, 45)
 """Number of f_rest_* properties for SH degree 0 to 3: channel-major, all of red, then green, then blue."""
 
@@ -51,37 +54,40 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
     """Fill rows of `file_record` with the Gaussians of `part`, which is float32 on the CPU.
 
     Returns:
-        Whether all values are finite.
+        Whether all values may be read again.
     """
+    from mi_splat.io.parameters import to_raw_parameters  # brings torch, which reading does without
+
     values = {name: value.numpy() for name, value in to_raw_parameters(part).items()}
     for name in COLUMNS:
         rows[name] = values[name]
     rows["dc"] = values["sh"][:, 0]
     for channel in range(3):  # a channel at a time is twice as fast as one transpose
         rows["rest"][:, channel] = values["sh"][:, 1:, channel]
-    return bool(np.isfinite(rows.view("<f4")).all())
+    return bool((np.abs(rows.view("<f4")) <= LARGEST).all() and (part.scales <= LARGEST).all())
 
 
-def unpack(rows: Rows, rest: int, part: Sequence[Tensor]) -> NDArray[np.bool_]:
-    """Fill the five float32 tensors `part` from rows of a file, in any kinds and byte order.
+def unpack(rows: Rows, rest: int, part: Sequence[NDArray[np.float32]]) -> NDArray[np.bool_]:
+    """Fill the five float32 arrays `part` from rows of a file, in any kinds and byte order.
 
     Returns:
         (rows,) which Gaussians are valid.
     """
     table, place = _table(rows, rest)
-    values = {name: torch.from_numpy(_columns(table, place, columns)) for name, columns in COLUMNS.items()}
-    values["opacities"] = values["opacities"][:, 0]
-    logits = values["opacities"].numpy()
-    values["sh"] = values["means"][:, None]
-    for target, value in zip(part[:4], activate(values)[:4], strict=True):
-        target.copy_(value)
-    colours = part[4].numpy()
-    with np.errstate(over="ignore"):
+    means, scales, rotations, opacities, colours = part
+    values = {name: _columns(table, place, columns) for name, columns in COLUMNS.items()}
+    logits = values["opacities"][:, 0]
+    with np.errstate(all="ignore"):  # of a thread; what is not finite is judged below
+        means[:] = values["means"]
+        # As `mi_splat.io.parameters.activate`: in float64, rounded once to the file's kind.
+        scales[:] = np.exp(values["scales"], dtype=np.float64).astype(values["scales"].dtype)
+        rotations[:] = unit(values["rotations"])
+        opacities[:] = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(logits.dtype)
         colours[:, 0] = _columns(table, place, DC)
         for channel in range(3 if rest else 0):
             names = rest_names(rest)[channel * rest // 3 : (channel + 1) * rest // 3]
             colours[:, 1:, channel] = _columns(table, place, names)
-    return _valid([value.numpy() for value in part], logits)
+    return _valid(part, logits)
 
 
 def _table(rows: Rows, rest: int) -> tuple[NDArray[np.floating], dict[str, int]]:
@@ -107,9 +113,11 @@ def _columns(table: NDArray[np.floating], place: dict[str, int], names: Sequence
 
 
 def _valid(part: Sequence[NDArray[np.float32]], logits: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """(rows,) which Gaussians have finite values, in the file too (an infinite logit has a sigmoid), and scales > 0."""
-    good = np.ones(len(part[0]), np.bool_)
-    for check in (part[1] > 0, *(np.isfinite(value) for value in (logits, *part))):
+    """(rows,) which Gaussians have values in range, finite in the file too (an infinite logit has a sigmoid)."""
+    means, scales, rotations, opacities, sh = part
+    good = np.ones(len(means), np.bool_)
+    bounded = (np.abs(value) <= LARGEST for value in (means, scales, sh))
+    for check in (scales > 0, *bounded, *(np.isfinite(value) for value in (logits, rotations, opacities))):
         if not check.all():
             good &= check.reshape(len(check), -1).all(1)
     return good
@@ -118,8 +126,9 @@ def _valid(part: Sequence[NDArray[np.float32]], logits: NDArray[np.floating]) ->
 def describe(row: np.void, rest: int) -> str:
     """What is wrong with one Gaussian that is not valid."""
     for name in needed_names(rest):
-        if not np.isfinite(row[name]):
-            return f"{name} is {row[name]}"
+        if not (abs(row[name]) <= LARGEST or (np.isfinite(row[name]) and name in _UNBOUNDED)):
+            return f"{name} is {row[name]:g}"
     if all(row[name] == 0 for name in COLUMNS["rotations"]):
         return "the quaternion is zero"
-    return f"values, or log-scales {[round(float(row[name]), 3) for name in COLUMNS['scales']]}, leave float32's range"
+    found = [round(float(row[name]), 3) for name in COLUMNS["scales"]]
+    return f"log-scales {found} are scales outside of float32's range or above {LARGEST:g}"

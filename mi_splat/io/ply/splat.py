@@ -5,11 +5,12 @@ from __future__ import annotations
 import io
 import os
 import threading
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
+from mi_splat.attributes import ATTRIBUTES, LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError
@@ -18,8 +19,10 @@ from mi_splat.io.ply.blocks import Rows, for_each_block
 from mi_splat.io.ply.body import locate, read_rows
 from mi_splat.io.ply.header import Element, Header
 from mi_splat.io.ply.rows import REST_COUNTS, describe, file_names, file_record, needed_names, pack, unpack
-from mi_splat.scene import ATTRIBUTES, GaussianScene
 from mi_splat.sh import coefficient_count
+
+if TYPE_CHECKING:
+    from mi_splat.scene import GaussianScene
 
 
 def read_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
@@ -48,8 +51,10 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         SplatFileError: The file cannot be written; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
+    import torch  # reading does without
+
     rest = 3 * (scene.sh.shape[1] - 1)
     properties = "\n".join(f"property float {name}" for name in file_names(rest))
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(scene)}\n{properties}\nend_header\n".encode()
@@ -60,9 +65,10 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
         def store(first: int, rows: Rows) -> None:
             last = first + len(rows)
-            if not pack(GaussianScene.unchecked(*(value[first:last] for value in tensors)), rows):
+            if not pack(scene.unchecked(*(value[first:last] for value in tensors)), rows):
                 found = f"others between rows {first} and {last - 1}"
-                raise InvalidValueError(message("scene", "values that are finite in float32", found, "remove them"))
+                expected = f"values that are finite in float32, up to {LARGEST:g}"
+                raise InvalidValueError(message("scene", expected, found, "remove them"))
             with lock:
                 file.seek(len(head) + first * record.itemsize)
                 write_all(file, rows.view(np.uint8).data)
@@ -105,21 +111,20 @@ def _rest_count(element: Element) -> int:
 def _read(file: io.FileIO, header: Header, element: Element, path: str) -> Loaded:
     """The scene with all rows, and which of them are not valid."""
     rest = _rest_count(element)
-    locate(file, header, element.name, path)  # the sizes are right before the tensors are allocated
+    locate(file, header, element.name, path)  # the sizes are right before memory is taken
     bands, count = coefficient_count(REST_COUNTS.index(rest)), element.count
     shapes = dict(zip(ATTRIBUTES, ((count, 3), (count, 3), (count, 4), (count,), (count, bands, 3)), strict=True))
     # NumPy asks for huge pages, torch does not: half of the time of a large load went into page faults.
-    tensors = [torch.from_numpy(np.empty(shape, np.float32)) for shape in shapes.values()]
+    arrays = {name: np.empty(shape, np.float32) for name, shape in shapes.items()}
     wrong: dict[int, tuple[NDArray[np.int64], str]] = {}
 
     def take(first: int, rows: Rows) -> None:
-        valid = unpack(rows, rest, [value[first : first + len(rows)] for value in tensors])
+        valid = unpack(rows, rest, [value[first : first + len(rows)] for value in arrays.values()])
         if not valid.all():
             bad = np.flatnonzero(~valid)
             wrong[first] = (first + bad, describe(rows[bad[0]], rest))
 
     read_rows(file, header, element, path, take)
-    scene = GaussianScene.unchecked(*tensors)
     if not wrong:
-        return Loaded(scene, np.empty(0, np.int64), "")
-    return Loaded(scene, np.concatenate([wrong[first][0] for first in sorted(wrong)]), wrong[min(wrong)][1])
+        return Loaded(arrays, np.empty(0, np.int64), "")
+    return Loaded(arrays, np.concatenate([wrong[first][0] for first in sorted(wrong)]), wrong[min(wrong)][1])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.training.strategies.base import Strategy
 from mi_splat.training.strategies.config import ClassicConfig, FixedConfig, MCMCConfig, StrategyConfig
 
@@ -85,8 +84,7 @@ def strategy_config(name: str, **options: Any) -> StrategyConfig:
         InvalidValueError: There is no such strategy, or it has no such option.
     """
     if name not in _REGISTRY:
-        near = difflib.get_close_matches(name, _REGISTRY, n=1, cutoff=0.5)
-        do = f"did you mean {near[0]}?" if near else "choose one of them, or call register_strategy first"
+        do = nearest(name, _REGISTRY, "choose one of them, or call register_strategy first")
         raise InvalidValueError(message("strategy", " or ".join(_REGISTRY), repr(name), do))
     known = [entry.name for entry in fields(_REGISTRY[name].config)]
     for option in options:

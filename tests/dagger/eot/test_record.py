@@ -24,10 +24,10 @@ from mi_splat.io import load_splat, save_splat
 from mi_splat.io.camera_records import camera_of, recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
 from tests.artifacts.test_checking import red
-from tests.fakes import CoarseDetector, ColourDetector, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, register, toy_scene
 
 WORDS = (
-    "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 32 --fov 45 --near 0.3 "
+    "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 --fov 45 --near 0.3 "
     "--background 0.1 0.1 0.12 --azimuths 250 290 --elevations 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 "
     "--pool 6 --validation 2 --held-out 4 --image-psnr None"
 )
@@ -69,7 +69,7 @@ def test_the_command_of_the_page_repeats_it(folder: Path, monkeypatch: pytest.Mo
     program, *words = shlex.split(section.command[0])
     assert program == "mi-splat"
     assert "--mask" in words
-    monkeypatch.setattr(dagger_eot, "load_detectors", lambda names, weights: [ColourDetector()])
+    register(monkeypatch, {ColourDetector.name: ColourDetector()})
     assert cli.main(words) == 0
     after = stored(Path(f"{folder}-again"))
     other = ("seconds", "selection", "cameras", "reference")

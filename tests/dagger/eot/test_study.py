@@ -153,14 +153,14 @@ def test_the_command_attacks_and_tells(
 ) -> None:
     save_splat(toy_scene()[0], tmp_path / "a.ply")
     monkeypatch.setattr(dagger_eot, "load_detectors", lambda names, weights: [ColourDetector()])
-    words = "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 32 --fov 45"
+    words = "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 --fov 45"
     words += " --azimuths 250 290 --elevations 0 20 --eps 2 --steps 6 --step-factor 4 --pool 6 --validation 2"
     words += " --image-psnr None"
     out = tmp_path / "out"
     line = ["dagger-eot", str(tmp_path / "a.ply"), *words.split(), "--held-out", "4", "--out", str(out)]
     assert cli.main(line) == 0
     said = capsys.readouterr().out
-    assert said.startswith("SUCCESS: fasterrcnn_small shall see a person; 4 of 4")
+    assert said.startswith("SUCCESS: fasterrcnn_small sees a person in place of the selection in 4 of 4")
     assert sorted(path.name for path in out.iterdir()) == ["attacked.ply", "held_out.png", "mask.npy", "result.json"]
     assert not (tmp_path / "out.checkpoint").exists()
     assert cli.main(line) == 1  # the folder is in use

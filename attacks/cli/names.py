@@ -1,0 +1,111 @@
+"""Names of detectors and classes among the options of a command, checked before torch or any weights are loaded.
+
+As the table of ranges, one set of rules for every command, by the name of the option.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mi_splat.cli.ranges import UsageError
+from mi_splat.errors import InvalidValueError, message, nearest
+
+DEFAULT_OBJECT = "car"
+"""Part that is attacked if nothing else is said."""
+DEFAULT_TARGET = "person"
+"""Class that detectors shall see there if nothing else is said."""
+
+
+def check_names(options: object) -> None:
+    """Raise unless detectors are known, they know the classes, and the aim can be one.
+
+    Args:
+        options: A dataclass of a command's options.
+
+    Raises:
+        DetectorError: There is no such detector.
+        InvalidValueError: A detector is named twice, files of weights are too many or too few, a detector does not know
+            a class, or the class wanted is what the object is.
+        UsageError: A class is wanted beside an objective that wants none.
+    """
+    objective, target = getattr(options, "objective", "relabel"), getattr(options, "target", None)
+    if objective != "relabel" and target is not None:
+        do = "leave one out"
+        raise UsageError(message("--target", f"none beside --objective {objective}", target, do))
+    names = _detectors(options)
+    weights = getattr(options, "weights", None)
+    if len(names) > 1 or isinstance(weights, tuple):
+        check_detectors(names, weights or ())
+    asked = (*names, *_others(options))
+    if not asked:
+        return
+    from attacks.detectors.registry import detector_spec  # not for commands that have none
+
+    known = {name: detector_spec(name).classes for name in asked}
+    for flag in ("original", "target"):
+        for name in names if not weights else ():  # a file of weights may have other classes
+            check_class(getattr(options, flag, None), name, known[name], what=f"--{flag}")
+    if hasattr(options, "target") and objective == "relabel":
+        _check_new(options, target)
+
+
+def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
+    """Raise if a detector is named twice, or there are weights of some only.
+
+    Args:
+        names: Of detectors.
+        weights: As many files, or none.
+
+    Raises:
+        InvalidValueError: There are other numbers of files, or the same name twice.
+    """
+    if len(set(names)) < len(names):
+        raise InvalidValueError(message("--detectors", "different names", list(names), "see `mi-splat detectors`"))
+    if weights and names and len(weights) != len(names):
+        do = f"pass one for each of {', '.join(names)}"
+        raise InvalidValueError(message("--weights", f"{len(names)} files", len(weights), do))
+
+
+def check_class(name: str | None, detector: str, classes: Sequence[str], *, what: str) -> None:
+    """Raise if a detector does not know a class.
+
+    Args:
+        name: Of the class; None for none.
+        detector: Name of the detector.
+        classes: Those that it knows.
+        what: Where the class was named.
+
+    Raises:
+        InvalidValueError: It does not know the class.
+    """
+    if name is not None and name not in classes:
+        expected, do = f"one of {', '.join(classes)} for {detector}", "name a class that it knows"
+        raise InvalidValueError(message(what, expected, name, nearest(name, classes, do)))
+
+
+def _detectors(options: object) -> tuple[str, ...]:
+    """Names of the detectors that a command uses."""
+    named: Any = getattr(options, "detectors", None) or getattr(options, "detector", None) or ()
+    return (named,) if isinstance(named, str) else tuple(named)
+
+
+def _others(options: object) -> tuple[str, ...]:
+    """Names of detectors that are used beside these."""
+    surrogate = getattr(options, "surrogate", "none")
+    return (*getattr(options, "judges", ()), *((surrogate,) if surrogate not in ("none", "auto") else ()))
+
+
+def _check_new(options: object, target: str | None) -> None:
+    """Raise if the class wanted is what the object is by its own name."""
+    selection: Any = getattr(options, "selection", None)
+    if selection is None:
+        return
+    attacks = not hasattr(options, "original")  # the other command judges, and takes nothing for granted
+    named = DEFAULT_OBJECT if selection.is_empty and attacks else selection.object
+    name = getattr(options, "original", None) or (named or "").replace("_", " ")
+    wanted = target or (DEFAULT_TARGET if attacks else None)
+    if wanted is not None and wanted == name:
+        do = "name another class with --target"
+        raise InvalidValueError(message("--target", f"another class than the object's, {name}", wanted, do))

@@ -1,0 +1,77 @@
+"""Reading a splat file of any format as arrays; torch comes with the formats that need it, which the PLY is not."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import os
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.errors import from_os_error, path_name
+from mi_splat.io.formats.detection import HEAD, META, format_to_read
+from mi_splat.io.loaded import Arrays, Loaded, open_regular
+from mi_splat.io.ply.header import read_header
+from mi_splat.io.ply.splat import read_ply
+
+_READERS = {
+    ".glb": ("gltf", "read_glb"),
+    ".spz": ("spz", "read_spz"),
+    ".sog": ("sog", "read_sog"),
+    META: ("sog", "read_sog_folder"),
+    ".splat": ("splat32", "read_splat"),
+    ".ksplat": ("ksplat", "read_ksplat"),
+}
+"""Module of `mi_splat.io.formats` and its function for each format but the PLY."""
+
+
+def load_arrays(
+    path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise", stacklevel: int = 1
+) -> Arrays:
+    """As `load_splat`, without making a scene of the arrays.
+
+    Args:
+        path: As there.
+        on_invalid: As there.
+        stacklevel: As `warnings.warn` takes it, from the caller of this function.
+
+    Raises:
+        SplatFileError: As there.
+        InvalidValueError: As there.
+    """
+    if on_invalid not in ("raise", "drop"):
+        raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
+    name = path_name(path)
+    try:
+        # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
+        with open_regular(name) as file, np.errstate(all="ignore"):
+            loaded = _reader(format_to_read(name, os.pread(file.fileno(), HEAD, 0)))(file, name)
+    except OSError as error:
+        raise from_os_error(name, "a splat file that can be read", error) from error
+    return loaded.settle(name, on_invalid, stacklevel=stacklevel + 1)
+
+
+def _reader(kind: str) -> Callable[[io.FileIO, str], Loaded]:
+    """What reads a format."""
+    if kind == ".ply":
+        return _read_any_ply
+    module, function = _READERS[kind]
+    found: Callable[[io.FileIO, str], Loaded] = getattr(
+        importlib.import_module(f"mi_splat.io.formats.{module}"), function
+    )
+    return found
+
+
+def _read_any_ply(file: io.FileIO, path: str) -> Loaded:
+    """Read a PLY, compressed or not: its header says which."""
+    file.seek(0)
+    header = read_header(file, path)
+    names = [column.name for element in header.elements if element.name == "vertex" for column in element.properties]
+    if "packed_position" not in names:
+        return read_ply(file, header, path)
+    from mi_splat.io.formats.compressed_ply import read_compressed_ply
+
+    return read_compressed_ply(file, header, path)
