@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("dagger-transfer --judges yolo8n", "did you mean yolov8n?"),
         ("view a.ply --detectors yolo8n", "did you mean yolov8n?"),
         ("evaluate a.ply b.ply --original car --target car", "another class than the object's, car"),
-        ("evaluate a.ply b.ply --detectors fcos_small fcos_small", "--detectors: expected different names"),
+        ("evaluate a.ply b.ply --detectors yolov8n_small yolov8n_small", "--detectors: expected different names"),
         ("detect a.png --weights a b", "--weights: expected 1 files, got 2"),
         ("dagger-pairs --eps 0", "--eps: expected a number > 0"),
     ],
