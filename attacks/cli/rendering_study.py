@@ -22,7 +22,7 @@ def run(options: RenderingStudyOptions) -> int:
     """Run the study, or what is missing of it; its tables are written after every seed."""
     check_own_folder(options.out, JOBS)
     study = read_rendering_study(options.study)
-    toml = options.study.read_text("utf-8")
+    toml = options.study.read_text("utf-8-sig")
     if options.seeds is not None:
         study = dataclasses.replace(study, seeds=options.seeds)
     if options.detectors:

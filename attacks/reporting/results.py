@@ -25,7 +25,7 @@ from attacks.reporting.kinds.detectors import comparison, held_out, pictures
 from attacks.reporting.kinds.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.reporting.section import Section
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io.documents import read_json
+from mi_splat.io.parsing import read_json
 
 Found = Mapping[str, Any]
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mi_splat.capture.gltf_checks import document_fault
 from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes
 from mi_splat.errors import MiSplatError, message
+from mi_splat.io.parsing import DocumentReader
 
 _READ = {"EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform", "KHR_lights_punctual"}
 _FLOAT, _FAN = 5126, 6
@@ -25,6 +26,9 @@ _HEADER, _CHUNK_HEADER = 20, 8
 
 class GltfError(MiSplatError):
     """A glTF file cannot be read."""
+
+
+_DOCUMENT = DocumentReader(expected="a glTF 2.0 file", do="export it again", error=GltfError, most=1 << 28)
 
 
 def gltf_notes(path: Path) -> MeshFileNotes:
@@ -76,11 +80,11 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
             if _HEADER + length > len(data):
                 raise ValueError("a file that is cut off")
             data, rest = data[_HEADER : _HEADER + length], data[_HEADER + length :]
-        document = json.loads(data.decode("utf-8-sig"))
-        if not isinstance(document, dict) or "asset" not in document:
-            raise ValueError("no object with the key asset")
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise GltfError(message(str(path), "a glTF 2.0 file", str(error)[:160], "export it again")) from error
+    document = _DOCUMENT.json_object(data, str(path))
+    if "asset" not in document:
+        raise _DOCUMENT.broken(str(path), "no object with the key asset")
     return document, rest
 
 

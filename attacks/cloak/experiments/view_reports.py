@@ -7,7 +7,6 @@ is added, or comes with other weights, is the only one that looks again.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -32,6 +31,7 @@ from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import through_png
+from mi_splat.io.parsing import DocumentReader, read_json
 from mi_splat.training.resume import SPLAT
 
 VEHICLES = ("car", "truck", "bus")
@@ -101,7 +101,7 @@ def finished_splats(study: StudyConfig, results: Path, stages: Path) -> list[Tra
         raise InvalidValueError(message("--results", f"a study with {others[0]}", "another", "pass its own results"))
     files = [path for stage in SPLAT_STAGES for path in sorted(stages.glob(f"{stage}-*/{SPLAT}"))]
     there = {content_of(path.parent, (SPLAT,)): path for path in files}
-    listed = json.loads((results / SUMMARY).read_text())["splats"]
+    listed = read_json(results / SUMMARY)["splats"]
     if missing := [one for one in listed if one["content"] not in there]:
         got = f"none of the {missing[0]['splat']} splat of seed {missing[0]['seed']}"
         do = "pass the folder that the study was done with"
@@ -191,7 +191,7 @@ def _look(
         (detector.name, detector.fingerprint),
     )
     stage = pipeline.cache.finished("view_reports", depends_on, make)
-    values = json.loads((stage.folder / "view_reports.json").read_text())
+    values = DocumentReader().read_json_value(stage.folder / "view_reports.json")
     return ViewReports(
         pictures=series.pictures,
         seed=series.seed,

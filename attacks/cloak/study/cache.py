@@ -18,6 +18,7 @@ from mi_splat import provenance
 from mi_splat.datasets.writing import make_folder
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
+from mi_splat.io.parsing import read_json
 
 DONE = "done.json"
 
@@ -83,7 +84,7 @@ class StageCache:
             made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
             content = content_of(path, outputs)
             save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
-        done = json.loads((path / DONE).read_text())
+        done = read_json(path / DONE)
         return Stage(folder=path, content=done["content"], commit=done["made_by"]["commit"])
 
 

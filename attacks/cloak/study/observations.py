@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import through_png
+from mi_splat.io.parsing import read_json
 from mi_splat.metrics import psnr, ssim
 
 MARGIN = 10
@@ -148,7 +148,7 @@ def _observe(
         {detector.name: detector.fingerprint for detector in detectors},
     )
     stage = pipeline.cache.finished("observations", depends_on, make)
-    values: dict[str, Any] = json.loads((stage.folder / "observations.json").read_text())
+    values = read_json(stage.folder / "observations.json")
     return ObservedSplat(
         trained=splat,
         observations=tuple(Observation(**one) for one in values["observations"]),

@@ -7,7 +7,6 @@ looks at those that the study has judged by.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from attacks.transformations.pictures import changing
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.io.parsing import read_json
 from mi_splat.scene import GaussianScene
 
 HELD_OUT = "held_out"
@@ -96,7 +96,7 @@ def held_out_jobs(study: Path, detectors: Sequence[str], *, views: int) -> list[
     """
     found = []
     for path in sorted((study / JOBS).glob("pairs-*.json")):
-        splat, record = study / RESULTS / path.stem / "attacked.ply", json.loads(path.read_text())
+        splat, record = study / RESULTS / path.stem / "attacked.ply", read_json(path)
         job, marks = record["job"], record["result"]["detectors"]
         if job["target"] is None or not splat.is_file():
             continue

@@ -24,6 +24,7 @@ from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.parsing import DocumentReader
 
 OnStep = Callable[[int, int], None]
 Record = dict[str, Any]
@@ -59,7 +60,7 @@ def check_note(folder: Path, note: dict[str, object]) -> None:
     Raises:
         InvalidValueError: It was made otherwise.
     """
-    noted = json.loads((folder / "labels.json").read_text())["recipe"]
+    noted = _labels(folder)["recipe"]
     if _without_none(noted) != _without_none(json.loads(json.dumps(note))):
         do = "choose an empty folder or the same configuration"
         raise InvalidValueError(message(f"folder {folder}", note, noted, do))
@@ -123,11 +124,20 @@ def _replace_labels(folder: Path, content: dict[str, Any]) -> None:
     temporary.replace(folder / "labels.json")
 
 
+def _labels(folder: Path) -> dict[str, Any]:
+    """What a data set says of its pictures."""
+    found = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28).read_json(
+        folder / "labels.json"
+    )
+    if not isinstance(found.get("recipe"), dict) or not isinstance(found.get("pictures"), dict):
+        raise InvalidValueError(message(f"folder {folder}", "a recipe and pictures", "others", "make it again"))
+    return found
+
+
 def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
-    path = folder / "labels.json"
-    if not path.is_file():
+    if not (folder / "labels.json").is_file():
         return {}
-    content = json.loads(path.read_text())
+    content = _labels(folder)
     noted: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
     }
@@ -152,7 +162,7 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     if not path.is_file():
         raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
     pictures = []
-    for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
+    for name, record in list(_labels(folder)["pictures"].items())[:limit]:
         image = torch.from_numpy(np.array(Image.open(folder / name)))
         boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
         conditions = tuple(ViewingConditions(**values) for values in record.get("conditions", ()))
@@ -174,7 +184,7 @@ def fill_conditions(
     Raises:
         InvalidValueError: The pictures show something else.
     """
-    content = json.loads((folder / "labels.json").read_text())
+    content = _labels(folder)
     changed = False
     for done, (number, first) in enumerate(firsts.items(), start=1):
         records = [content["pictures"][f"{i:05d}.png"] for i in range(first, first + scenes.shots)]
