@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.weight_files import NOT_SHIPPED, SMALL_WEIGHTS
 from mi_splat.errors import message
+from mi_splat.io.noted_tensors import not_finite
 
 SUFFIXES = (".safetensors", ".pth", ".pt")
 _SHOWN = 4
@@ -51,7 +52,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`.
 
     Raises:
-        DetectorError: the file is missing, unreadable, of another format, or holds something else than tensors.
+        DetectorError: the file is missing, unreadable, of another format, or holds something else than
+            tensors of finite numbers.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
@@ -62,7 +64,7 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
     try:
         if path.suffix == ".safetensors":
-            return load_file(path)
+            return _finite(load_file(path), path)
         state: object = torch.load(path, map_location="cpu", weights_only=True)
     except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -80,7 +82,22 @@ def read_weights(path: Path) -> dict[str, Tensor]:
                 "save model.state_dict()",
             )
         )
-    return dict(state)
+    return _finite(dict(state), path)
+
+
+def _finite(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
+    check_finite(state, f"weights {path}")
+    return state
+
+
+def check_finite(state: Mapping[str, Tensor], what: str) -> None:
+    """Raise unless all numbers are finite: a detector of others finds nothing, as if each attack had succeeded.
+
+    Raises:
+        DetectorError: One is not.
+    """
+    if name := not_finite(state):
+        raise DetectorError(message(what, f"finite numbers in {name}", "others", "download or save them again"))
 
 
 def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object) -> None:
@@ -94,6 +111,10 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
     """
     own = model.state_dict()
     misshapen = [k for k in own if k in state and state[k].shape != own[k].shape]
+    if kinds := [k for k in own if k in state and state[k].is_floating_point() != own[k].is_floating_point()]:
+        got = f"{kinds[0]} of {state[kinds[0]].dtype}"
+        do = "pass weights that were saved from the same detector"
+        raise DetectorError(message(f"weights {source}", f"{own[kinds[0]].dtype}", got, do))
     shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(own[k].shape)}" for k in misshapen]
     try:
         report = model.load_state_dict({k: v for k, v in state.items() if k not in misshapen}, strict=False)
