@@ -21,9 +21,14 @@ SUFFIXES = (".safetensors", ".pth", ".pt")
 _SHOWN = 4
 
 
-def fingerprint(state: Mapping[str, Tensor]) -> str:
-    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order."""
-    total = hashlib.sha256()
+def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
+    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order.
+
+    Args:
+        state: Tensors by name.
+        more: Stands for what else the detector is made of; it comes first.
+    """
+    total = hashlib.sha256(more.encode())
     for name, value in state.items():
         total.update(name.encode())
         total.update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
@@ -93,10 +98,13 @@ def _finite(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
 def check_finite(state: Mapping[str, Tensor], what: str) -> None:
     """Raise unless all numbers are finite: a detector of others finds nothing, as if each attack had succeeded.
 
+    A single infinite number without axes is a setting, for instance what a picture is padded with.
+
     Raises:
         DetectorError: One is not.
     """
-    if name := not_finite(state):
+    weights = {name: value for name, value in state.items() if value.ndim or not bool(torch.isinf(value))}
+    if name := not_finite(weights):
         raise DetectorError(message(what, f"finite numbers in {name}", "others", "download or save them again"))
 
 
