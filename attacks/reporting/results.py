@@ -164,7 +164,7 @@ def _read(kind: Kind, path: Path, record: Path, found: Found) -> Section:
         return kind.read(path, found)
     except MiSplatError:
         raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
         expected, do = f"a finished result of mi-splat {kind.command}", "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
         raise InvalidValueError(message(str(record), expected, got, do)) from error

@@ -41,6 +41,15 @@ def gltf_notes(path: Path) -> MeshFileNotes:
             which trimesh leaves out.
     """
     document, rest = _read(path)
+    try:
+        return _noted(document, rest, path)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        got = f"{type(error).__name__}: {error}"[:160]
+        raise _DOCUMENT.broken(str(path), got, "a glTF file whose parts fit together") from error
+
+
+def _noted(document: dict[str, Any], rest: bytes | None, path: Path) -> MeshFileNotes:
+    """What a document says; of one whose parts are of other kinds than glTF's, any error of Python."""
     _check_extensions(document, path)
     if fault := document_fault(document, None if rest is None else max(0, len(rest) - _CHUNK_HEADER)):
         raise GltfError(message(str(path), "a glTF file whose parts fit together", fault, "export it again"))

@@ -17,6 +17,7 @@ from mi_splat.datasets.writing import make_folder
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
+from mi_splat.io.fields import Fields
 from mi_splat.io.parsing import DocumentReader
 
 RECORD = "capture.json"
@@ -95,6 +96,9 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str | None:
         save_json(wanted, file)
         return str(wanted["version"])
     there = _RECORD.read_json(file)
+    inputs = Fields(there, str(file), InvalidValueError, _RECORD.do).object("inputs", {})
+    for kind in inputs.values:
+        inputs.object(kind)
     if changed := differences(there, wanted):
         do = "choose a new folder, or the same settings to go on"
         raise InvalidValueError(message(str(file), "the settings of this capture", "; ".join(changed), do))
@@ -121,7 +125,7 @@ def differences(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str
         asked = _asked(known, wanted, key)
         if asked:
             changed += asked
-        elif key == "scene" or (counts == (wanted["train"], wanted["test"]) and known["scene"] == wanted["scene"]):
+        elif key == "scene" or (counts == (wanted["train"], wanted["test"]) and known.get("scene") == wanted["scene"]):
             changed.append(_unknown(key, there, wanted))
     return changed
 
