@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import shutil
-import struct
-import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -28,7 +25,6 @@ from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS
 from attacks.detectors.evaluation.tables import read_figures
 from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
 from attacks.detectors.tfjs.network import GraphNetwork
-from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.optimisers import START
@@ -53,8 +49,7 @@ from tests.detectors.packages import WEIGHTS as TOY_WEIGHTS
 from tests.detectors.test_training_loop import PLAIN, Noting
 from tests.detectors.tfjs.graphs import files, ints, node, placeholder, string
 from tests.fakes import camera
-from tests.fuzz.mutations import PLAIN as PLAIN_JSON
-from tests.fuzz.mutations import Document
+from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
 from tests.io.closeness import tame_scene
 from tests.io.format_files import valid
 from tests.reporting.makers import MAKERS
@@ -83,54 +78,8 @@ def _splat(name: str) -> Kind:
         (folder / name).write_bytes(valid(name))
         return folder / name
 
-    document = {"a.glb": Document(_glb_json, _with_glb_json), "a.sog": Document(_sog_json, _with_sog_json)}.get(name)
+    document = {"a.glb": GLB, "a.sog": SOG}.get(name)
     return Kind(make=make, read=load_splat, document=document)
-
-
-def _glb_json(data: bytes) -> Any:
-    return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
-
-
-def _with_glb_json(data: bytes, text: str) -> bytes:
-    part = text.encode("utf-8", "surrogatepass")
-    part += b" " * (-len(part) % 4)
-    body = struct.pack("<I4s", len(part), b"JSON") + part + data[20 + struct.unpack_from("<I", data, 12)[0] :]
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
-
-
-def _sog_json(data: bytes) -> Any:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        return json.loads(archive.read("meta.json"))
-
-
-def _with_sog_json(data: bytes, text: str) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(buffer, "w") as other:
-        for name in archive.namelist():
-            part = text.encode("utf-8", "surrogatepass") if name == "meta.json" else archive.read(name)
-            other.writestr(name, part)
-    return buffer.getvalue()
-
-
-def _header(data: bytes) -> Any:
-    return json.loads(data[8 : 8 + struct.unpack_from("<Q", data)[0]])
-
-
-def _with_header(data: bytes, text: str) -> bytes:
-    part = text.encode("utf-8", "surrogatepass")
-    return struct.pack("<Q", len(part)) + part + data[8 + struct.unpack_from("<Q", data)[0] :]
-
-
-def _notes(data: bytes) -> Any:
-    return json.loads(_header(data)["__metadata__"]["notes"])
-
-
-def _with_notes(data: bytes, text: str) -> bytes:
-    return _with_header(data, json.dumps({**_header(data), "__metadata__": {"notes": text}}))
-
-
-_CHECKPOINT = Document(_notes, _with_notes)
-_SAFETENSORS = Document(_header, _with_header)
 
 
 def _written(name: str, content: Callable[[], Any]) -> Callable[[Path], Path]:
@@ -245,8 +194,8 @@ def _detector_training(folder: Path) -> Path:
     return folder / "checkpoint.safetensors"
 
 
-def _resume(path: Path, config: TrainConfig = PLAIN) -> None:
-    Training.resume(path.parent, config, Noting())
+def _resume(path: Path) -> None:
+    Training.resume(path.parent, PLAIN, Noting())
 
 
 def _result(name: str) -> Kind:
@@ -290,7 +239,6 @@ def _ply(folder: Path) -> Path:
     return folder / "a.ply"
 
 
-_TREE = "scenes/stop_sign"
 _SPLATS = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
 _KSPLATS = sorted(path.name.removesuffix(".gz") for path in (ROOT / "tests/io/data").glob("*.ksplat.gz"))
 
@@ -315,7 +263,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "graph", Kind(make=_graph, read=_run_graph, document=PLAIN_JSON)
     yield (
         "constants",
-        Kind(make=lambda folder: _graph(folder).with_name(WEIGHTS), read=_run_graph, document=_SAFETENSORS),
+        Kind(make=lambda folder: _graph(folder).with_name(WEIGHTS), read=_run_graph, document=SAFETENSORS),
     )
     convert = Kind(
         make=_written("model.json", lambda: TOPOLOGY),
@@ -324,11 +272,11 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     )
     yield "model", convert
     for name in ("w.safetensors", "w.pth"):
-        document = _SAFETENSORS if name.endswith("tensors") else None
+        document = SAFETENSORS if name.endswith("tensors") else None
         yield f"weights {name}", Kind(make=partial(_weights, name), read=_apply, document=document)
-    yield "training", Kind(make=_training, read=load_state, document=_CHECKPOINT)
-    yield "search", Kind(make=_search, read=partial(eot_checkpoint.load_state, key="key"), document=_CHECKPOINT)
-    yield "training of a detector", Kind(make=_detector_training, read=_resume, document=_CHECKPOINT)
+    yield "training", Kind(make=_training, read=load_state, document=CHECKPOINT)
+    yield "search", Kind(make=_search, read=partial(eot_checkpoint.load_state, key="key"), document=CHECKPOINT)
+    yield "training of a detector", Kind(make=_detector_training, read=_resume, document=CHECKPOINT)
     for name in MAKERS:
         yield f"result {name}", _result(name)
     figures = ROOT / "attacks/detectors/fasterrcnn_small.json"
@@ -337,13 +285,13 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "table of an artifact", _artifact("*.csv*")
     yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
     yield "rendering study", Kind(make=_copied("scenes/studies/files.toml"), read=read_rendering_study)
-    gltf = _written("a.gltf", lambda: _glb_json(valid("a.glb")))
+    gltf = _written("a.gltf", lambda: GLB.get(valid("a.glb")))
     yield "mesh a.gltf", Kind(make=gltf, read=gltf_notes, document=PLAIN_JSON)
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
     for name in ("p.png", "p.jpg"):
         yield f"picture {name}", Kind(make=partial(_picture, name), read=_see)
-    tree = _copied(f"{_TREE}.xml", f"{_TREE}.json", f"{_TREE}_roadside.ply", f"{_TREE}_stop_sign.ply")
-    yield "scene XML", Kind(make=tree, read=open_scene)
+    parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
+    yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
 
 
 def _apply(path: Path) -> None:

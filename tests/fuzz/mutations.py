@@ -6,10 +6,10 @@ import copy
 import json
 import re
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 from typing import Any
+
+from tests.fuzz.documents import Document
 
 RAW = "@raw@"
 """Stands before what is to be in the JSON as it is."""
@@ -55,23 +55,6 @@ WORDS = (
 )
 _WORD = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]*"|[A-Za-z_]+')
 _RAW = re.compile(rf'"{RAW}((?:[^"\\]|\\.)*)"')
-
-
-@dataclass(frozen=True, slots=True)
-class Document:
-    """Where a file has JSON.
-
-    Attributes:
-        get: The document in the file.
-        put: The file with another one.
-    """
-
-    get: Callable[[bytes], Any]
-    put: Callable[[bytes, str], bytes]
-
-
-PLAIN = Document(json.loads, lambda data, text: text.encode("utf-8", "surrogatepass"))
-"""A file that is one document."""
 
 
 def mutant(data: bytes, random: Random, document: Document | None) -> bytes:
