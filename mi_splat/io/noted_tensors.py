@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -82,7 +84,7 @@ def described(value: Tensor | None) -> str:
 
 
 def read_line(kind: type[_Line], fields: Fields) -> _Line:
-    """A dataclass of numbers, truth values and other such dataclasses from its fields.
+    """A dataclass of numbers, texts, truth values, numbers by name and other such dataclasses from its fields.
 
     Args:
         kind: The dataclass; a field that may be None stands as `... | None`.
@@ -91,7 +93,7 @@ def read_line(kind: type[_Line], fields: Fields) -> _Line:
     Raises:
         MiSplatError: It is of the class of the fields; one is missing, unknown, or of another kind.
     """
-    hints = typing.get_type_hints(kind)
+    hints = _hints(typing.cast(Hashable, kind))
     if more := sorted(fields.values.keys() - hints.keys()):
         raise fields.bad(more[0], "no such field", fields.values[more[0]])
     found = {}
@@ -104,6 +106,11 @@ def read_line(kind: type[_Line], fields: Fields) -> _Line:
         raise fields.error(f"{fields.where}: {error}") from error
 
 
+@functools.cache
+def _hints(kind: Hashable) -> dict[str, Any]:
+    return typing.get_type_hints(typing.cast(type, kind))
+
+
 def _part(hint: Any, fields: Fields, name: str) -> object:
     """A field as its hint says."""
     value = fields.values.get(name)
@@ -113,6 +120,9 @@ def _part(hint: Any, fields: Fields, name: str) -> object:
         (hint,) = (part for part in typing.get_args(hint) if part is not type(None))
     if dataclasses.is_dataclass(hint):
         return read_line(typing.cast(type, hint), fields.object(name))
+    if typing.get_origin(hint) is Mapping:  # names to numbers
+        part = fields.object(name)
+        return {key: part.values[key] for key in part.values if math.isfinite(part.number(key))}
     if hint is int:
         return fields.whole(name, -(1 << 63), (1 << 63) - 1)
     if hint is float:

@@ -288,8 +288,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     gltf = _written("a.gltf", lambda: GLB.get(valid("a.glb")))
     yield "mesh a.gltf", Kind(make=gltf, read=gltf_notes, document=PLAIN_JSON)
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
-    for name in ("p.png", "p.jpg"):
-        yield f"picture {name}", Kind(make=partial(_picture, name), read=_see)
+    yield from ((f"picture {name}", Kind(make=partial(_picture, name), read=_see)) for name in ("p.png", "p.jpg"))
     parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
     yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
 

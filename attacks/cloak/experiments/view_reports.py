@@ -30,7 +30,9 @@ from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json
+from mi_splat.io.fields import Fields
 from mi_splat.io.images import through_png
+from mi_splat.io.noted_tensors import read_line
 from mi_splat.io.parsing import DocumentReader, read_json
 from mi_splat.training.resume import SPLAT
 
@@ -191,12 +193,14 @@ def _look(
         (detector.name, detector.fingerprint),
     )
     stage = pipeline.cache.finished("view_reports", depends_on, make)
-    values = DocumentReader().read_json_value(stage.folder / "view_reports.json")
+    file = stage.folder / "view_reports.json"
+    values = {"reports": DocumentReader().read_json_value(file)}
+    reports = Fields(values, str(file), InvalidValueError, "delete its folder, so that it is made again")
     return ViewReports(
         pictures=series.pictures,
         seed=series.seed,
         detector=detector.name,
-        view_reports=tuple(ViewReport(**one) for one in values),
+        view_reports=tuple(read_line(ViewReport, one) for one in reports.objects("reports")),
     )
 
 

@@ -11,7 +11,7 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.fields import Fields
+from mi_splat.io.noted_tensors import read_line
 from mi_splat.io.parsing import DocumentReader
 
 OnStep = Callable[[int, int], None]
@@ -141,11 +143,12 @@ def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
     noted: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
     }
-    if replace(PictureSetConfig(**noted), count=config.count) != config:
+    unknown = noted.keys() - {field.name for field in fields(PictureSetConfig)}
+    if unknown or replace(PictureSetConfig(**noted), count=config.count) != config:
         raise InvalidValueError(
             message(f"folder {folder}", config, content["recipe"], "choose an empty folder or the same configuration")
         )
-    return {int(Path(name).stem): record for name, record in content["pictures"].items()}
+    return {int(Path(name).stem): record for name, record in content["pictures"].items() if Path(name).stem.isdecimal()}
 
 
 def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
@@ -162,11 +165,14 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     if not path.is_file():
         raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
     pictures = []
-    for name, record in list(_labels(folder)["pictures"].items())[:limit]:
+    records = Fields(_labels(folder)["pictures"], str(path), InvalidValueError, "make the data set again")
+    for name in list(records.values)[:limit]:
         image = torch.from_numpy(np.array(Image.open(folder / name)))
-        boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-        conditions = tuple(ViewingConditions(**values) for values in record.get("conditions", ()))
-        pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64), conditions))
+        record = records.object(name)
+        labels = record.wholes("labels", 1, len(SMALL_CLASSES))
+        boxes = torch.tensor(record.rows("boxes", len(labels), 4), dtype=torch.float32).reshape(-1, 4)
+        conditions = tuple(read_line(ViewingConditions, values) for values in record.objects("conditions"))
+        pictures.append(LabelledPicture(image, boxes, torch.tensor(labels, dtype=torch.int64), conditions))
     return pictures
 
 
