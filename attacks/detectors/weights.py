@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,6 +20,11 @@ from mi_splat.io.noted_tensors import not_finite
 
 SUFFIXES = (".safetensors", ".pth", ".pt")
 _SHOWN = 4
+_UNREADABLE = (
+    *(SafetensorError, pickle.UnpicklingError, struct.error, EOFError, OSError, RuntimeError, AssertionError),
+    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ImportError),
+)
+"""What safetensors, and torch on its way through a pickle, raise for files that are broken in one way or another."""
 
 
 def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
@@ -71,14 +77,18 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         if path.suffix == ".safetensors":
             return _finite(load_file(path), path)
         state: object = torch.load(path, map_location="cpu", weights_only=True)
-    except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+    except _UNREADABLE as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DetectorError(
             message(f"weights {path}", f"a readable {path.suffix} file of tensors", reason, "download or save it again")
         ) from error
     if isinstance(state, Mapping) and isinstance(state.get("model"), Mapping):
         state = state["model"]  # a training checkpoint of torchvision's reference scripts
-    if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()) or not state:
+    if (
+        not isinstance(state, Mapping)
+        or not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in state.items())
+        or not state
+    ):
         raise DetectorError(
             message(
                 f"weights {path}",

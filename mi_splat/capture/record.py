@@ -145,5 +145,7 @@ def _unknown(key: str, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> s
         return f"{what} ({why}; that version may also have read the same scene otherwise)"
     where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
     versions = there.get("version"), wanted["version"]
-    upgrade = f", or how version {versions[1]} reads them, where {versions[0]} began" if len(set(versions)) > 1 else ""
+    upgrade = (
+        f", or how version {versions[1]} reads them, where {versions[0]} began" if versions[0] != versions[1] else ""
+    )
     return f"{what} ({where}{upgrade})"

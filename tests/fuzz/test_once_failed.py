@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from mi_splat.errors import MiSplatError
+from tests.fuzz.campaign import mutated
 from tests.fuzz.kinds import EVERY
 from tests.fuzz.mutations import RAW, text_of
 
@@ -62,6 +64,7 @@ DOCUMENTS: list[tuple[str, Change]] = [
     ("record of a capture", put("inputs", "scene", value=[])),
     ("record of a capture", put("format", value=f"{RAW}1e999")),
     ("record of a capture", drop("scene")),
+    ("record of a capture", lambda values: {**values, "version": {}, "scene": "other", "inputs": {}}),
     ("detector card", put("sha256", value=[])),
     ("detector card", put("sha256", "graph.json", value=None)),
     ("detector card", put("sha256_published", value=DEEP)),
@@ -120,4 +123,12 @@ def test_broken_tables_are_refused_in_words(name: str, text: str, tmp_path: Path
     path = EVERY[name].make(tmp_path)
     path.write_bytes(text.encode("latin-1") + b"\n" + path.read_bytes())
     with pytest.raises(MiSplatError, match=r": expected .*; \w"):
+        EVERY[name].read(path)
+
+
+@pytest.mark.parametrize(("name", "number"), [("weights w.pth", 1625), ("record of a capture", 1376)])
+def test_mutants_of_the_campaign_are_read_or_refused(name: str, number: int, tmp_path: Path) -> None:
+    path = EVERY[name].make(tmp_path)
+    path.write_bytes(mutated(name, number, path.read_bytes()))
+    with contextlib.suppress(MiSplatError):
         EVERY[name].read(path)
