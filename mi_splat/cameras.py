@@ -19,7 +19,7 @@ from torch import Tensor
 from mi_splat.camera_values import check_finite, check_points, focal_lengths, pixel_count, pose_tensor, two_numbers
 from mi_splat.config_values import several_of
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import LARGEST, GaussianScene
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -34,7 +34,8 @@ class Camera:
         principal: Principal point (cx, cy) in pixels; the image centre if None.
 
     Raises:
-        InvalidValueError: to_world is not a finite rigid transform, or an intrinsic is not positive and finite.
+        InvalidValueError: to_world is not a finite rigid transform, or an intrinsic is not positive and finite, or a
+            number is larger than `mi_splat.scene.LARGEST`.
     """
 
     to_world: Tensor
@@ -65,13 +66,18 @@ class Camera:
         object.__setattr__(self, "focal", focal_lengths(self.focal))
         if self.principal is not None:
             object.__setattr__(self, "principal", two_numbers("principal", self.principal))
+        if not bool((pose[:3, 3].abs() <= LARGEST).all()):
+            expected, do = f"coordinates up to {LARGEST:g}", "move the scene and its cameras to the origin"
+            raise InvalidValueError(message("camera position", expected, pose[:3, 3].tolist(), do))
         for name, value in (("focal x", self.fx), ("focal y", self.fy)):
-            if not (math.isfinite(value) and value > 0):
-                raise InvalidValueError(message(name, "a positive number of pixels", value, "check the intrinsics"))
+            if not 1 / LARGEST <= value <= LARGEST:
+                expected = f"a positive number of pixels up to {LARGEST:g}"
+                raise InvalidValueError(message(name, expected, value, "check the intrinsics"))
         for name, size in (("width", self.width), ("height", self.height)):
             object.__setattr__(self, name, pixel_count(name, size))
-        if not all(math.isfinite(value) for value in (self.cx, self.cy)):
-            raise InvalidValueError(message("principal", "two finite numbers", self.principal, "check the intrinsics"))
+        if not all(abs(value) <= LARGEST for value in (self.cx, self.cy)):
+            expected = f"two finite numbers up to {LARGEST:g}"
+            raise InvalidValueError(message("principal", expected, self.principal, "check the intrinsics"))
 
     @property
     def fx(self) -> float:
@@ -134,7 +140,7 @@ class View:
 
 
 class ViewSet(Sequence[View]):
-    """Views that need not be in memory: what can be known of them without reading a picture, the set says itself."""
+    """Views that need not be in memory: what can be known of them without decoding a picture, the set says itself."""
 
     __slots__ = ()
 
@@ -145,7 +151,7 @@ class ViewSet(Sequence[View]):
 
     @property
     def fingerprint(self) -> str | None:
-        """What tells the pictures of this set from others; None where only reading them would."""
+        """What tells this set from others, pixels included; None where only decoding the pictures would."""
         return None
 
 
@@ -155,7 +161,7 @@ def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:
 
 
 def fingerprint_of(views: Sequence[View]) -> str | None:
-    """What tells the pictures of a `ViewSet` from others without reading them; None of any other sequence."""
+    """What tells the pictures of a `ViewSet` from others without decoding them; None of any other sequence."""
     return views.fingerprint if isinstance(views, ViewSet) else None
 
 

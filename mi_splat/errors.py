@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import TypeVar
 
 _Error = TypeVar("_Error", bound="MiSplatError")
@@ -24,6 +25,22 @@ class MiSplatError(Exception):
 
 class InvalidValueError(MiSplatError, ValueError):
     """A value that a function of this library cannot work with."""
+
+
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Kinds of characters that a terminal obeys instead of showing: controls, directions of writing, ends of lines."""
+
+
+def printable(text: str) -> str:
+    """A text as a terminal may be given it: what a terminal would obey is written as Python writes it in a string.
+
+    Names in files may hold anything. New lines and tabs stay.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        repr(sign)[1:-1] if unicodedata.category(sign) in _UNSEEN and sign not in "\n\t" else sign for sign in text
+    )
 
 
 def message(what: str, expected: object, got: object, do: str) -> str:

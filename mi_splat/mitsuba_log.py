@@ -6,6 +6,8 @@ import sys
 from functools import cache
 from typing import Any
 
+from mi_splat.errors import printable
+
 
 def log_to_stderr() -> None:
     """Send what Mitsuba logs to stderr; it writes to stdout by itself. A log that the caller has set up is kept."""
@@ -29,7 +31,7 @@ def _appender() -> Any:
 
         def append(self, level: object, text: str) -> None:
             """Write one line."""
-            sys.stderr.write(f"{text}\n")
+            sys.stderr.write(f"{printable(text)}\n")
 
         def log_progress(self, *_: object) -> None:
             """Show no progress; the commands show their own."""

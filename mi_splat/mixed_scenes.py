@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import re
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import torch
 from torch import Tensor
@@ -15,6 +12,8 @@ from torch import Tensor
 from mi_splat import variant
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import sha256
+from mi_splat.io.scene_parts import scene_parts
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import SplatScene, load_mitsuba_scene, values_of
 
@@ -28,41 +27,24 @@ SAMPLES = 64
 def holds_surfaces(path: Path) -> bool:
     """Whether a scene file names shapes that are no splats; False where it cannot be read."""
     try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError):
+        elements = scene_parts(path).elements
+    except InvalidValueError:
         return False
-    return any(shape.get("type") not in SPLATS for shape in root.iter("shape"))
+    return any(one.get("type") not in SPLATS for one in elements if one.tag == "shape")
 
 
 def contents_hash(path: Path) -> str:
     """SHA-256 (hexadecimal) over a scene file and the files that it names: splats, meshes, pictures, other scenes.
 
-    They are looked for where Mitsuba does: beside the scene file, then in the working folder.
+    See `scene_parts` for where they are looked for.
 
     Raises:
-        InvalidValueError: The scene file cannot be read.
+        InvalidValueError: The scene file cannot be read, or is none that Mitsuba may read.
     """
     digest = hashlib.sha256()
-    for file in _with_named_files(path):
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for file in scene_parts(path).files:
+        digest.update(bytes.fromhex(sha256(file)))
     return digest.hexdigest()
-
-
-def _with_named_files(path: Path) -> list[Path]:
-    """A scene file and those that its strings and inclusions name, in their order."""
-    try:
-        elements = list(ElementTree.parse(path).iter())
-    except (OSError, ElementTree.ParseError) as error:
-        raise InvalidValueError(message(f"scene {path}", "a Mitsuba XML file", str(error), "check the path")) from error
-    defaults = {f"${one.get('name')}": one.get("value", "") for one in elements if one.tag == "default"}
-    words = [one.get("value" if one.tag == "string" else "filename", "") for one in elements]
-    found = [path]
-    for word in words:
-        name = re.sub(r"\$\w+", lambda part: defaults.get(part[0], part[0]), word)
-        places = [folder / name for folder in (path.parent, Path())]
-        for file in [place for place in places if os.path.isfile(place)][:1]:  # unlike `Path.is_file`, of any length
-            found += _with_named_files(file) if file.suffix == ".xml" else [file]
-    return found
 
 
 class MixedScene:

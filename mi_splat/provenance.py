@@ -13,8 +13,21 @@ _PACKAGES = ("mi-splat", "mitsuba", "drjit", "torch", "torchvision", "numpy", "p
 
 
 def origin() -> dict[str, Any]:
-    """What every result says of its origin: `versions`, `variant` and `commit`."""
-    return {"versions": versions(), "variant": variant(), "commit": commit()}
+    """What every result says of its origin: `versions`, `variant`, `commit` and `torch`."""
+    return {"versions": versions(), "variant": variant(), "commit": commit(), "torch": torch_arithmetic()}
+
+
+def torch_arithmetic() -> dict[str, Any] | None:
+    """What the last bits of torch's sums depend on, besides its version; None where torch is not loaded.
+
+    Its convolutions add in an order that depends on the number of threads and on the widest instructions of the
+    processor, so that a detector's scores differ by some 1e-7 between one thread and two. With the same `threads` and
+    `instructions` a result has the same bits. Dr.Jit's sums do not depend on its threads.
+    """
+    torch: Any = sys.modules.get("torch")
+    if torch is None:
+        return None
+    return {"threads": torch.get_num_threads(), "instructions": torch.backends.cpu.get_cpu_capability()}
 
 
 def rendered_with(render: object) -> dict[str, Any]:

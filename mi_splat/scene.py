@@ -5,18 +5,26 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-import sys
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from mi_splat import rotation as quaternion
-from mi_splat.attributes import ATTRIBUTES
+from mi_splat.attributes import ATTRIBUTES, LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
-__all__ = ["ATTRIBUTES", "UNIT_TOLERANCE", "GaussianScene", "Similarity", "check_scene", "merge", "scene_hash"]
+__all__ = [
+    "ATTRIBUTES",
+    "LARGEST",
+    "UNIT_TOLERANCE",
+    "GaussianScene",
+    "Similarity",
+    "check_scene",
+    "merge",
+    "scene_hash",
+]
 
 UNIT_TOLERANCE = 1e-3
 """How far from one the norm of a scene's quaternions may be."""
@@ -76,7 +84,7 @@ class GaussianScene:
     the checks look at detached values and the tensors are kept as they are.
 
     Attributes:
-        means: (N, 3) float32, world units.
+        means: (N, 3) float32, world units, up to `LARGEST`, as scales and SH.
         scales: (N, 3) float32, standard deviations along the Gaussian's own axes, > 0, world units.
         rotations: (N, 4) float32 unit quaternions (w, x, y, z), local to world.
         opacities: (N,) float32 in [0, 1].
@@ -244,13 +252,12 @@ def _check_form(scene: GaussianScene) -> None:
     degree_of(bands)
 
 
-_MAX = sys.float_info.max
 _RANGES = {
-    "means": (-_MAX, _MAX, "finite values", "remove those Gaussians"),
-    "scales": (math.ulp(0.0), _MAX, "finite values > 0", "pass standard deviations"),
+    "means": (-LARGEST, LARGEST, f"finite values up to {LARGEST:g}", "remove those Gaussians"),
+    "scales": (math.ulp(0.0), LARGEST, f"finite values > 0 up to {LARGEST:g}", "pass standard deviations"),
     "rotations": (1 - UNIT_TOLERANCE, 1 + UNIT_TOLERANCE, "unit quaternions", "use mi_splat.rotation.normalise"),
     "opacities": (0.0, 1.0, "values in [0, 1]", "apply a sigmoid to logits"),
-    "sh": (-_MAX, _MAX, "finite values", "remove those Gaussians"),
+    "sh": (-LARGEST, LARGEST, f"finite values up to {LARGEST:g}", "remove those Gaussians"),
 }
 """Lowest and highest value of each tensor (of the norm for rotations), its name, and what to do about other values."""
 

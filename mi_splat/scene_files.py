@@ -17,6 +17,7 @@ from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io import SplatFileError, load_splat
 from mi_splat.io.errors import path_name
+from mi_splat.io.scene_parts import check_scene_file
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, merge
 
@@ -55,7 +56,8 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     """A Mitsuba scene from a file; `parameters` take the place of its default values.
 
     Raises:
-        InvalidValueError: The file is missing, or is not a Mitsuba scene.
+        InvalidValueError: The file is missing, is not a Mitsuba scene, or is too large or too deep for one.
+        PictureFileError: A picture that it names has too many pixels.
         SplatFileError: A splat that it names cannot be read.
     """
     import mitsuba as mi
@@ -63,6 +65,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     path = Path(path_name(path))
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
+    check_scene_file(path, parameters)
     try:
         # Not parallel: rare failures were seen with threads; their cause is not known.
         loaded = mi.load_file(str(path), parallel=False, **parameters)
@@ -82,7 +85,8 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
         among: What else it may hold.
 
     Raises:
-        InvalidValueError: It holds no `gaussians` shape or no sensor, or shapes that it may not hold.
+        InvalidValueError: It holds no `gaussians` shape or no sensor, a sensor that is no pinhole camera, or shapes
+            that it may not hold.
     """
     from mi_splat.plugins import sensor as sensors
     from mi_splat.plugins.gaussian_shapes import GaussianShapes
@@ -95,7 +99,12 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
     scenes = shapes.scenes()
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
     scene = merge(*scenes)
-    cameras = {sensor.id(): sensors.camera(sensor) for sensor in loaded.sensors()}
+    cameras = dict[str, Camera]()
+    for sensor in loaded.sensors():
+        try:
+            cameras[sensor.id()] = sensors.camera(sensor)
+        except InvalidValueError as error:
+            raise InvalidValueError(f'{path}, sensor "{sensor.id()}": {error}') from error
     return SplatScene(
         scene=scene,
         objects={name: slice(start, end) for name, start, end in zip(shapes.names, ends[:-1], ends[1:], strict=True)},

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.artifacts.contents import RECORD, Contents, FoundArtifact, read_artifact, sha256
+from attacks.artifacts.contents import RECORD, Contents, FoundArtifact, read_artifact
 from attacks.artifacts.figures import Line, compared, flat, in_words
 from attacks.artifacts.kinds import known_kind
 from attacks.artifacts.rows import read_table
 from mi_splat.io.atomic import is_temporary
+from mi_splat.io.documents import sha256
 
 _HEADING = re.compile(r"^(?=## )", re.MULTILINE)
 _FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")

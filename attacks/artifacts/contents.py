@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any, TypeVar
 from attacks.artifacts.figures import Figure, read_figure
 from attacks.artifacts.rows import Table
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import sha256
 from mi_splat.io.parsing import DocumentReader
 
 RECORD, CAMERAS, SPLATS = "artifact.json", "cameras.json", "splats"
@@ -171,15 +171,6 @@ def checked_page(page: str, where: str) -> str:
         expected = "a page such as docs/cloak.md, relative to the checkout"
         raise InvalidValueError(message(where, expected, page[:80], "change it"))
     return page
-
-
-def sha256(path: Path) -> str:
-    """SHA-256 of a file."""
-    total = hashlib.sha256()
-    with path.open("rb") as file:
-        while part := file.read(1 << 20):
-            total.update(part)
-    return total.hexdigest()
 
 
 def _file(name: str, entry: Any, where: str) -> tuple[str, int]:

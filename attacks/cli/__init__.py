@@ -17,8 +17,8 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from mi_splat.cli.console import PROGRAM, progress, warn
-from mi_splat.cli.ranges import UsageError
-from mi_splat.errors import MiSplatError
+from mi_splat.cli.ranges import UsageError, take_max_pixels
+from mi_splat.errors import MiSplatError, printable
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
@@ -223,7 +223,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except UsageError as error:
-        warn(f"{words[0]}: {error} (see {PROGRAM} {words[0]} --help)")
+        name = words[0] if words and words[0] in COMMANDS else ""
+        warn(f"{f'{name}: ' if name else ''}{error} (see {PROGRAM} {f'{name} ' if name else ''}--help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
         hint = error.hint if isinstance(error, MiSplatError) else ""
@@ -235,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _plain_warnings() -> Iterator[None]:
     """Show warnings in one line each, without the line of code that raised them."""
     before = warnings.formatwarning
-    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {' '.join(str(text).split())}\n"
+    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {printable(' '.join(str(text).split()))}\n"
     try:
         yield
     finally:
@@ -244,6 +245,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
+    most = take_max_pixels(words)
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
         return DONE if words else MISUSED
@@ -263,7 +265,12 @@ def _dispatch(words: list[str]) -> int:
     options = parse(name, COMMANDS[name], rest)
     with progress("starting"):
         module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
-    return int(module.run(options))
+    if most is None:
+        return int(module.run(options))
+    from mi_splat.io.picture_files import pixel_limit
+
+    with pixel_limit(most):
+        return int(module.run(options))
 
 
 def _help() -> str:
@@ -281,6 +288,7 @@ def _help() -> str:
             "",
             f"  {PROGRAM} COMMAND --help  the options of one command",
             f"  {PROGRAM} --version       the version",
+            "  --max-pixels N           with any command: pixels that a picture which is read may have (50000000)",
             "",
             "exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage",
             "",

@@ -18,12 +18,17 @@ from attacks.detectors import load_detector
 from attacks.transformations.config import Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 
 
 def run(options: DaggerEotStudyOptions) -> int:
     """Run the study, or what is missing of it, and write its tables."""
-    check_own_folder(options.out, JOBS)
+    with own_folder(options.out, JOBS):
+        return _study(options)
+
+
+def _study(options: DaggerEotStudyOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     limit_threads((os.cpu_count() or 1) // 2)
     groups = options.groups or tuple(GROUPS)
     for group in groups:

@@ -14,12 +14,17 @@ from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
 from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 
 
 def run(options: DaggerPairsOptions) -> int:
     """Attack what is not attacked yet, and write the tables."""
-    check_own_folder(options.out, SUMMARY, *options.detectors)
+    with own_folder(options.out, SUMMARY, *options.detectors):
+        return _pairs(options)
+
+
+def _pairs(options: DaggerPairsOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     for name, values in (("detectors", options.detectors), ("eps", options.eps)):
         if not values or len(set(values)) != len(values):
             raise InvalidValueError(message(name, "one or more, each once", values or "none", "name them"))

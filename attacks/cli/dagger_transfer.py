@@ -20,7 +20,7 @@ from attacks.detectors.registry import DETECTORS
 from mi_splat import provenance
 from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 
 STUDIED = ("_small", "_coco")
 """Endings of the names of the detectors that are taken if none is named: the project's own, and those that
@@ -29,7 +29,12 @@ STUDIED = ("_small", "_coco")
 
 def run(options: DaggerTransferOptions) -> int:
     """Run the study, or what is missing of it; its tables are written after every seed."""
-    check_own_folder(options.out, JOBS, HELD_OUT)
+    with own_folder(options.out, JOBS, HELD_OUT):
+        return _transfer(options)
+
+
+def _transfer(options: DaggerTransferOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     limit_threads((os.cpu_count() or 1) // 2)
     names = _chosen(options)
     judges = list(dict.fromkeys([*names, *options.judges]))

@@ -35,6 +35,7 @@ from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
 from mi_splat.io.images import to_bytes
+from mi_splat.io.locks import locked_folder
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
 
@@ -47,15 +48,16 @@ def run(options: EvaluateDetectorOptions) -> int:
     pictures = PictureSetConfig(split="held-out", count=options.pictures, samples=options.samples)
     with progress("loading the detector") as advance:
         detector = load_for_evaluation(options.detector, options.weights)
-        sets = held_out_sets(
-            options.data,
-            pictures,
-            splats=options.splats,
-            splat=options.splat,
-            backgrounds=options.backgrounds,
-            processes=options.processes,
-            on_work=lambda text, done, total: advance(f"{text}, {done:,} of {total:,}"),
-        )
+        with locked_folder(options.data):
+            sets = held_out_sets(
+                options.data,
+                pictures,
+                splats=options.splats,
+                splat=options.splat,
+                backgrounds=options.backgrounds,
+                processes=options.processes,
+                on_work=lambda text, done, total: advance(f"{text}, {done:,} of {total:,}"),
+            )
         for path in options.scenes:
             sets[str(path)] = scene_pictures(path)
         advance("detecting")

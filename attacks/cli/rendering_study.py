@@ -15,12 +15,17 @@ from attacks.rendering_studies.jobs import StudyRunner, attacks_of
 from attacks.rendering_studies.run import run_study
 from attacks.rendering_studies.tables import write_study
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 
 
 def run(options: RenderingStudyOptions) -> int:
     """Run the study, or what is missing of it; its tables are written after every seed."""
-    check_own_folder(options.out, JOBS)
+    with own_folder(options.out, JOBS):
+        return _study(options)
+
+
+def _study(options: RenderingStudyOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     study = read_rendering_study(options.study)
     toml = options.study.read_text("utf-8-sig")
     if options.seeds is not None:

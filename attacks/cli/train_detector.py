@@ -9,7 +9,8 @@ from attacks.cli.training_options import TrainDetectorOptions
 from attacks.detectors.training.loop import Training
 from attacks.detectors.training.train import train, trainer_of, training_pictures
 from mi_splat.cli.console import progress, show, warn
-from mi_splat.io.folders import check_own_folder, check_writable
+from mi_splat.io.folders import check_writable, own_folder
+from mi_splat.io.locks import locked_folder
 
 RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")
 """What a training leaves in its folder."""
@@ -17,10 +18,15 @@ RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")
 
 def run(options: TrainDetectorOptions) -> int:
     """Train, continuing an earlier training with the same folders."""
+    check_writable(options.data)
+    with own_folder(options.out, *RECORDS):
+        return _train(options)
+
+
+def _train(options: TrainDetectorOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     import torch
 
-    check_own_folder(options.out, *RECORDS)
-    check_writable(options.data)
     torch.set_num_threads(options.threads)
     with progress("starting") as advance:
 
@@ -28,9 +34,10 @@ def run(options: TrainDetectorOptions) -> int:
             advance(f"{text}, {done:,} of {total:,}")
 
         trainer = trainer_of(options.detector)
-        pictures, validation = training_pictures(
-            options.data, options.sets, processes=options.processes, on_work=follow
-        )
+        with locked_folder(options.data):
+            pictures, validation = training_pictures(
+                options.data, options.sets, processes=options.processes, on_work=follow
+            )
         if not options.only_data:
             train(
                 Training.resume(options.out, options.config, trainer),

@@ -23,7 +23,7 @@ from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 from mi_splat.io.parsing import read_json
 
 JOBS = "jobs"
@@ -126,20 +126,20 @@ def run_jobs(
     Returns:
         One record for each job: `job`, `fingerprint` and `result`.
     """
-    check_own_folder(out, JOBS, ledger)
     folder, records = out / ledger, []
-    folder.mkdir(parents=True, exist_ok=True)
-    sweep_temporary(folder)
-    for job in jobs:
-        path = folder / f"{job.name}.json"
-        key = {"job": as_json(job), "fingerprint": fingerprint(job)}
-        record = _stored(path)
-        if record is None or {name: record[name] for name in key} != key:
-            record = {**key, "result": run(job)}
-            save_json(record, path)
-        records.append(record)
-        if on_job is not None:
-            on_job(job)
+    with own_folder(out, JOBS, ledger):
+        folder.mkdir(parents=True, exist_ok=True)
+        sweep_temporary(folder)
+        for job in jobs:
+            path = folder / f"{job.name}.json"
+            key = {"job": as_json(job), "fingerprint": fingerprint(job)}
+            record = _stored(path)
+            if record is None or {name: record[name] for name in key} != key:
+                record = {**key, "result": run(job)}
+                save_json(record, path)
+            records.append(record)
+            if on_job is not None:
+                on_job(job)
     return records
 
 

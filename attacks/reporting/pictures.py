@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.picture_files import load_picture
 
 LONGEST_SIDE = 1200
 """Pixels that the longer side of a picture on a page has at most."""
@@ -18,15 +18,9 @@ def data_address(path: Path) -> tuple[str, int, int]:
     """A picture as a data: address, and its width and height on the page.
 
     Raises:
-        InvalidValueError: The file is no picture.
+        PictureFileError: The file is no picture, or has too many pixels.
     """
-    try:
-        with Image.open(path) as file:
-            picture = file.convert("RGB")
-    except (OSError, ValueError, Image.DecompressionBombError, ImportError) as error:
-        # ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed.
-        do = "make the result again"
-        raise InvalidValueError(message(str(path), "a picture", str(error), do)) from error
+    picture = load_picture(path).convert("RGB")
     if max(picture.size) > LONGEST_SIDE:
         picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()

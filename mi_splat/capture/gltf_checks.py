@@ -10,6 +10,8 @@ from typing import Any
 
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MOST_ZEROS = 1 << 26
+"""Bytes that an accessor without a view, which stands for zeros, may take."""
 _LISTS = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures", "images")
 
 
@@ -89,12 +91,15 @@ def _view_faults(document: dict[str, Any], binary: int | None) -> Iterator[str]:
 
 
 def _accessor_faults(document: dict[str, Any], _: int | None) -> Iterator[str]:
-    """Accessors of unknown kinds, or with more values than their views hold."""
+    """Accessors of unknown kinds, with more values than their views hold, or of many values without a view."""
     for number, accessor in enumerate(document.get("accessors", [])):
         kind, component, count = (accessor.get(key) for key in ("type", "componentType", "count"))
         if kind not in _COMPONENTS or component not in _COMPONENT_BYTES or not isinstance(count, int) or count < 1:
             yield f"accessor {number} of type {kind!r}, component type {component!r} and count {count!r}"
-        elif "bufferView" in accessor:
+        elif "bufferView" not in accessor:
+            if count * _COMPONENTS[kind] * _COMPONENT_BYTES[component] > _MOST_ZEROS:
+                yield f"accessor {number} of {count} zeros, which no view holds"
+        else:
             view = document["bufferViews"][accessor["bufferView"]]
             each = _COMPONENTS[kind] * _COMPONENT_BYTES[component]
             needed = accessor.get("byteOffset", 0) + (count - 1) * view.get("byteStride", each) + each

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mi_splat.assets.mesh import Floats, skin
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes, beside, lies_outside
+from mi_splat.io.picture_files import BROKEN
 
 GREY = 0.7
 """sRGB grey of surfaces without any colour."""
@@ -113,9 +114,8 @@ def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Repor
             there = said.picture.startswith("picture ") or beside(path, said.picture)
             outside = "lies outside of the mesh's folder, where it is not read"
             lost = outside if lies_outside(path, said.picture) else "no such file"
-            fault(
-                f"{said.picture} (texture): {'cannot be read as a picture, or has no coordinates' if there else lost}"
-            )
+            unread = "cannot be read as a picture, has too many pixels, or has no coordinates"
+            fault(f"{said.picture} (texture): {unread if there else lost}")
         return None
     if said.options:
         fault(f"{said.picture} (texture): options {said.options}, which are not followed")
@@ -125,7 +125,7 @@ def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Repor
             grey = np.asarray(picture, np.float32)[..., None] / np.float32(65535)
             return np.repeat(np.clip(grey, 0, 1), 3, axis=2)
         return np.asarray(picture.convert("RGB"), np.float32) / np.float32(255)
-    except (OSError, SyntaxError, ValueError) as error:
+    except BROKEN as error:
         fault(f"{said.picture or 'a texture'} (texture): {str(error)[:80]}")
         return None
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import logging
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +19,7 @@ from mi_splat.capture.mesh_colours import Surface, coloured
 from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
 from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.picture_files import pixels_bounded
 
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 UP: dict[str, Literal["y", "z"]] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
@@ -32,16 +35,10 @@ COARSE = 1e-3
 _TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
 """Degrees about z that turn a front to +x."""
 
-# What trimesh raises for files that are broken in one way or another.
+# What trimesh raises for files that are broken in one way or another; NameError, where it assumes an element.
 _BROKEN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NotImplementedError,
-    ArithmeticError,
-    AssertionError,
+    *(OSError, ValueError, LookupError, TypeError, AttributeError, NotImplementedError, ArithmeticError, EOFError),
+    *(AssertionError, NameError, RecursionError, MemoryError, SyntaxError, struct.error, zlib.error),
 )
 
 
@@ -65,6 +62,7 @@ class LoadedMesh:
     warnings: tuple[str, ...] = ()
 
 
+@np.errstate(all="ignore")  # numbers that are not finite are refused where they end up
 def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     """All meshes of a file as one asset, with z up.
 
@@ -143,7 +141,8 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     try:
         notes = read(path)
         given = str(path) if notes.data is None else io.BytesIO(notes.data)
-        scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
+        with pixels_bounded():
+            scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     except GltfError as error:
         raise MeshFileError(str(error)) from error
@@ -166,8 +165,7 @@ def _too_coarse(pieces: list[tuple[Any, NDArray[np.float64]]], surfaces: list[Su
     size, coarsest, where = float(np.ptp(points, axis=0).max()), 0.0, 0.0
     for piece, placed in pieces:
         farthest = float(np.abs(piece.vertices).max())
-        with np.errstate(all="ignore"):  # numbers that are not finite are refused later
-            step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
+        step = float(np.spacing(np.float32(farthest)) * np.linalg.norm(placed[:3, :3], axis=0).max())
         coarsest, where = max((coarsest, where), (step, farthest))
     if not coarsest > COARSE * size > 0:
         return []

@@ -15,6 +15,8 @@ from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.scene_parts import check_scene_file
+from mi_splat.io.texture_files import check_texture
 from mi_splat.mitsuba_log import log_to_stderr
 
 VARIANT = "scalar_rgb"
@@ -43,12 +45,14 @@ def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
     """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set.
 
     Raises:
-        InvalidValueError: There is no such file, or it is no <scene>.
+        InvalidValueError: There is no such file, or it is no <scene>, or too large or too deep for one.
+        PictureFileError: A picture that it names has too many pixels.
     """
     if isinstance(scene, dict):
         return mi.load_dict(scene)
     if not Path(scene).is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", str(scene), "check the path"))
+    check_scene_file(Path(scene))
     loaded = mi.load_file(str(scene))
     if not isinstance(loaded, mi.Scene):
         raise InvalidValueError(message(str(scene), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
@@ -178,11 +182,13 @@ def read_environment(path: Path) -> Floats:
 
     Raises:
         InvalidValueError: There is no such file, or it is no OpenEXR or Radiance HDR picture of finite values >= 0.
+        PictureFileError: It has too many pixels, or no header that says how many.
     """
     expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
     if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
         found = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
         raise InvalidValueError(message("environment", expected, found, "check the path"))
+    check_texture(path, f"environment {path}")
     with scalar_variant():
         try:
             bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)

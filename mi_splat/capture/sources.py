@@ -23,6 +23,7 @@ from mi_splat.capture.path_tracer import Light, PathTracer, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.working_frame import WorkingFrame, working_frame
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.scene_parts import scene_parts
 
 SMALLEST, LARGEST = 1e-4, 1e6
 """Radii in metres of a mesh."""
@@ -34,9 +35,7 @@ its pictures are then about 60 and 50 dB from those at the origin."""
 GROUND_SIDE, GROUND_TILE = 6.5, 1.65
 """Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a car, as in the studies of CLOAK."""
 
-_FILENAME = re.compile(r'name="filename"\s+value="([^"]+)"')
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-_SPLATS = re.compile(rb"<(?:shape|integrator)\b[^>]*\btype\s*=\s*[\"'](?:gaussians|splat_tile)[\"']")
+_SPLATS = ("gaussians", "splat_tile")
 """Plugins of this project, which show splats and not meshes."""
 
 
@@ -183,8 +182,8 @@ def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", str(path), "check the path"))
-    content = path.read_bytes()
-    if _SPLATS.search(_COMMENT.sub(b"", content)):
+    parts = scene_parts(path)
+    if any(one.tag in ("shape", "integrator") and one.get("type") in _SPLATS for one in parts.elements):
         do = f"see it with `mi-splat render {path}`, or name a scene of meshes"
         raise InvalidValueError(message(str(path), "a scene of meshes", "a scene of splats", do))
     try:
@@ -200,10 +199,8 @@ def _xml(path: Path) -> CaptureSource:
         expected = f"a radius of {SMALLEST_XML:g} to {LARGEST_XML:g} world units"
         raise InvalidValueError(message(str(path), expected, f"{radius:.4g}", "scale its shapes"))
     warnings = _far_away(path, centre, radius)
-    # Files that it names belong to it: another texture makes other pictures.
-    named = (path.parent / name for name in _FILENAME.findall(content.decode("utf-8", "replace")))
-    parts = [content, *(file.read_bytes() for file in named if file.is_file())]
-    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=_digest(parts), warnings=warnings)
+    digest = _digest(file.read_bytes() for file in parts.files)  # another texture makes other pictures
+    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=digest, warnings=warnings)
 
 
 def _extent(asset: Asset) -> tuple[tuple[float, float, float], float]:

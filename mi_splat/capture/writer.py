@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from PIL import Image
 
 from mi_splat.cameras import Camera
 from mi_splat.capture.passes import PASSES
@@ -29,6 +28,8 @@ from mi_splat.datasets.transforms import POINTS, WORLD_OFFSET
 from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_png
+from mi_splat.io.locks import locked_folder
+from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import load_points, save_points, to_bytes
 
 _GREY = (0.5, 0.5, 0.5)
@@ -89,43 +90,45 @@ def write_capture(
 
     Raises:
         InvalidValueError: There are no cameras, the folder holds something else, or no picture shows a surface.
-        SplatFileError: A file cannot be written.
+        PictureFileError: Pictures would have too many pixels to be read again.
+        SplatFileError: A file cannot be written, or another process has the folder.
     """
     settings = settings or CaptureSettings()
     listing = _listing(cameras, test)
     frame = source.frame
     near = NEAR if settings.near is None else settings.near * frame.unit
-    with scalar_variant():
-        tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.rgba, near=near)
-        _check_surface_in_sight(tracer, [frame.camera(camera) for camera in cameras])
-        begun_by = claim_folder(folder, capture_record(source, listing, settings, inputs))
-        images = make_folder(folder / IMAGES)
-        begun = time.perf_counter()
-        rendered = _render(tracer, frame, listing, images, settings, on_step)
-        seconds = time.perf_counter() - begun
-        cloud = folder / POINTS[0]
-        if not cloud.is_file():
-            frames = tuple(Frame(camera=frame.camera(one), path=images / name) for name, one in listing["train"])
-            views = Dataset(frames=frames, background=_GREY)
-            found = surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed)
-            save_points(frame.in_world(found), cloud)
-    points = load_points(cloud)
-    files = [cloud]
-    if layout in ("transforms", "both"):
-        more = {WORLD_OFFSET: list(source.world_offset)} if any(source.world_offset) else None
-        files += [file for file in list_transforms(folder, listing, points, more=more) if file != cloud]
-    if layout in ("colmap", "both"):
-        files += list_colmap(folder, listing, points)
-    return WrittenCapture(
-        train=len(cameras),
-        test=len(test),
-        rendered=rendered,
-        points=len(points),
-        files=tuple(files),
-        seconds=seconds,
-        begun_by=begun_by,
-        warnings=_black_pictures(images, [name for part in listing.values() for name, _ in part]),
-    )
+    with locked_folder(folder):
+        with scalar_variant():
+            tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.rgba, near=near)
+            _check_surface_in_sight(tracer, [frame.camera(camera) for camera in cameras])
+            begun_by = claim_folder(folder, capture_record(source, listing, settings, inputs))
+            images = make_folder(folder / IMAGES)
+            begun = time.perf_counter()
+            rendered = _render(tracer, frame, listing, images, settings, on_step)
+            seconds = time.perf_counter() - begun
+            cloud = folder / POINTS[0]
+            if not cloud.is_file():
+                frames = tuple(Frame(camera=frame.camera(one), path=images / name) for name, one in listing["train"])
+                views = Dataset(frames=frames, background=_GREY)
+                found = surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed)
+                save_points(frame.in_world(found), cloud)
+        points = load_points(cloud)
+        files = [cloud]
+        if layout in ("transforms", "both"):
+            more = {WORLD_OFFSET: list(source.world_offset)} if any(source.world_offset) else None
+            files += [file for file in list_transforms(folder, listing, points, more=more) if file != cloud]
+        if layout in ("colmap", "both"):
+            files += list_colmap(folder, listing, points)
+        return WrittenCapture(
+            train=len(cameras),
+            test=len(test),
+            rendered=rendered,
+            points=len(points),
+            files=tuple(files),
+            seconds=seconds,
+            begun_by=begun_by,
+            warnings=_black_pictures(images, [name for part in listing.values() for name, _ in part]),
+        )
 
 
 def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, list[tuple[str, Camera]]]:
@@ -135,6 +138,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
     with scalar_variant():
         for camera in (*cameras, *test):
             check_camera(camera)
+            check_pixels("size", camera.width, camera.height)  # or they could not be read again
     parts = {"train": cameras, "test": test}
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
 
@@ -170,9 +174,8 @@ def _render(
 def _black_pictures(images: Path, names: Sequence[str]) -> tuple[str, ...]:
     """A warning if nothing but black is to be seen in any picture."""
     for name in names:
-        with Image.open(images / name) as picture:
-            if any(high > 0 for _, high in np.reshape(picture.convert("RGB").getextrema(), (3, 2))):
-                return ()
+        if any(high > 0 for _, high in np.reshape(load_picture(images / name).convert("RGB").getextrema(), (3, 2))):
+            return ()
     do = "move them away (--distance), or light the scene"
     cause = "black alone, as from cameras inside the object or far too near"
     return (message("pictures", "some that are not black", cause, do),)
@@ -181,8 +184,7 @@ def _black_pictures(images: Path, names: Sequence[str]) -> tuple[str, ...]:
 def _is_complete(path: Path, camera: Camera, alpha: bool) -> bool:
     """Whether a picture is on the disk, whole and of the right size and kind."""
     try:
-        with Image.open(path) as picture:
-            picture.load()
-            return picture.size == (camera.width, camera.height) and picture.mode == ("RGBA" if alpha else "RGB")
-    except (OSError, SyntaxError, ValueError):
+        picture = load_picture(path)
+    except PictureFileError:
         return False
+    return picture.size == (camera.width, camera.height) and picture.mode == ("RGBA" if alpha else "RGB")

@@ -18,7 +18,7 @@ from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.options import CaptureOptions
 from mi_splat.datasets.transforms import read_world_offset
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 
 SIZE, FOV = (256,), 45.0
 """Size in pixels and field of view in degrees that are taken where none are given."""
@@ -26,7 +26,12 @@ SIZE, FOV = (256,), 45.0
 
 def run(options: CaptureOptions) -> int:
     """Capture, or go on with a capture, and say what was written."""
-    check_own_folder(options.out, RECORD)
+    with own_folder(options.out, RECORD):
+        return _capture(options)
+
+
+def _capture(options: CaptureOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     size, fov = _size(options), FOV if options.fov is None else options.fov
     _check_fov(fov)
     _check_meaning(options)

@@ -1,4 +1,7 @@
-"""What the commands show: results on stdout, as text or as one JSON document, and progress on stderr."""
+"""What the commands show: results on stdout, as text or as one JSON document, and progress on stderr.
+
+Text goes through `printable` on its way, since names out of files are in it; a JSON document is exact.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
+
+from mi_splat.errors import printable
 
 PROGRAM = "mi-splat"
 LINE_SECONDS = 10.0
@@ -36,12 +41,12 @@ def limit_threads(most: int) -> None:
 
 def warn(text: str) -> None:
     """A line for a human on stderr."""
-    sys.stderr.write(f"{PROGRAM}: {text}\n")
+    sys.stderr.write(f"{PROGRAM}: {printable(text)}\n")
 
 
 def show(text: str = "") -> None:
     """A line for a human on stdout."""
-    sys.stdout.write(f"{text}\n")
+    sys.stdout.write(f"{printable(text)}\n")
 
 
 def show_json(document: Mapping[str, object]) -> None:
@@ -51,7 +56,7 @@ def show_json(document: Mapping[str, object]) -> None:
 
 def show_table(rows: Iterable[tuple[str, str]]) -> None:
     """Names and values in two aligned columns on stdout."""
-    pairs = list(rows)
+    pairs = [(printable(name), value) for name, value in rows]
     width = max(len(name) for name, _ in pairs)
     for name, value in pairs:
         show(f"{name:{width}}  {value}")
@@ -75,10 +80,12 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     counter = [] if total is None else [BarColumn(), MofNCompleteColumn()]
-    columns = [SpinnerColumn(), TextColumn("{task.description}"), *counter, TimeElapsedColumn()]
+    columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), *counter, TimeElapsedColumn()]
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=total)
-        yield lambda text=None, units=1: bar.update(task, advance=units, description=text)
+        task = bar.add_task(printable(text), total=total)
+        yield lambda text=None, units=1: bar.update(
+            task, advance=units, description=None if text is None else printable(text)
+        )
 
 
 class _Lines:

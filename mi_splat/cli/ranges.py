@@ -177,3 +177,24 @@ def numbers_of(value: object) -> Iterator[Any]:
     for one in value if isinstance(value, tuple) else (value,):
         if isinstance(one, Real) and not isinstance(one, bool):
             yield one
+
+
+def take_max_pixels(words: list[str]) -> int | None:
+    """The number behind --max-pixels, which every command takes; None if it is not there.
+
+    Args:
+        words: What the user typed; the flag and its number are removed.
+
+    Raises:
+        UsageError: It is no number of pixels.
+    """
+    found = None
+    for word in [word for word in words if word.partition("=")[0] in ("--max-pixels", "--max_pixels")]:
+        place = words.index(word)
+        values = [word.partition("=")[2]] if "=" in word else words[place + 1 : place + 2]
+        del words[place : place + (1 if "=" in word else 2)]
+        if not values or not values[0].isdecimal() or int(values[0]) < 1:
+            got = values[0] if values else "nothing"
+            raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
+        found = int(values[0])
+    return found

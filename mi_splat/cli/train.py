@@ -12,7 +12,7 @@ from mi_splat.cli.options import TrainOptions
 from mi_splat.datasets import Dataset, has_tests, load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 from mi_splat.io.parsing import read_json
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
@@ -27,7 +27,12 @@ _WORTH_A_WORD = 0.001
 
 def run(options: TrainOptions) -> int:
     """Train, or go on with a training, and say what came of it."""
-    check_own_folder(options.out, CONFIG, CHECKPOINT)
+    with own_folder(options.out, CONFIG, CHECKPOINT):
+        return _train(options)
+
+
+def _train(options: TrainOptions) -> int:
+    """As `run`, in a folder that is this process's own."""
     limit_threads(1)
     config = options.fit
     with progress("loading the pictures"):

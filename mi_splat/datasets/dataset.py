@@ -20,6 +20,7 @@ from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
 from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import PARTS, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import sha256
 from mi_splat.io.points import PointCloud, load_points
 
 CACHE_BYTES = 256 << 20
@@ -76,8 +77,12 @@ class Dataset(ViewSet):
 
     @property
     def fingerprint(self) -> str:
-        """What tells this set from others: names and sizes of its pictures, and how they are read."""
-        files = [(frame.path.name, frame.path.stat().st_size) for frame in self.frames]
+        """What tells this set from others: the bytes of its pictures and of their masks, and how they are read.
+
+        Raises:
+            DatasetError: A file is not there any more, or cannot be read.
+        """
+        files = [tuple(_digest(file) for file in (frame.path, frame.mask)) for frame in self.frames]
         return repr((files, self.downscale, self.background))
 
     def __len__(self) -> int:
@@ -152,6 +157,15 @@ class Dataset(ViewSet):
                 got, do = tuple(values.shape[:2]), "it has changed: load the set again"
                 raise DatasetError(message(str(name), f"{wanted} rows and columns", got, do))
         return _Entry(View(self.cameras[index], image), alpha, mask)
+
+
+def _digest(file: Path | None) -> str | None:
+    """SHA-256 of a file's bytes; None of none."""
+    try:
+        return None if file is None else sha256(file)
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise DatasetError(message(str(file), "the file of a picture", found, "load the set again")) from error
 
 
 def load_dataset(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,12 @@ from torch import Tensor
 
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import message
+from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".PNG", ".JPG", ".JPEG")
 """What is appended, in this order, to the name of a picture that has no suffix."""
 
 _MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
-# What Pillow raises for files that are broken in one way or another.
-_BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, Image.DecompressionBombError)
 
 Pixels = NDArray[np.float32]
 
@@ -35,13 +33,9 @@ def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[in
         DatasetError: There is no such picture, it cannot be read, has more than 8 bits a channel or another size.
     """
     try:
-        with Image.open(path) as picture:
-            size, mode = picture.size, picture.mode
-    except FileNotFoundError as error:
-        do = "put the picture there or take it off the list"
-        raise DatasetError(message(str(path), "a picture", "no such file", do)) from error
-    except _BROKEN as error:
-        raise _unreadable(path, error) from error
+        size, mode = picture_header(path)
+    except PictureFileError as error:
+        raise DatasetError(str(error)).hinted(error.hint) from error
     if mode not in _MODES:
         raise DatasetError(message(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits"))
     if claimed is not None and size != claimed:
@@ -97,14 +91,6 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
 def _decoded(path: Path) -> Image.Image:
     """The whole picture, decoded."""
     try:
-        with Image.open(path) as picture:
-            picture.load()
-            return picture.copy()
-    except _BROKEN as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path, error: BaseException) -> DatasetError:
-    """The error for a picture that is there but cannot be read, or has gone since it was looked at."""
-    found = "no such file" if isinstance(error, FileNotFoundError) else " ".join(str(error).split())[:160]
-    return DatasetError(message(str(path), "a picture that can be read", found, "write or download it again"))
+        return load_picture(path)
+    except PictureFileError as error:
+        raise DatasetError(str(error)).hinted(error.hint) from error

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the temporary ones that killed programs left behind."""
+"""Files and folders that appear whole or not at all, and the temporary ones that killed programs left behind."""
 
 from __future__ import annotations
 
@@ -9,33 +9,41 @@ import re
 import secrets
 import shutil
 import stat
+import sys
 import time
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, from_os_error
 
 _HOST = re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "host"
-_TEMPORARY = re.compile(r"\.(?:(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.)?[0-9a-f]{16}\.tmp")
+_TEMPORARY = re.compile(r"\.(?:(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.)?[0-9a-f]{16}\.(?:tmp|old)")
+LOCK = ".mi-splat.lock"
+"""Name of the file in a folder that a process has for itself; see `mi_splat.io.locks`."""
 _STALE_SECONDS = 24 * 3600.0
 """Age from which a temporary file of another machine counts as left behind."""
 
 
-def temporary_name() -> str:
-    """A name for a temporary file or folder, which says what process of what machine it belongs to."""
-    return f".{_HOST}.{os.getpid()}.{secrets.token_hex(8)}.tmp"
+def temporary_name(ending: Literal["tmp", "old"] = "tmp") -> str:
+    """A name for a temporary file or folder, which says what process of what machine it belongs to.
+
+    Args:
+        ending: "old" for a folder that holds an older result under its own name while a new one takes its place.
+    """
+    return f".{_HOST}.{os.getpid()}.{secrets.token_hex(8)}.{ending}"
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file name is one that `temporary_name` makes."""
-    return _TEMPORARY.fullmatch(name) is not None
+    """Whether a file name is one that `temporary_name` makes, or that of a lock: what only running programs need."""
+    return name == LOCK or _TEMPORARY.fullmatch(name) is not None
 
 
 def sweep_temporary(folder: str | os.PathLike[str]) -> int:
     """Remove the temporary files and folders that killed programs of this project left in a folder.
 
-    Left behind are those whose process has ended. Of another machine's it cannot be known; they go after a day.
+    Left behind are those whose process has ended. Of another machine's it cannot be known; they go after a day. An
+    older result that had given up its name, and whose name nothing has taken, gets it back.
 
     Args:
         folder: Where; one that is not there holds none.
@@ -48,9 +56,18 @@ def sweep_temporary(folder: str | os.PathLike[str]) -> int:
         for entry in list(os.scandir(folder)):
             with contextlib.suppress(OSError):
                 if _is_stale(entry):
-                    shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
+                    _remove(entry)
                     removed += 1
     return removed
+
+
+def _remove(entry: os.DirEntry[str]) -> None:
+    if not entry.is_dir(follow_symlinks=False):
+        os.unlink(entry.path)
+    elif entry.name.endswith(".old"):
+        _put_back(entry.path)
+    else:
+        shutil.rmtree(entry.path)
 
 
 def _is_stale(entry: os.DirEntry[str]) -> bool:
@@ -111,7 +128,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     finally:
         with contextlib.suppress(OSError):  # the error that led here is the one to report
             os.unlink(temporary)
-    _sync_folder(os.path.dirname(target))
+    sync_names(os.path.dirname(target))
 
 
 def write_all(file: BinaryIO, data: memoryview) -> None:
@@ -119,6 +136,83 @@ def write_all(file: BinaryIO, data: memoryview) -> None:
     rest = data.cast("B")
     while rest:
         rest = rest[file.write(rest) :]
+
+
+def replace_folder(new: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
+    """Give a folder the name of another one beside it, which is deleted.
+
+    Linux and macOS exchange the two names in one step on most disks. Elsewhere the older folder first gives up its
+    name; after a kill at that point `sweep_temporary` gives it back.
+
+    Raises:
+        OSError: The names cannot be changed; the older folder then has its own.
+    """
+    if _exchange(os.fspath(new), os.fspath(target)):
+        shutil.rmtree(new, ignore_errors=True)
+        return
+    above, name = os.path.split(os.path.abspath(target))
+    aside = os.path.join(above, temporary_name("old"))
+    os.mkdir(aside)
+    try:
+        os.rename(target, os.path.join(aside, name))
+        os.rename(new, target)
+    finally:
+        with contextlib.suppress(OSError):  # the error that led here is the one to report
+            _put_back(aside)
+
+
+def _put_back(aside: str) -> None:
+    """Give the folder in `aside` its name back if nothing has taken it; delete what is then left."""
+    for name in os.listdir(aside):
+        place = os.path.join(os.path.dirname(aside), name)
+        if not os.path.lexists(place):
+            os.rename(os.path.join(aside, name), place)
+    shutil.rmtree(aside)
+
+
+def _exchange(one: str, other: str) -> bool:
+    """Exchange the names of two folders in one step; False where the system or the disk cannot, or will not.
+
+    Python has no call for it.
+    """
+    import ctypes
+
+    names, swap = (os.fsencode(one), os.fsencode(other)), ctypes.c_uint(2)  # RENAME_EXCHANGE and RENAME_SWAP
+    try:
+        library = ctypes.CDLL(None)
+        if sys.platform == "darwin":
+            return bool(library.renamex_np(*names, swap) == 0)
+        here = -100  # AT_FDCWD
+        return bool(library.renameat2(here, names[0], here, names[1], swap) == 0)
+    except (AttributeError, OSError, TypeError):  # no such call; no C library of that kind
+        return False
+
+
+def sync_folder(folder: str | os.PathLike[str]) -> None:
+    """Bring everything in a folder to the disk, so that it outlasts a power cut, where the system can.
+
+    Raises:
+        OSError: The disk reports that it could not.
+    """
+    for place, _, files in os.walk(folder):
+        for path in (os.path.join(place, name) for name in files):
+            if os.name != "nt" and not os.path.islink(path):  # there, a file has to be open for writing
+                _sync(path)
+        sync_names(place)
+
+
+def sync_names(folder: str | os.PathLike[str]) -> None:
+    """Bring the names in a folder to the disk, where the system can."""
+    with contextlib.suppress(OSError):
+        _sync(folder)
+
+
+def _sync(path: str | os.PathLike[str]) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _mode(target: str) -> int | None:
@@ -135,13 +229,3 @@ def _mode(target: str) -> int | None:
             message(target, "a file that can be written", "a read-only file", "save under another name")
         )
     return stat.S_IMODE(status.st_mode)
-
-
-def _sync_folder(folder: str) -> None:
-    """Bring the new name to the disk too, where the system can."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

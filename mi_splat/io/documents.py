@@ -1,7 +1,8 @@
-"""Text, JSON and PNG files that appear whole or not at all."""
+"""Text, JSON and PNG files that appear whole or not at all, and digests of files."""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import re
@@ -50,3 +51,16 @@ def save_png(pixels: NDArray[np.uint8], path: Path) -> None:
     Image.fromarray(pixels).save(buffer, format="PNG")
     with atomic_write(path) as file:
         write_all(file, memoryview(buffer.getvalue()))
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    total = hashlib.sha256()
+    with path.open("rb") as file:
+        while part := file.read(1 << 20):
+            total.update(part)
+    return total.hexdigest()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import is_temporary, sweep_temporary, temporary_name
+from mi_splat.io.atomic import is_temporary, replace_folder, sweep_temporary, sync_folder, sync_names, temporary_name
 from mi_splat.io.errors import SplatFileError, from_os_error
+from mi_splat.io.locks import check_unlocked, locked_folder
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
@@ -74,16 +76,25 @@ def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]
             raise SplatFileError(message(str(out), "another file than the input", "the input itself", do))
 
 
-def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
-    """Raise, before any work is done, unless a job that goes on where it stopped can have the folder `out`.
+@contextlib.contextmanager
+def own_folder(out: str | os.PathLike[str], *records: str) -> Iterator[None]:
+    """The folder of a job that goes on where it stopped, for this process alone; see `locked_folder`.
 
     Args:
         out: The folder: a new one, an empty one, or that of the same kind of job.
         records: Names of files or folders by which one of the same kind is known.
 
     Raises:
-        SplatFileError: `out` is a file, holds something else, or cannot be written.
+        SplatFileError: `out` is a file, holds something else, cannot be written, or another process has it.
     """
+    _check_own(out, records)
+    with locked_folder(out):
+        _check_own(out, records)  # as whoever had it before us left it
+        yield
+
+
+def _check_own(out: str | os.PathLike[str], records: Sequence[str]) -> None:
+    """Raise unless a folder is new, empty, or known by one of `records`."""
     check_writable(out)
     names = _names_in(Path(out))
     if names and not set(records) & set(names):
@@ -94,6 +105,8 @@ def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
 def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> None:
     """Raise, before any work is done, unless a folder of results can be written at `out`.
 
+    An older result that a kill left without its name gets it back first.
+
     Args:
         out: The folder that will be written.
         force: Whether an older result at `out` may be replaced. Only a folder that holds `record` counts as one.
@@ -103,6 +116,8 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
         SplatFileError: `out` is a file, is in use, or the folder around it cannot be written.
     """
     check_writable(out)
+    sweep_temporary(os.path.dirname(os.path.realpath(out)))
+    check_unlocked(out)
     names = _names_in(Path(out))
     if not names:
         return
@@ -121,8 +136,14 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
     """Write a folder of results whole or not at all.
 
     The body writes into a temporary folder beside `out`, which takes the name `out` when the body ends. When it raises,
-    the temporary folder is removed and `out` is as it was. After a kill the old result is there or the new one; in the
-    instant between two renames, the old one lies beside it under a name that begins with a dot.
+    the temporary folder is removed and `out` is as it was. After a kill the old result is there or the new one, whole.
+    (Where names cannot be exchanged in one step, it may have to wait beside `out`, in a folder whose name begins with a
+    dot, until the next command that is to write to `out` gives it its name back.) After a power cut, too: what was
+    written is on the disk before it takes the name.
+
+    What another process has put at `out` meanwhile stays there unless `force` replaces it. A finished result that
+    cannot have the name `out` is kept beside it, under the first free name of `out`-2, `out`-3 and so on, which the
+    error tells.
 
     Args:
         out: The folder to write; the folders above it are made.
@@ -133,12 +154,11 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
         The folder to write into.
 
     Raises:
-        SplatFileError: As in `check_new_folder`, or the disk is full.
+        SplatFileError: As in `check_new_folder`, before the body or after it, or the disk is full.
     """
     check_new_folder(out, force=force, record=record)
     target = Path(os.path.realpath(out))
-    temporary, old = (target.parent / temporary_name() for _ in range(2))
-    sweep_temporary(target.parent)
+    temporary = target.parent / temporary_name()
     try:
         temporary.mkdir(parents=True)
     except OSError as error:
@@ -146,16 +166,45 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
     try:
         yield temporary
         try:
-            if target.exists():
-                os.rename(target, old)
-            os.rename(temporary, target)
+            sync_folder(temporary)
+            _put(temporary, target, force=force, record=record)
+            sync_names(target.parent)
         except OSError as error:
-            if old.exists() and not target.exists():
-                os.rename(old, target)
             raise from_os_error(os.fspath(out), "a folder that can be written", error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
+
+
+def _put(new: Path, target: Path, *, force: bool, record: str) -> None:
+    """Give a finished folder its name; see `new_folder` for what happens if it cannot have it."""
+    try:
+        try:
+            os.rename(new, target)  # in the place of an empty folder, too, but of nothing else
+        except OSError:
+            if not os.path.lexists(target):
+                raise
+            check_new_folder(target, force=force, record=record)
+            replace_folder(new, target)
+        return
+    except SplatFileError:
+        found = "something that another process wrote there meanwhile"
+    except OSError as error:
+        found = error.strerror or str(error)
+    do = f"see {_put_beside(new, target)}, where this result is"
+    raise SplatFileError(message(str(target), "a name that this result can have", found, do))
+
+
+def _put_beside(new: Path, target: Path) -> Path:
+    """Give a finished folder the first free name like that of another one."""
+    places = (target.with_name(f"{target.name}-{number}") for number in itertools.count(2))
+    place = next(place for place in places if not os.path.lexists(place))
+    try:
+        os.rename(new, place)
+    except OSError:
+        if not os.path.lexists(place):
+            raise
+        return _put_beside(new, target)  # another process took it just now
+    return place
 
 
 def _names_in(folder: Path) -> list[str]:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning
 from mi_splat.rotation import normalise
@@ -84,11 +85,11 @@ def judged(
     arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
     arrays[2] = normalise(torch.from_numpy(arrays[2])).numpy()
     good = [
-        np.isfinite(arrays[0]),
-        np.isfinite(arrays[1]) & (arrays[1] > 0),
+        np.abs(arrays[0]) <= LARGEST,
+        (arrays[1] > 0) & (arrays[1] <= LARGEST),
         np.isfinite(arrays[2]),
         (arrays[3] >= 0) & (arrays[3] <= 1),
-        np.isfinite(arrays[4]),
+        np.abs(arrays[4]) <= LARGEST,
     ]
     scene = GaussianScene.unchecked(*(torch.from_numpy(value) for value in arrays))
     valid = np.ones(len(arrays[0]), np.bool_)

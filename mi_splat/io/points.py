@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
@@ -45,8 +46,11 @@ class PointCloud:
         shapes = (tuple(self.points.shape), tuple(self.colours.shape))
         if shapes[0] != shapes[1] or self.points.ndim != 2 or shapes[0][1] != 3:
             raise InvalidValueError(message("point cloud", "(P, 3) points and colours", shapes, "check the arrays"))
-        if not bool(self.points.isfinite().all()):
-            raise InvalidValueError(message("points", "finite coordinates", "nan or inf", "remove those points"))
+        wrong = (~(self.points.abs() <= LARGEST)).any(1).nonzero()[:, 0]
+        if len(wrong):
+            got = f"{self.points[wrong[0]].tolist()} in row {int(wrong[0])} ({len(wrong)} of {len(self.points)} rows)"
+            expected = f"finite coordinates up to {LARGEST:g}"
+            raise InvalidValueError(message("points", expected, got, "remove those points"))
         if not bool(((self.colours >= 0) & (self.colours <= 1)).all()):
             raise InvalidValueError(message("colours", "values in [0, 1]", "others", "divide bytes by 255"))
 

@@ -39,8 +39,9 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
 
     Args:
         path: A splat file, or the meta.json of an unbundled SOG.
-        on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32, the scale vanishes,
-            the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many and which.
+        on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32 or above 1e9, the
+            scale vanishes, the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many
+            and which.
 
     Raises:
         SplatFileError: The file cannot be read, is no splat, is damaged, or holds Gaussians that are not valid and
@@ -72,7 +73,8 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         SplatFileError: The file cannot be written, or the name fits no format; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32, or the arguments are no scene and no path.
+        InvalidValueError: A value is not finite in float32 or too large (`LARGEST`), or the arguments are no scene and
+            no path.
 
     Warns:
         SplatLossWarning: Something is lost beyond that rounding: SH bands are dropped, values are clamped.

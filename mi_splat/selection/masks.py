@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.arrays import load_array
 from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.points import load_points
 from mi_splat.rotation import multiply, to_matrix
 from mi_splat.scene import GaussianScene
@@ -60,7 +60,7 @@ def load_mask(path: Path, scene: GaussianScene) -> Tensor:
         SplatFileError: The file cannot be read.
     """
     if path.suffix.lower() == ".npy":
-        return _from_array(_load_array(path), len(scene), str(path))
+        return _from_array(load_array(path), len(scene), str(path))
     if path.suffix.lower() == ".ply":
         return _at_positions(load_points(path).points, scene, path)
     do = "save a mask with numpy.save, or a part of the splat as PLY"
@@ -94,17 +94,6 @@ def save_mask(mask: Tensor, path: Path) -> None:
     np.save(buffer, mask.detach().cpu().numpy().astype(bool))
     with atomic_write(path) as file:
         write_all(file, memoryview(buffer.getvalue()))
-
-
-def _load_array(path: Path) -> NDArray[np.generic]:
-    """The array in a file."""
-    try:
-        found: NDArray[np.generic] = np.load(path, allow_pickle=False)
-        return found
-    except OSError as error:
-        raise from_os_error(str(path), "a .npy file that can be read", error) from error
-    except (ValueError, EOFError) as error:
-        raise SplatFileError(message(str(path), "an array of NumPy", str(error), "save it with numpy.save")) from error
 
 
 def _from_array(values: NDArray[np.generic], count: int, what: str) -> Tensor:

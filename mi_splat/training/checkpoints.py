@@ -26,8 +26,9 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import strategy_config, strategy_name
 
-FORMAT = 2
-"""Of a checkpoint: 2 names its tensors as gsplat does (`sh0`, `shN`), and holds the state of any strategy."""
+FORMAT = 3
+"""Of a checkpoint: 2 named its tensors as gsplat does (`sh0`, `shN`), and held the state of any strategy; 3 knows the
+pictures of a set by their bytes, and no longer by names and sizes."""
 _ADAM = ("exp_avg", "exp_avg_sq", "step")
 _STRATEGY = "strategy/"
 _MOST_VIEWS = 1 << 31
@@ -113,7 +114,7 @@ def load_state(path: Path) -> tuple[TrainState, int]:
     notes, tensors = read_noted_tensors(path, _READER)
     found = notes.values.get("format", 1)
     if found != FORMAT:
-        expected = f"format {FORMAT}, which names strategies and SH as gsplat does"
+        expected = f"format {FORMAT}, which knows its pictures by their bytes"
         do = "end it with the version that began it, or train anew in another folder"
         raise CheckpointError(message(f"checkpoint {path}", expected, f"format {found!r:.40}", do))
     try:

@@ -15,13 +15,12 @@ from types import FrameType
 
 import torch
 
-from mi_splat.cameras import RenderFn, View, cameras_of
-from mi_splat.datasets import Dataset
+from mi_splat.cameras import RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_own_folder
+from mi_splat.io.folders import own_folder
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state, save_state, to_json
@@ -61,7 +60,7 @@ def train(
         render: The renderer, see `mi_splat.training.loop.fit`.
         config: How.
         seed: Seed of everything random.
-        held_out: Views to score on.
+        held_out: Views to score on; the same when a run goes on, as its history holds their scores.
         every: Steps between two checkpoints.
         lpips: A further score, see `mi_splat.metrics.load_lpips`.
         settings: What else the pictures depend on, the near plane for instance; plain values, the same when a run goes
@@ -74,41 +73,40 @@ def train(
 
     Raises:
         CheckpointError: The folder holds a run with other settings, on other views or from another start.
-        SplatFileError: The folder holds something else, or cannot be written.
+        SplatFileError: The folder holds something else, cannot be written, or another process has it.
         InvalidValueError: `every` is not positive.
         KeyboardInterrupt: The run was interrupted; its checkpoint is written.
     """
     if every < 1:
         raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
     check_start(start, config)
-    check_own_folder(folder, CONFIG, CHECKPOINT)
-    folder.mkdir(parents=True, exist_ok=True)
-    sweep_temporary(folder)
-    path, digest = folder / CHECKPOINT, _digest(views, start)
-    if path.is_file():
-        state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
-        _check_queue(state, len(views), path)
-        if on_resume is not None:
-            on_resume(state)
-    else:
-        state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
-        state.data_digest, state.settings = digest, dict(settings or {})
-    save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+    with own_folder(folder, CONFIG, CHECKPOINT):
+        sweep_temporary(folder)
+        path, digest = folder / CHECKPOINT, _digest(start, views, held_out)
+        if path.is_file():
+            state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
+            _check_queue(state, len(views), path)
+            if on_resume is not None:
+                on_resume(state)
+        else:
+            state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
+            state.data_digest, state.settings = digest, dict(settings or {})
+        save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
 
-    with _deferred_interrupt() as interrupted:
+        with _deferred_interrupt() as interrupted:
 
-        def after(line: Progress) -> None:
-            if on_step is not None:
-                on_step(line)
-            if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
-                save_state(state, path)
-            if interrupted():
-                raise KeyboardInterrupt
+            def after(line: Progress) -> None:
+                if on_step is not None:
+                    on_step(line)
+                if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
+                    save_state(state, path)
+                if interrupted():
+                    raise KeyboardInterrupt
 
-        found = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
-    save_splat(found.scene, folder / SPLAT)
-    save_json(_figures(found, len(held_out)), folder / METRICS)
-    return found
+            found = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
+        save_splat(found.scene, folder / SPLAT)
+        save_json(_figures(found, len(held_out)), folder / METRICS)
+        return found
 
 
 def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
@@ -135,23 +133,24 @@ def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, setting
     return state
 
 
-def _digest(views: Sequence[View], start: GaussianScene) -> str:
-    """Stands for what a run is trained on; of a set on the disk no picture is read."""
+def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
+    """Stands for what a run is trained and scored on; of a set on the disk no picture is decoded."""
     total = hashlib.sha256(scene_hash(start).encode())
-    for camera in cameras_of(views):
-        lens = (camera.focal, camera.principal, camera.width, camera.height)
-        total.update(repr((camera.to_world.tolist(), lens)).encode())
-    if isinstance(views, Dataset):
-        total.update(views.fingerprint.encode())
-    else:
-        for view in views:
-            total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
+    for views in sets:
+        for camera in cameras_of(views):
+            lens = (camera.focal, camera.principal, camera.width, camera.height)
+            total.update(repr((camera.to_world.tolist(), lens)).encode())
+        known = fingerprint_of(views)
+        total.update(f"{len(views)} {known}".encode())
+        if known is None:
+            for view in views:
+                total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
     return total.hexdigest()
 
 
 def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, folder: Path) -> None:
     if state.data_digest != data:
-        do = "pass those that it began with, or train in another folder"
+        do = "pass those that it began with, held-out ones included, or train in another folder"
         raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
     extended = dataclasses.replace(state.config, iterations=max(config.iterations, state.config.iterations))
     if config not in (state.config, extended) or state.seed != seed:

@@ -17,6 +17,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene, orbit_camera
+from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT
 from mi_splat.viewer.lines import Lines
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 
@@ -26,7 +27,7 @@ class Inspection(Protocol):
 
     @property
     def text(self) -> str:
-        """It in words, one finding a line; Markdown."""
+        """It in words, one finding a line; plain text."""
         ...
 
     def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
@@ -71,7 +72,8 @@ class Exhibit:
         place: Says in words where a camera stands, one line a thing; empty where there is nothing to say.
 
     Raises:
-        InvalidValueError: There is no splat or more than two, or two have one name.
+        InvalidValueError: There is no splat or more than two, two have one name, one is called as a way of showing two
+            is, or what is to be shown is no Unicode: names of files and JSON may hold what is not.
     """
 
     title: str
@@ -86,6 +88,15 @@ class Exhibit:
     def __post_init__(self) -> None:
         if not 1 <= len(set(self.names)) == len(self.splats) <= 2:
             raise InvalidValueError(message("splats", "one, or two of different names", self.names, "name each once"))
+        taken = {BESIDE, SPLIT, DIFFERENCE} & set(self.names)
+        if taken:
+            raise InvalidValueError(message("name of a splat", "none of a way of showing", taken.pop(), "rename it"))
+        paths = (str(splat.path) for splat in self.splats)
+        for text in (self.title, *self.names, *self.cameras, *self.lines, *paths):
+            try:
+                text.encode()
+            except UnicodeEncodeError as error:
+                raise InvalidValueError(message("name", "Unicode", ascii(text), "rename it")) from error
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,7 +137,8 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
 
     Args:
         path: Splat file or scene XML.
-        name: What its splat is called; None is the name of the file, or "attacked" beside a clean one.
+        name: What its splat is called; None is the name of the file, or "attacked" beside a clean one. That of the file
+            is without its ending, unless it is then a way of showing two splats.
         clean: Splat file or scene XML; with one, cameras and settings are its own.
 
     Raises:
@@ -135,7 +147,8 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     loaded = open_scene(path)
     first = loaded if clean is None else open_scene(clean)
     middle = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
-    splats = [ShownSplat(name=name or path.stem, scene=loaded.scene, path=path, own=loaded.settings)]
+    own = path.name if path.stem in (BESIDE, SPLIT, DIFFERENCE) else path.stem
+    splats = [ShownSplat(name=name or own, scene=loaded.scene, path=path, own=loaded.settings)]
     if clean is not None:
         splats = [
             ShownSplat(name="clean", scene=first.scene, path=clean, own=first.settings),

@@ -7,6 +7,7 @@ import html
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import resources
@@ -23,6 +24,7 @@ from mi_splat.io.folders import check_new_file
 from mi_splat.io.images import to_bytes
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.policy import script_hash
 
 SHORTER_SIDE = 384
 """Pixels that the shorter side of an exported picture has at least; a whole multiple of the picture's own."""
@@ -99,17 +101,17 @@ def page_text(painter: Painter, listed: list[dict[str, Any]], views: tuple[int, 
         views: Number of azimuths and of elevations.
     """
     exhibit = painter.exhibit
-    template = Template(resources.files("mi_splat.viewer").joinpath("export.html").read_text("utf-8"))
+    template = resources.files("mi_splat.viewer").joinpath("export.html").read_text("utf-8")
+    (script,) = re.findall(r"<script>(.*?)</script>", template, re.DOTALL)
     pictures = [
         f'<figure><img id="picture{i}" src="{listed[0]["splats"][i]["picture"]}" alt="">'
         f'<figcaption><strong>{html.escape(name)}</strong> <span id="found{i}"></span></figcaption></figure>'
         for i, name in enumerate(exhibit.names)
     ]
-    return template.substitute(
+    return Template(template).substitute(
+        script=script_hash(script),
         title=html.escape(exhibit.title),
         figures="\n".join(pictures),
-        columns=views[0],
-        rows=views[1],
         last_column=views[0] - 1,
         last_row=views[1] - 1,
         hide_rows=" hidden" if views[1] == 1 else "",

@@ -1,25 +1,29 @@
 """Who may see the page: whoever knows its token, from a page of its own, under a name that was expected.
 
 A server on this machine alone is still within reach of other users of it and of any web page that is open in a browser
-on it. So every request needs the token: first in the address, then in a cookie that only this page's requests carry. A
-request that another page makes is refused by its Origin, and one that came by a foreign name (DNS rebinding) by its
-Host.
+on it. So every request needs a secret: first the token in the address, then a cookie. A request that another page makes
+is refused by its Origin, and one that came by a foreign name (DNS rebinding) by its Host.
+
+A browser sends a cookie to every port of a host, whoever listens there. Only its path can limit that: the page moves to
+a path that cannot be guessed, and its cookie goes nowhere else. Who listens on another port gets it only if the browser
+asks that port for this very path.
 """
 
 from __future__ import annotations
 
 import hmac
+import html
 import ipaddress
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.viewer.policy import viser_policy
 
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 COOKIE = "mi-splat-view"
@@ -56,11 +60,17 @@ class Guard:
 
     Attributes:
         names: Names under which the page may be asked for; None is any.
+        scripts: Hashes of the scripts that may run in the page.
         token: What the address has to hold.
+        place: Path of the page, without its first slash.
+        cookie: What the cookie has to hold.
     """
 
     names: frozenset[str] | None = LOOPBACK_NAMES
+    scripts: tuple[str, ...] = ()
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    place: str = field(default_factory=lambda: secrets.token_urlsafe(12))
+    cookie: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def objection(self, path: str, headers: Mapping[str, str]) -> str | None:
         """Why a request is refused; None if it is not.
@@ -70,14 +80,40 @@ class Guard:
             headers: Of the request.
         """
         host = headers.get("Host", "")
-        if self.names is not None and urlsplit(f"//{host}").hostname not in self.names:
+        name, port = _name_and_port(host)
+        if name is None or (self.names is not None and name not in self.names):
             return "this page is not served under that name"
         origin = headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
             return "another page may not use this one"
-        if not any(hmac.compare_digest(given.encode(), self.token.encode()) for given in self._given(path, headers)):
+        tokens = parse_qs(urlsplit(path).query).get("token", ())
+        cookies = _cookies(headers.get("Cookie", ""), f"{COOKIE}-{port}")
+        if not (_any_is(tokens, self.token) or _any_is(cookies, self.cookie)):
             return "open the address that mi-splat view has printed, with its token"
         return None
+
+    def door(self, path: str) -> str | None:
+        """For an address with the token, a page that leads on to the one without it; None for others.
+
+        A redirect would fail behind a link of another site: the browser counts what it asks for then as asked by that
+        site, and leaves the cookie out.
+
+        Args:
+            path: With its query, as the request has it.
+        """
+        rest = parse_qsl(urlsplit(path).query, keep_blank_values=True)
+        kept = [(key, value) for key, value in rest if key != "token"]
+        if len(kept) == len(rest):
+            return None
+        target = html.escape(f"/{self.place}/" + (f"?{urlencode(kept)}" if kept else ""))
+        return (
+            '<!doctype html><html lang="en"><meta charset="utf-8"><title>mi-splat view</title>'
+            f'<meta http-equiv="refresh" content="0; url={target}"><a href="{target}">Open the page</a></html>\n'
+        )
+
+    def inside(self, path: str) -> str:
+        """The path as viser knows it, whose page is at "/"."""
+        return path.removeprefix(f"/{self.place}") or "/"
 
     def headers(self, host: str) -> dict[str, str]:
         """Headers of every answer: the cookie, and that the page shall ask nothing of anybody else.
@@ -85,25 +121,34 @@ class Guard:
         Args:
             host: Name and port under which the request came.
         """
+        # Paths keep the pages of one browser apart; the port tells who looks at the cookies which page each is of.
+        name = f"{COOKIE}-{_name_and_port(host)[1]}"
         return {
-            "Set-Cookie": f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/",
-            "Content-Security-Policy": (
-                "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
-                f"connect-src 'self' ws://{host} data: blob:; frame-ancestors 'none'; form-action 'none'"
-            ),
+            "Set-Cookie": f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{self.place}",
+            "Content-Security-Policy": viser_policy(self.scripts, host),
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
         }
 
-    def _given(self, path: str, headers: Mapping[str, str]) -> Iterator[str]:
-        """What a request gives for the token."""
-        yield from parse_qs(urlsplit(path).query).get("token", ())
-        try:
-            cookie = SimpleCookie(headers.get("Cookie", "")).get(COOKIE)
-        except CookieError:
-            return
-        if cookie is not None:
-            yield cookie.value
+
+def _name_and_port(host: str) -> tuple[str | None, int]:
+    """What a Host header says; no name if it is none."""
+    try:
+        parts = urlsplit(f"//{host}")
+        return parts.hostname, parts.port or 80
+    except ValueError:
+        return None, 0
+
+
+def _cookies(header: str, name: str) -> list[str]:
+    """Every value that a Cookie header has for a name: whoever listens on another port may have added one."""
+    pairs = (pair.strip().partition("=") for pair in header.split(";"))
+    return [value for key, _, value in pairs if key == name]
+
+
+def _any_is(given: Iterable[str], secret: str) -> bool:
+    """Whether a secret is among what was given, without telling by the time how much of it is right."""
+    return any(hmac.compare_digest(one.encode(), secret.encode()) for one in given)
 
 
 @contextmanager
@@ -130,10 +175,17 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
             objection = guard.objection(request.path, request.headers)
             if objection is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{objection}\n")
+            door = guard.door(request.path)
+            request.path = guard.inside(request.path)
             response = answer(connection, request)
-            if response is not None:
-                for name, value in guard.headers(request.headers["Host"]).items():
-                    response.headers[name] = value
+            if response is None:  # a websocket
+                return None
+            if door is not None:
+                response = connection.respond(HTTPStatus.OK, door)
+                del response.headers["Content-Type"]  # of plain text
+                response.headers["Content-Type"] = "text/html; charset=utf-8"
+            for name, value in guard.headers(request.headers["Host"]).items():
+                response.headers[name] = value
             return response
 
         guarded.append(True)

@@ -12,6 +12,7 @@ import warnings
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
@@ -19,7 +20,8 @@ from mi_splat.viewer.composition import ways_of_showing
 from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
-from mi_splat.viewer.panel import Panel
+from mi_splat.viewer.panel import Panel, Remark
+from mi_splat.viewer.policy import viser_scripts
 from mi_splat.viewer.session import Session, Step, ViewState
 
 JPEG_QUALITY = {Step.COARSE: 75, Step.FULL: 92, Step.INSPECTED: 92}
@@ -102,25 +104,25 @@ class Visitor:
             scene = self.client.scene
             scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=JPEG_QUALITY[step])
             if step is not Step.COARSE:
-                self._panel.tell(self._words(state, painting), self._painter.commands(state.orbit))
+                self._panel.tell(self._remarks(state, painting), self._painter.commands(state.orbit))
         except MiSplatError as error:  # of this picture; the next one may do
-            self._panel.tell(str(error), {})
+            self._panel.tell([("", str(error))], {})
         self.client.flush()
         with self._lock:
             self._session = self._session.done(step, state, time.perf_counter() - begun)
 
-    def _words(self, state: ViewState, painting: Painting) -> str:
-        """What is known of the picture, as Markdown."""
+    def _remarks(self, state: ViewState, painting: Painting) -> Iterator[Remark]:
+        """What is known of the picture."""
         exhibit = self._painter.exhibit
-        lines = list(exhibit.place(state.orbit.camera(exhibit.size)))
+        for line in exhibit.place(state.orbit.camera(exhibit.size)):
+            yield "", line
         likeness = self._painter.likeness(state.orbit)
         if likeness is not None:
-            lines.append(f"PSNR of {' and '.join(exhibit.names)}: {likeness:.1f} dB")
+            yield "", f"PSNR of {' and '.join(exhibit.names)}: {likeness:.1f} dB"
         elif len(exhibit.splats) > 1:
-            lines.append("Both pictures are the same.")
+            yield "", "Both pictures are the same."
         for name, found in painting.found.items():
-            lines.append(f"**{name}**: {found.text}")
-        return "\n\n".join(lines)
+            yield name, found.text
 
     def _change_by_control(self, wished: Any) -> None:
         with self._lock:
@@ -171,7 +173,7 @@ class Page:
         need_viser()
         check_port(host, port)
         self._painter, self._news, self._visitors = painter, threading.Condition(), dict[int, Visitor]()
-        self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None)
+        self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None, scripts=_scripts())
         self._host, self._server = host, _serve(self._guard, host, port)
         self._closed = False
         start, exhibit = painter.exhibit.start, painter.exhibit
@@ -230,6 +232,13 @@ class Page:
     def _wake(self) -> None:
         with self._news:
             self._news.notify()
+
+
+def _scripts() -> tuple[str, ...]:
+    """Hashes of the scripts of viser's page."""
+    import viser
+
+    return viser_scripts((Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8"))
 
 
 def _serve(guard: Guard, host: str, port: int) -> Any:

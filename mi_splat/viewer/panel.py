@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +15,10 @@ from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.session import ViewState
 
 FREE = "(free)"
-"""Name of a camera that is none of those to choose from."""
+"""Name of a camera that is none of those to choose from; in more parentheses if one of those has it."""
+
+Remark = tuple[str, str]
+"""What it is about, which may be nothing, and what is said of it: plain text, whatever stands in it."""
 
 Change = Callable[[Callable[[ViewState], ViewState]], None]
 """Takes what makes the wished state of the present one."""
@@ -38,10 +42,13 @@ class Panel:
             self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
             self._wish(self._show, lambda s, value: replace(s, show=self._known(value, s.show)))
             self._wish(self._split, lambda s, value: replace(s, split=min(max(float(value), 0.0), 1.0)))
+        self._free = FREE
+        while self._free in exhibit.cameras:
+            self._free = f"({self._free})"
         with gui.add_folder("Camera"):
             if exhibit.cameras:
                 name = self._camera_name(orbit)
-                self._camera = gui.add_dropdown("From", (FREE, *exhibit.cameras), initial_value=name)
+                self._camera = gui.add_dropdown("From", (self._free, *exhibit.cameras), initial_value=name)
                 self._wish(self._camera, lambda s, value: replace(s, orbit=exhibit.cameras.get(value, s.orbit)))
             step = 10 ** math.floor(math.log10(orbit.distance)) / 20
             ranges = {
@@ -58,7 +65,7 @@ class Panel:
                 self._wish(slider, lambda s, value, name=attribute: replace(s, orbit=_turned(s.orbit, name, value)))
         self._add_drawings(gui, state, inspector)
         with gui.add_folder("This picture"):
-            self._findings = gui.add_markdown("")
+            self._findings = gui.add_html("")
         with gui.add_folder("As a command"):
             self._commands = {
                 name: gui.add_text(name, "", multiline=True, hint="Copy it to make this picture as a PNG")
@@ -74,9 +81,9 @@ class Panel:
         if len(self._exhibit.splats) > 1:
             self._split.visible = state.show == SPLIT
 
-    def tell(self, text: str, commands: dict[str, str]) -> None:
-        """Show what is known of the picture (Markdown), and the commands that make it."""
-        self._findings.content = text
+    def tell(self, remarks: Iterable[Remark], commands: dict[str, str]) -> None:
+        """Show what is known of the picture, and the commands that make it."""
+        self._findings.content = as_html(remarks)
         for name, command in commands.items():
             self._commands[name].value = command
 
@@ -108,7 +115,21 @@ class Panel:
 
     def _camera_name(self, orbit: Orbit) -> str:
         """Name of the camera to choose that this is."""
-        return next((name for name, camera in self._exhibit.cameras.items() if camera == orbit), FREE)
+        return next((name for name, camera in self._exhibit.cameras.items() if camera == orbit), self._free)
+
+
+def as_html(remarks: Iterable[Remark]) -> str:
+    """Remarks below each other.
+
+    Of all that viser gets, this alone is markup: labels, names to choose from and commands it shows as plain text. Its
+    Markdown is no way to show a name, since HTML in it stays HTML, and pictures in it are files of this machine.
+    """
+    shown = [
+        (f"<strong>{html.escape(about)}</strong>: " if about else "") + html.escape(said) for about, said in remarks
+    ]
+    style = "padding: 0 0.75rem 0.5rem; font-size: 0.875rem; white-space: pre-wrap; overflow-wrap: anywhere"
+    text = "\n".join(shown).encode("utf-8", "replace").decode()  # JSON may hold what is no Unicode
+    return f'<div style="{style}">{text}</div>'
 
 
 def _turned(orbit: Orbit, attribute: str, value: Any) -> Orbit:

@@ -12,9 +12,9 @@ import pytest
 
 from attacks import cli
 from attacks.artifacts.checking import Checked, check_artifact, check_pages
-from attacks.artifacts.contents import sha256
 from attacks.artifacts.figures import Figure, compared, flat
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import sha256
 from tests.artifacts.conftest import PAGE
 
 

@@ -199,6 +199,8 @@ def test_names_and_labels() -> None:
 def test_limits_belong_to_the_side_that_the_documentation_says() -> None:
     half = torch.tensor([10.0, 10.0, 50.0, 20.0])  # the upper half of the object: an overlap of exactly 0.5
     assert confidence(found(("person", 0.75, half)), BOX) == 0.75
+    less = torch.tensor([10.0, 10.0, 50.0, 19.8])  # an overlap of 0.49
+    assert confidence(found(("person", 0.75, less)), BOX) == 0.0
     assert relabel("person", confidence=0.75).verdict(found(("person", 0.75, BOX)), TARGET).success
     assert not hide(confidence=0.25).verdict(found(("car", 0.25, BOX)), TARGET).success
     tie = found(("car", 0.75, BOX), ("person", 0.75, BOX))

@@ -11,6 +11,7 @@ from attacks.evaluation.visibility import clamped_fraction, image_change, visibl
 from attacks.gaussian_subset import GaussianSubset
 from mi_splat.io.images import quantise, through_png
 from mi_splat.scene import merge
+from mi_splat.sh import sh_basis
 from tests.fakes import blobs, camera, toy_scene
 
 
@@ -35,6 +36,17 @@ def test_clamped_colours_are_counted() -> None:
     half = scene.sh.clone()
     half[:, 0, 0] = -9.0
     fraction = clamped_fraction(GaussianSubset.of(scene.replace(sh=half), mask), camera())
+    assert fraction == pytest.approx(1 / 3)
+
+
+def test_a_colour_of_exactly_zero_counts_as_clamped() -> None:
+    scene, mask = toy_scene()
+    constant = float(sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0))
+    at_zero = -0.5 / constant
+    assert 0.5 + torch.tensor(constant) * torch.tensor(at_zero) == 0.0
+    sh = torch.zeros_like(scene.sh)
+    sh[:, 0, 0] = at_zero
+    fraction = clamped_fraction(GaussianSubset.of(scene.replace(sh=sh), mask), camera())
     assert fraction == pytest.approx(1 / 3)
 
 

@@ -45,6 +45,11 @@ def write(path: Path, document: object, rest: bytes) -> None:
         (("accessors", 0, "bufferView"), 9, "names number 9 of 4 bufferViews"),
         (("accessors", 0, "count"), 4000, "accessor 0 of 48000 bytes in a view of 48"),
         (("accessors", 0, "componentType"), 7, "component type 7"),
+        (
+            ("accessors", 0),
+            {"componentType": 5126, "type": "VEC3", "count": 10**9},
+            "accessor 0 of 1000000000 zeros, which no view holds",
+        ),
         (("bufferViews", 0, "byteLength"), 10**7, "ends at byte 10000000 of a buffer of"),
         (("materials", 0, "pbrMetallicRoughness", "baseColorTexture", "index"), 7, "names number 7 of 1 textures"),
         (("accessors",), "x", "accessors that are no list"),

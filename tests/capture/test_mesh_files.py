@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import random
+import re
 import struct
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +171,44 @@ def test_files_that_are_no_mesh(name: str, content: bytes | None, says: str, tmp
         (tmp_path / name).write_bytes(content)
     with pytest.raises(MiSplatError, match=says):
         load_mesh(tmp_path / name)
+
+
+def broken(kind: str, data: bytes) -> Iterator[bytes]:
+    """A file with words, bytes and lines that are changed, cut off or left out."""
+    dice, words = (
+        random.Random(kind),
+        (b"99999999999", b"-1", b"nan", b"1e400", b"", b"null", b"[]", b"double", b"face"),
+    )
+    for number in range(60):
+        first, last = dice.choice([one.span() for one in re.finditer(rb"[\w.+-]+", data[:2000])])
+        cut = dice.randrange(len(data))
+        yield (
+            data[:first] + dice.choice(words) + data[last:],
+            data[:cut],
+            data[:cut] + bytes([dice.randrange(256)]) + data[cut + 1 :],
+            b"\n".join(line for i, line in enumerate(data.split(b"\n")) if i != number % (data.count(b"\n") + 1)),
+        )[number % 4]
+
+
+@pytest.mark.parametrize("write", [write_obj, write_ply, write_glb])
+def test_broken_files_are_meshes_or_refused(write: Callable[[Path], Path], tmp_path: Path) -> None:
+    path = write(tmp_path)
+    errors = []
+    for mutant in broken(path.suffix, path.read_bytes()):
+        path.write_bytes(mutant)
+        try:
+            load_mesh(path)
+        except MiSplatError as error:
+            errors.append(str(error))
+    assert len(errors) > 10
+    assert all(path.name in error for error in errors)
+
+
+def test_a_ply_without_its_faces_is_refused(tmp_path: Path) -> None:
+    path = write_ply(tmp_path)
+    path.write_bytes(path.read_bytes().replace(b"property list uchar int vertex_indices", b"property uchar x"))
+    with pytest.raises(MiSplatError, match=r"m\.ply: expected a mesh"):
+        load_mesh(path)
 
 
 def test_points_and_nans_are_refused(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from mi_splat.assets.srgb import to_srgb
 from mi_splat.capture.mesh_files import LoadedMesh, load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import MiSplatError
+from mi_splat.io.picture_files import pixel_limit
 from tests.capture.trucks import COLOURS, TEXTURE, save_texture, truck, write_glb, write_obj, write_ply
 
 pytest.importorskip("trimesh")
@@ -235,6 +236,17 @@ def test_webp_is_shown_and_named_when_it_is_missing(tmp_path: Path) -> None:
     assert np.abs(corner_colours(load_mesh(path)) - expected()).max() < 3
     (tmp_path / "truck.webp").unlink()
     with pytest.raises(MiSplatError, match=r"truck\.webp.*no such file"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize("write", [write_glb, write_obj, write_ply])
+def test_textures_of_too_many_pixels_are_not_decoded(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write(tmp_path, truck())
+    with Image.open(tmp_path / TEXTURE) as texture:
+        pixels = texture.width * texture.height
+    with pixel_limit(pixels):
+        load_mesh(path)
+    with pixel_limit(pixels - 1), pytest.raises(MiSplatError, match=r"truck\.png.*too many pixels"):
         load_mesh(path)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.sources import open_source
@@ -44,13 +45,93 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
 
 def test_scenes_that_mitsuba_cannot_load_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.xml").write_text("<scene")
-    with pytest.raises(MiSplatError, match=r"bad\.xml: expected a scene"):
+    with pytest.raises(MiSplatError, match=r"bad\.xml: expected a Mitsuba XML file"):
         open_source(str(tmp_path / "bad.xml"))
 
 
 def test_a_scene_of_splats_is_called_so() -> None:
     with pytest.raises(InvalidValueError, match=r"car_street\.xml: expected a scene of meshes.*mi-splat render"):
         open_source(str(STILL_LIFE.parents[1] / "car_street.xml"))
+
+
+TEXTURED = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>{before}
+<shape type="cube"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">{named}</texture></bsdf></shape>
+</scene>"""
+SPELLINGS = {
+    "plain": ("", '<string name="filename" value="a.png"/>'),
+    "single quotes": ("", "<string name='filename' value='a.png'/>"),
+    "value first": ("", '<string value="a.png" name="filename"/>'),
+    "spaces": ("", '<string name = "filename"\n value = "a.png" />'),
+    "a character by its number": ("", '<string name="filename" value="&#97;.png"/>'),
+    "a default": ('<default name="t" value="a.png"/>', '<string name="filename" value="$t"/>'),
+    "a default of a default": (
+        '<default name="t" value="a"/><default name="u" value="$t.png"/>',
+        '<string name="filename" value="$u"/>',
+    ),
+    "a default that is included": ('<include filename="inner/b.xml"/>', '<string name="filename" value="$included"/>'),
+    "a folder of its own": ('<path value="inner"/>', '<string name="filename" value="c.png"/>'),
+}
+
+
+def textured(folder: Path, before: str, named: str) -> str:
+    """A scene of a cube whose texture is named in some way."""
+    (folder / "inner").mkdir(exist_ok=True)
+    (folder / "inner" / "b.xml").write_text('<scene version="3.0.0"><default name="included" value="a.png"/></scene>')
+    (folder / "a.xml").write_text(TEXTURED.format(before=before, named=named))
+    return str(folder / "a.xml")
+
+
+def paint(folder: Path, red: int) -> None:
+    """Write the textures, of as many bytes each time."""
+    for place in (folder / "a.png", folder / "inner" / "c.png"):
+        Image.new("RGB", (2, 2), (red, 0, 0)).save(place, format="BMP")
+
+
+@pytest.mark.parametrize(("before", "named"), SPELLINGS.values(), ids=SPELLINGS)
+def test_another_texture_is_another_scene_however_it_is_named(before: str, named: str, tmp_path: Path) -> None:
+    scene = textured(tmp_path, before, named)
+    paint(tmp_path, 200)
+    first = open_source(scene).digest
+    assert open_source(scene).digest == first
+    paint(tmp_path, 100)
+    assert open_source(scene).digest != first
+
+
+def test_what_a_scene_includes_belongs_to_it(tmp_path: Path) -> None:
+    """The textures of an included file lie beside the scene, as Mitsuba has it."""
+    textured(tmp_path, "", '<string name="filename" value="a.png"/>')
+    (tmp_path / "a.xml").rename(tmp_path / "inner" / "scene")
+    (tmp_path / "a.xml").write_text('<scene version="3.0.0"><include filename="inner/scene"/></scene>')
+    paint(tmp_path, 200)
+    found = {open_source(str(tmp_path / "a.xml")).digest}
+    paint(tmp_path, 100)
+    found.add(open_source(str(tmp_path / "a.xml")).digest)
+    text = (tmp_path / "inner" / "scene").read_text()
+    (tmp_path / "inner" / "scene").write_text(text.replace("cube", "sphere"))
+    found.add(open_source(str(tmp_path / "a.xml")).digest)
+    assert len(found) == 3
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<shape type="gaussians"/>',
+        "<shape id = 'x > y' type = 'gaussians'/>",
+        '<default name="t" value="gaussians"/><shape type="$t"/>',
+        '<include filename="splats"/>',
+        '<integrator type="splat_tile"/>',
+    ],
+)
+def test_splats_are_seen_however_they_are_named(shape: str, tmp_path: Path) -> None:
+    (tmp_path / "splats").write_text('<scene version="3.0.0"><shape type="gaussians"/></scene>')
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    with pytest.raises(InvalidValueError, match="expected a scene of meshes, got a scene of splats"):
+        open_source(str(tmp_path / "a.xml"))
+
+
+def test_splats_in_a_comment_are_none(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text(XML.replace("<shape", '<!-- <shape type="gaussians"/> --><shape', 1))
+    assert open_source(str(tmp_path / "a.xml")).radius > 1
 
 
 def test_an_asset_by_name_and_seed_is_a_source() -> None:

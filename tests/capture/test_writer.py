@@ -20,7 +20,7 @@ from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
 
 pytestmark = pytest.mark.usefixtures("scalar")
 
@@ -160,6 +160,12 @@ def test_what_cannot_be_captured(tmp_path: Path) -> None:
     for name in ("samples", "seed", "points"):
         with pytest.raises(InvalidValueError, match=name):
             CaptureSettings(**{name: -1})  # type: ignore[arg-type]
+
+
+def test_pictures_too_large_to_be_read_again_are_not_begun(tmp_path: Path) -> None:
+    with pytest.raises(MiSplatError, match="size: expected at most 50,000,000 pixels, got 64,000,000"):
+        write_capture(source(CUBE), cameras(1, size=(8000, 8000)), tmp_path / "set")
+    assert not (tmp_path / "set").exists()
 
 
 def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:

@@ -131,6 +131,10 @@ def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
     (tmp_path / "broken.json").write_text(json.dumps([{"name": "left"}]))
     with pytest.raises(InvalidValueError, match=r"broken\.json"):
         recorded_cameras(tmp_path / "broken.json")
+    far = {**entry, "name": "far", "principal": [1e30, 0]}
+    (tmp_path / "far.json").write_text(json.dumps([entry, far]))
+    with pytest.raises(InvalidValueError, match=r"far\.json.*principal"):
+        recorded_cameras(tmp_path / "far.json")
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(DatasetError, match=r"other\.json"):
         find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path / "other.json"),)))

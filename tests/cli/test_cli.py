@@ -229,26 +229,6 @@ def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str])
     assert "fasterrcnn_small" in capsys.readouterr().out
 
 
-def test_progress_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
-    with console.progress("working", total=2) as advance:
-        advance("half")
-        advance()
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert captured.err == ""
-
-
-def test_progress_goes_to_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm")
-    with console.progress("working", total=2) as advance:
-        advance("half way")
-        advance()
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "half way" in captured.err
-
-
 def test_json_refuses_what_json_cannot_hold() -> None:
     with pytest.raises(ValueError, match="JSON"):
         console.show_json({"psnr": float("inf")})

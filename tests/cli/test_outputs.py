@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import json
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import pytest
 
 from attacks import cli
 from mi_splat.io import save_splat
+from mi_splat.io.atomic import LOCK
 from tests.capture.trucks import save_texture, truck, write_glb
 from tests.gaussians import random_scene
 from tests.training.sets import write_set
@@ -58,6 +62,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_splat(random_scene(60), tmp_path / "b.ply")
     (tmp_path / "study.toml").write_text(STUDY)
     return tmp_path
+
+
+@contextlib.contextmanager
+def taken(place: Path) -> Iterator[None]:
+    """A folder that is locked as by another process."""
+    import fcntl
+
+    place.mkdir()
+    with (place / LOCK).open("w") as file:
+        json.dump({"command": "mi-splat train other", "process": 7, "host": "there", "since": "noon"}, file)
+        file.flush()
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def forbid(names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,6 +125,21 @@ def test_a_folder_of_something_else_is_refused(
     assert cli.main([*words, "--out", str(folder / "album")]) == 1
     assert "album" in capsys.readouterr().err
     assert [path.name for path in (folder / "album").iterdir()] == ["wedding.jpg"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no locks there")
+@pytest.mark.parametrize("name", [name for name, (_, out, _) in COMMANDS.items() if out == "{}"])
+def test_a_folder_that_another_process_works_in_is_refused(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if name == "example-scenes":
+        pytest.skip("it goes on with nothing")
+    words, _, work = COMMANDS[name]
+    forbid(work, monkeypatch)
+    with taken(folder / "out"):
+        assert cli.main([*words, "--out", str(folder / "out")]) == 1
+        assert "in use by `mi-splat train other`, process 7 on there, since noon" in capsys.readouterr().err
+    assert [path.name for path in (folder / "out").iterdir()] == [LOCK]
 
 
 @pytest.mark.parametrize(

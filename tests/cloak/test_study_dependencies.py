@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import shutil
 import typing
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -16,8 +17,9 @@ from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
-from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache
+from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache, content_of
 from attacks.cloak.study.config import CameraConfig, SceneConfig, StudyConfig, TrainingConfig
+from mi_splat.io.atomic import LOCK
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
 STUDY = StudyConfig(
@@ -272,3 +274,14 @@ def test_content_is_that_of_the_files_that_count(tmp_path: Path) -> None:
         for number, (text, log) in enumerate([("a", "x"), ("a", "y"), ("b", "x")])
     ]
     assert contents[0] == contents[1] != contents[2]
+
+
+def test_a_stage_belongs_to_one_process_and_its_lock_is_no_content(tmp_path: Path) -> None:
+    def make(path: Path) -> None:
+        (path / "out.txt").write_text("a")
+        assert sorted(file.name for file in path.iterdir()) == [LOCK, "out.txt"]
+        shutil.copytree(path, tmp_path / "alone", ignore=shutil.ignore_patterns(LOCK))
+
+    stage = StageCache(tmp_path).finished("splat", {}, make, outputs=("**/*",))
+    assert stage.content == content_of(tmp_path / "alone", ("**/*",))
+    assert sorted(file.name for file in stage.folder.iterdir()) == ["done.json", "out.txt"]

@@ -72,6 +72,11 @@ def test_look_at_refuses_its_own_place() -> None:
         ({"height": 1 << 16}, "height"),
         ({"width": 8.0}, "width"),
         ({"principal": (math.nan, 0.0)}, "principal"),
+        ({"principal": (0.0, math.nan)}, "principal"),
+        ({"principal": (0.0, -1e30)}, r"principal: expected two finite numbers up to 1e\+09"),
+        ({"focal": 1e30}, r"focal x: expected a positive number of pixels up to 1e\+09, got 1e\+30"),
+        ({"focal": (10.0, 1e-30)}, "focal y"),
+        ({"to_world": look_at((1e30, 0, 0), (0, 0, 0))}, r"camera position: expected coordinates up to 1e\+09"),
     ],
 )
 def test_wrong_cameras_are_refused(change: dict[str, Any], words: str) -> None:

@@ -72,6 +72,9 @@ def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
         *((name, place, value) for value in (float("nan"), float("inf"), float("-inf"))
           for name, place in (("means", (4, 1)), ("scales", (4, 0)), ("rotations", (4, 3)), ("opacities", (4,)),
                               ("sh", (4, 2, 1)))),
+        ("means", (4, 0), -1e30),
+        ("scales", (4, 1), 1e30),
+        ("sh", (4, 3, 1), 1e30),
         ("scales", (4, 2), 0.0),
         ("scales", (4, 2), -1.0),
         ("rotations", (4, 0), 1.5),
@@ -105,6 +108,8 @@ def test_limits_of_the_ranges_are_valid() -> None:
     scene = random_scene(2)
     scene.replace(opacities=torch.tensor([0.0, 1.0]))
     scene.replace(scales=torch.full((2, 3), 1e-45))
+    scene.replace(means=torch.full((2, 3), 2e7))  # metres in a projection of the whole Earth
+    scene.replace(means=torch.full((2, 3), -1e9), scales=torch.full((2, 3), 1e9))
 
 
 def test_tensors_keep_their_graph() -> None:

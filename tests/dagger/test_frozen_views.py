@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+import drjit as dr
 import pytest
+import torch
 
 from attacks.dagger import ensemble
 from attacks.dagger.attack import attack
@@ -47,6 +49,24 @@ def test_the_search_finds_the_same(frozen: list[Camera], detectors: Any) -> None
     assert found.success == expected.success
     assert found.score == pytest.approx(expected.score, abs=1e-3)
     assert found.changed_gaussians == expected.changed_gaussians
+
+
+def test_an_attack_has_the_same_bits_on_any_number_of_drjits_threads() -> None:
+    before, found = dr.thread_count(), []
+    try:
+        for threads in (1, 2, 3):
+            dr.set_thread_count(threads)
+            found.append(run(Renderer()))
+    finally:
+        dr.set_thread_count(before)
+    assert all(torch.equal(one.scene.sh, found[0].scene.sh) for one in found)
+    assert all(one.trace == found[0].trace for one in found)
+
+
+def test_the_result_says_what_its_last_bits_depend_on() -> None:
+    torch_of_result = run(Renderer(), steps=1).origin["torch"]
+    assert torch_of_result["threads"] == torch.get_num_threads()
+    assert torch_of_result["instructions"] == torch.backends.cpu.get_cpu_capability()
 
 
 def test_other_attributes_take_the_renderer(frozen: list[Camera]) -> None:

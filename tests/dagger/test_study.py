@@ -186,6 +186,19 @@ def test_jitter_keeps_the_object_in_the_middle() -> None:
         assert turn <= 6.0 + 1e-6
 
 
+def test_jitter_uses_the_whole_of_its_range() -> None:
+    centre, start = torch.zeros(3), camera()
+    distance = float(start.position.norm())
+    turns, moves = [], []
+    for seed in range(1, 201):
+        moved = jittered(start, centre, seed=seed)
+        turns.append(math.degrees(math.acos(min(1.0, float(moved.to_world[:3, 2] @ start.to_world[:3, 2])))))
+        moves.append(float(moved.position.norm()) / distance - 1)
+    assert 5.9 < max(turns) <= 6.0 + 1e-6
+    assert 0.048 < max(moves) <= 0.05 + 1e-6
+    assert -0.05 - 1e-6 <= min(moves) < -0.048
+
+
 def test_an_object_that_is_not_there_is_named() -> None:
     with pytest.raises(InvalidValueError, match="object of toy: expected one of rest, thing, got tree"):
         runner().run(dataclasses.replace(JOBS[0], object="tree"))

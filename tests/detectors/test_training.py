@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor
 
 from attacks.detectors.base import Detections
@@ -107,6 +108,30 @@ def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
         assert torch.equal(ours.image, theirs.image)
         assert torch.equal(ours.boxes, theirs.boxes)
     assert json.loads((tmp_path / "labels.json").read_text())["recipe"]["count"] == 4
+
+
+def test_kept_pictures_are_those_that_were_made(tmp_path: Path) -> None:
+    save_pictures([drawn((10, 10, 30, 30)), drawn((20, 20, 40, 40))], tmp_path, {"made": "so"})
+    assert len(load(tmp_path)) == 2
+    second = tmp_path / "00001.png"
+    made = second.read_bytes()
+    Image.fromarray(255 - drawn((20, 20, 40, 40)).image.numpy()).save(second)
+    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got other bytes; delete the folder .* to have it made"):
+        load(tmp_path)
+    assert len(load(tmp_path, limit=1)) == 1
+    second.unlink()
+    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got No such file"):
+        load(tmp_path)
+    second.write_bytes(made)
+    assert len(load(tmp_path)) == 2
+
+
+def test_a_set_without_digests_can_be_read(tmp_path: Path) -> None:
+    save_pictures([drawn((10, 10, 30, 30))], tmp_path, {"made": "so"})
+    content = json.loads((tmp_path / "labels.json").read_text())
+    del content["pictures"]["00000.png"]["sha256"]
+    (tmp_path / "labels.json").write_text(json.dumps(content))
+    assert len(load(tmp_path)) == 1
 
 
 def test_a_folder_of_another_configuration_is_left_alone(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
 from attacks.detectors.training.loop import Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.training.train import train
 from attacks.detectors.weights import read_weights
 from tests.detectors.pictures import drawn
 from tests.io.noted import Change, changed
@@ -64,6 +66,47 @@ def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
     other.name = "another"
     with pytest.raises(DetectorError, match="a run of another"):
         Training.resume(tmp_path, PLAIN, other)
+
+
+def test_a_training_goes_on_with_the_same_pictures_and_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def epoch(self: Training, samples: object, **_: object) -> dict[str, float]:
+        self.epoch += 1
+        return {}
+
+    monkeypatch.setattr(Training, "run_epoch", epoch)
+    monkeypatch.setattr("attacks.detectors.training.train.validated", lambda *_: {"map": 0.0})
+    weights = tmp_path / "start.safetensors"
+    export_weights(Training(PLAIN, FasterRCNNTrainer()).averaged, weights, notes={})
+    empty = LabelledPicture(few()[0].image, torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
+    epochs: list[object] = []
+
+    def go_on(pictures: list[LabelledPicture], validation: list[LabelledPicture], start: Path | None = weights) -> None:
+        training = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
+
+        def heard(record: Mapping[str, object]) -> None:
+            epochs.append(record["epoch"])
+
+        train(training, pictures, validation, tmp_path, start=start, on_work=lambda *_: None, on_epoch=heard)
+
+    go_on(few(), [empty])
+    assert epochs == [1, 2]
+    go_on(few(), [empty])
+    inverted = replace(few()[0], image=255 - few()[0].image)
+    moved = replace(few()[0], boxes=few()[0].boxes + 1)
+    others = [
+        ([inverted, *few()[1:]], [empty]),
+        ([moved, *few()[1:]], [empty]),
+        (few()[:3], [empty]),
+        (few(), [inverted]),
+    ]
+    for pictures, validation in others:
+        with pytest.raises(
+            DetectorError, match="expected the pictures and the weights to begin from that it began with"
+        ):
+            go_on(pictures, validation)
+    with pytest.raises(DetectorError, match="same folder of pictures and the same start"):
+        go_on(few(), [empty], start=None)
+    assert epochs == [1, 2]
 
 
 def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
@@ -162,7 +205,10 @@ def test_pictures_change_from_epoch_to_epoch() -> None:
         (lambda n, t: t.update({"optimiser/1/exp_avg": torch.zeros(7)}), "optimiser 1, exp_avg: expected"),
         (lambda n, t: n.update(epoch=3), "epoch: expected a whole number from 0 to 2, got 3"),
         (lambda n, t: n.update(epoch="one"), "epoch: expected a whole number"),
-        (lambda n, t: n.update(history=[{"epoch": 2}]), "history: expected no epoch after 1"),
+        (
+            lambda n, t: n.update(history=[{"epoch": 2}]),
+            r"history\[0\]: epoch: expected a whole number from 0 to 1, got 2",
+        ),
         (lambda n, t: n.update(history=[7]), "history: expected a list of objects"),
         (lambda n, t: n.pop("config"), "expected .*, got None; use the same one"),
     ],

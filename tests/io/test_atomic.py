@@ -77,8 +77,12 @@ def test_values_that_could_not_be_loaded_are_not_saved(value: float, old: Path) 
     with pytest.raises(InvalidValueError, match="scene: expected values that are finite in float32"):
         save_splat(GaussianScene.unchecked(means, *scene.tensors()[1:]), old)
     wide = scene.to(dtype=torch.float64)
-    with pytest.raises(InvalidValueError, match="finite in float32"):
-        save_splat(wide.replace(means=wide.means * 1e300), old)
+    large = torch.full((9, 3), 2e9, dtype=torch.float64)
+    for parts in ((wide.means * 1e300, *wide.tensors()[1:]), (wide.means, large, *wide.tensors()[2:])):
+        with pytest.raises(InvalidValueError, match=r"finite in float32, up to 1e\+09"):
+            save_splat(GaussianScene.unchecked(*parts), old)
+        with pytest.raises(InvalidValueError, match=r"finite in float32, up to 1e\+09"):
+            save_splat(GaussianScene.unchecked(*parts), old.with_suffix(".spz"))
     assert old.read_bytes() == before
     alone(old)
 

@@ -159,8 +159,12 @@ def test_damaged_files_load_or_raise_the_one_error(data: st.DataObject, tmp_path
         ({"scale_2": np.nan}, "scale_2 is nan"),
         ({"rot_1": np.nan}, "rot_1 is nan"),
         ({"rot_0": 0, "rot_1": 0, "rot_2": 0, "rot_3": 0}, "the quaternion is zero"),
-        ({"scale_1": 100.0}, r"values, or log-scales \[.*100.0.*\], leave float32's range"),
-        ({"scale_1": -200.0}, r"values, or log-scales \[.*-200.0.*\], leave float32's range"),
+        ({"scale_1": 100.0}, r"log-scales \[.*100.0.*\] are scales outside of float32's range or above 1e\+09"),
+        ({"scale_1": -200.0}, r"log-scales \[.*-200.0.*\] are scales outside.*"),
+        ({"x": 1e30}, r"x is 1e\+30"),
+        ({"z": -2e9}, r"z is -2e\+09"),
+        ({"f_rest_8": 1e30}, r"f_rest_8 is 1e\+30"),
+        ({"scale_1": 21.0}, r"log-scales \[.*21.0.*\] are scales.*"),
     ],
 )
 def test_invalid_gaussians_are_refused_or_dropped(change: dict[str, float], words: str, tmp_path: Path) -> None:

@@ -8,13 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from mi_splat.io import atomic
 from mi_splat.io.atomic import atomic_write, is_temporary, sweep_temporary, temporary_name
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.folders import check_new_folder, check_own_folder, check_writable, new_folder
+from mi_splat.io.folders import check_new_folder, check_writable, new_folder, own_folder
 
 
 def names(folder: Path) -> list[str]:
@@ -33,6 +35,12 @@ def failing(out: Path, *, force: bool = False) -> None:
     with new_folder(out, force=force) as place:
         (place / "result.json").write_text("new")
         raise ZeroDivisionError
+
+
+def have(out: Path, *records: str) -> None:
+    """Have a folder for a moment, as a job that goes on where it stopped."""
+    with own_folder(out, *records):
+        pass
 
 
 def test_a_folder_appears_whole(tmp_path: Path) -> None:
@@ -68,6 +76,7 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, rename = result_in(tmp_path / "out"), os.rename
+    monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
 
     def fails_once(source: os.PathLike[str], target: os.PathLike[str]) -> None:
         if os.fspath(target) == os.fspath(out) and (Path(source) / "new").exists():
@@ -75,10 +84,100 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
         rename(source, target)
 
     monkeypatch.setattr(os, "rename", fails_once)
-    with pytest.raises(SplatFileError), new_folder(out, force=True) as place:
+    with (
+        pytest.raises(SplatFileError, match=r"out: expected a name that .* got broken; see .*out-2, where"),
+        new_folder(out, force=True) as place,
+    ):
         (place / "new").write_text("")
     assert names(out) == ["before.png", "result.json"]
-    assert names(tmp_path) == ["out"]
+    assert names(tmp_path / "out-2") == ["new"]
+    assert names(tmp_path) == ["out", "out-2"]
+
+
+KILLS = """
+import os, shutil, signal, sys
+from pathlib import Path
+from mi_splat.io import atomic
+from mi_splat.io.folders import new_folder
+
+def counted(function, step, point):
+    def call(*words, **more):
+        global done
+        done += 1
+        if (done, point) == (step, "before"):
+            os.kill(os.getpid(), signal.SIGKILL)
+        now = done
+        try:
+            return function(*words, **more)
+        finally:
+            if (now, point) == (step, "after"):
+                os.kill(os.getpid(), signal.SIGKILL)
+    return call
+
+def replace(out, step, point):
+    with new_folder(out, force=True) as place:
+        for name in ("result.json", "after.png"):
+            (place / name).write_text("new")
+        steps = [(os, name) for name in ("rename", "mkdir", "unlink", "rmdir")]
+        for module, name in (*steps, (shutil, "rmtree"), (atomic, "_exchange")):
+            setattr(module, name, counted(getattr(module, name), step, point))
+
+done = 0
+if sys.argv[2] == "renames":
+    atomic._exchange = lambda one, other: False
+for folder in Path(sys.argv[1]).iterdir():
+    child = os.fork()
+    if not child:
+        point, step = folder.name.split()
+        replace(folder / "out", int(step), point)
+        os._exit(0)
+    (folder / "ended").write_text(str(os.waitpid(child, 0)[1]))
+"""
+"""Replaces results, and is killed before or after one of the steps of that, as the folder of each says."""
+
+
+@pytest.mark.parametrize("way", ["exchange", "renames"])
+def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(way: str, tmp_path: Path) -> None:
+    whole = {"old": ["before.png", "result.json"], "new": ["after.png", "result.json"]}
+    folders = [tmp_path / f"{point} {step}" for step in range(1, 15) for point in ("before", "after")]
+    for folder in folders:
+        result_in(folder / "out")
+    subprocess.run([sys.executable, "-c", KILLS, str(tmp_path), way], check=True)
+    seen = []
+    for folder in folders:
+        check_new_folder(folder / "out", force=True)  # what the next command does first
+        text = (folder / "out" / "result.json").read_text()
+        assert names(folder / "out") == whole[text]
+        assert names(folder) == ["ended", "out"]
+        seen.append((text, int((folder / "ended").read_text())))
+    killed = int(signal.SIGKILL)
+    assert [*dict.fromkeys(seen)] == [("old", killed), ("new", killed), ("new", 0)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems may have no such call")
+def test_two_names_are_exchanged_in_one_step(tmp_path: Path) -> None:
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).write_text("")
+    assert atomic._exchange(str(tmp_path / "one"), str(tmp_path / "other"))
+    assert names(tmp_path / "one") == ["other"]
+    assert not atomic._exchange(str(tmp_path / "one"), str(tmp_path / "none"))
+
+
+def test_of_two_results_for_one_name_none_is_lost(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (tmp_path / "out-2").mkdir()
+
+    def write(text: str, meanwhile: Callable[[], None]) -> None:
+        with new_folder(out) as place:
+            (place / "result.json").write_text(text)
+            meanwhile()
+
+    with pytest.raises(SplatFileError, match=r"wrote there meanwhile; see .*out-3, where this result is"):
+        write("second", meanwhile=lambda: write("first", meanwhile=lambda: None))
+    assert (out / "result.json").read_text() == "first"
+    assert (tmp_path / "out-3" / "result.json").read_text() == "second"
+    assert names(tmp_path) == ["out", "out-2", "out-3"]
 
 
 def test_a_new_folder_sweeps_what_a_killed_call_left_beside_it(tmp_path: Path) -> None:
@@ -96,13 +195,13 @@ def test_force_never_replaces_what_is_no_result(tmp_path: Path) -> None:
     with pytest.raises(SplatFileError, match="delete the folder yourself"):
         check_new_folder(tmp_path / "photographs", force=True)
     with pytest.raises(SplatFileError, match="holds photographs"):
-        check_own_folder(tmp_path, "config.json")
+        have(tmp_path, "config.json")
 
 
 @pytest.mark.parametrize("below", [(), ("deeper",), ("deeper", "still")])
 def test_a_file_in_the_way_is_seen_first(below: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for check in (check_writable, check_new_folder, check_own_folder):
+    for check in (check_writable, check_new_folder, have):
         with pytest.raises(SplatFileError, match="expected a folder, or a free name, got the file"):
             check(tmp_path.joinpath("file", *below))
 
@@ -118,9 +217,10 @@ def test_an_empty_folder_and_ones_own_can_be_used(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / temporary_name()).write_text("")
     check_new_folder(tmp_path / "empty")
-    check_own_folder(tmp_path / "empty")
-    check_own_folder(tmp_path / "none")
-    check_own_folder(result_in(tmp_path / "own"), "checkpoint", "result.json")
+    have(tmp_path / "empty")
+    have(tmp_path / "none" / "deeper")
+    have(result_in(tmp_path / "own"), "checkpoint", "result.json")
+    assert names(tmp_path) == ["empty", "own"], "a folder that nothing was written into is not left there"
 
 
 def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_not(tmp_path: Path) -> None:

@@ -40,6 +40,16 @@ def test_doctor_knows_the_extras() -> None:
     assert {name: {ALSO.get(module, module)} for name, module in EXTRAS.items()} == extras
 
 
+def test_versions_with_published_holes_are_shut_out() -> None:
+    needed: dict[str, tuple[int, ...]] = {}
+    for name, words in re.findall(r"^([\w-]+)>=([\d.]+)", "\n".join(PROJECT["dependencies"]), re.MULTILINE):
+        least = tuple(map(int, words.split(".")))
+        needed[name] = min(least, needed.get(name, least))
+    assert needed["torch"] >= (2, 10)  # weights_only=True did not keep code from being run
+    assert needed["torchvision"] >= (0, 25)
+    assert needed["pillow"] >= (12, 3)  # libtiff, which writes beyond its memory
+
+
 def test_what_is_imported_is_installed() -> None:
     installed = packages(PROJECT["dependencies"]) | {ALSO.get(module, module) for module in EXTRAS.values()}
     for package in PACKAGES:

@@ -168,6 +168,20 @@ def test_a_scene_is_its_file(tmp_path: Path) -> None:
     torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
 
 
+def test_cameras_beyond_what_float32_bears_are_named(tmp_path: Path) -> None:
+    for name in ("a.ply", "b.ply"):
+        save_splat(oracle.random_scene(3, degree=0, seed=1), tmp_path / name)
+    lookat = '<lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/>'
+    for change, says in (
+        ((lookat, '<translate x="1e30"/>'), "camera position: expected coordinates up to 1e"),
+        (('<float name="fov" value="40"/>', '<float name="fov" value="40"/><float name="principal_point_offset_x" '
+          'value="1e20"/>'), "principal: expected"),
+    ):  # fmt: skip
+        (tmp_path / "scene.xml").write_text(SCENE.replace(*change))
+        with pytest.raises(InvalidValueError, match=rf'scene\.xml, sensor "front": {says}'):
+            read_scene(tmp_path / "scene.xml")
+
+
 def test_bad_scenes_say_why(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="no file"):
         read_scene(tmp_path / "none.xml")

@@ -82,7 +82,7 @@ def wrong(pair: str = "", table: str = "", judge: str = OWN, detectors: str = '"
         (wrong(table='gradients = ["own", "unreal"]'), "renderer: expected one of tile, "),
         (wrong(judge='[judge]\nrenderers = ["tile", "unreal"]\n'), "renderer: expected one of tile, "),
         (wrong(judge=SUN.format("none.xml")), "scene: expected a Mitsuba XML file, got no file none.xml"),
-        (wrong(judge=SUN.format("{here}/s.toml")), "s.toml: expected a Mitsuba scene"),
+        (wrong(judge=SUN.format("{here}/s.toml")), "s.toml: expected a Mitsuba XML file"),
         (wrong('scene = "none"\nobject = "bus"\ntarget = "person"'), "got no file scenes/none.xml"),
         (wrong('scene = "toy"\nobject = "bus"\ntarget = "person"'), "object of toy: expected one of car, got bus"),
         (wrong('scene = "toy"\nobject = "car"\ntarget = "person"\ncamera = 2'), "camera: expected 0 to 1, got 2"),

@@ -20,6 +20,7 @@ from attacks.reporting.results import read_section
 from attacks.reporting.section import Chart, Figure, Line, Point, Section, Table, doubts_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
+from mi_splat.io.picture_files import PictureFileError
 from tests.reporting.results import write_cloak, write_dagger, write_evaluation
 
 np = pytest.importorskip("numpy")
@@ -191,7 +192,7 @@ def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:
     assert (width, height) == (LONGEST_SIDE, 10)
     assert address.startswith("data:image/png;base64,")
     (tmp_path / "b.png").write_text("no picture")
-    with pytest.raises(InvalidValueError, match=r"b\.png: expected a picture"):
+    with pytest.raises(PictureFileError, match=r"b\.png: expected a picture"):
         data_address(tmp_path / "b.png")
 
 

@@ -75,7 +75,7 @@ def test_checkpoints_of_another_format_say_what_changed(tmp_path: Path) -> None:
     path = tmp_path / "old.safetensors"
     notes = {"config": {"densification": None}, "extent": 1.0, "was_reset": False}
     path.write_bytes(save({"gradient": torch.zeros(1)}, metadata={"notes": json.dumps(notes)}))
-    with pytest.raises(CheckpointError, match="names strategies and SH as gsplat does, got format 1; end it with"):
+    with pytest.raises(CheckpointError, match="knows its pictures by their bytes, got format 1; end it with"):
         load_state(path)
 
 

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, ImageOps
 from plyfile import PlyData
 
 from attacks import cli
 from attacks.cli.parsing import parse
 from mi_splat.cli.options import TrainOptions
 from mi_splat.datasets import has_tests, load_dataset
+from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.frames import Split
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.training.config import FitConfig
@@ -61,6 +64,33 @@ def test_a_set_on_the_disk_is_known_by_its_files(dataset: Path) -> None:
     assert one.fingerprint != load_dataset(dataset, background=(1.0, 1.0, 1.0)).fingerprint
     assert one.fingerprint != load_dataset(dataset, downscale=2).fingerprint
     assert one.fingerprint != load_dataset(dataset, split="test").fingerprint
+    masked = dataclasses.replace(one, frames=tuple(dataclasses.replace(frame, mask=frame.path) for frame in one.frames))
+    assert one.fingerprint != masked.fingerprint
+    shutil.copytree(dataset, dataset.with_name("moved"))
+    assert one.fingerprint == load_dataset(dataset.with_name("moved")).fingerprint
+    one.paths[0].unlink()
+    with pytest.raises(DatasetError, match=r"png: expected the file of a picture, got No such file.*; load the set"):
+        _ = one.fingerprint
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_a_run_does_not_go_on_with_other_pixels_of_the_same_size(
+    split: Split, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for picture in (dataset / "images").iterdir():  # a format in which length says nothing of the content
+        with Image.open(picture) as there:
+            there.convert("RGB").save(picture, format="BMP")
+    words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations"]
+    assert cli.main([*words, "3"]) == 0
+    picture = load_dataset(dataset, split=split).paths[0]
+    before = picture.read_bytes()
+    with Image.open(picture) as there:
+        ImageOps.invert(there).save(picture, format="BMP")
+    assert len(picture.read_bytes()) == len(before)
+    assert cli.main([*words, "5"]) == 1
+    assert "out: expected a run on the same pictures and start, got one on others" in capsys.readouterr().err
+    picture.write_bytes(before)
+    assert cli.main([*words, "5"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,10 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
+from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.study.report import SUMMARY
+from attacks.cloak.study.snapshots import snapshot
+from mi_splat.io import save_splat
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
@@ -51,6 +56,13 @@ def exhibit(splats: int = 2) -> Exhibit:
         lines={"Ring": Lines(segments=arc((0, 0, 0), 1.0, (0.0, 0.0), (360.0, 0.0)), colour="#0000ff")},
         place=lambda camera: (f"{float(camera.position[2]):.1f} above the ground",),
     )
+
+
+def save_study(folder: Path, study: StudyConfig) -> None:
+    """Write what a study of CLOAK leaves behind, as far as it is shown."""
+    for name, colour in (("clean", (0.8, 0.1, 0.1)), ("cloaked", (0.1, 0.8, 0.1))):
+        save_splat(ball(colour), folder / f"{name}.ply")
+    (folder / SUMMARY).write_text(json.dumps({"study": snapshot(study)}))
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,10 @@ Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`)
 
 from __future__ import annotations
 
-import io
 import re
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -19,14 +16,14 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from mi_splat.viewer import export
 from mi_splat.viewer.export import write_export
-from mi_splat.viewer.page import Page
-from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.guard import COOKIE
 from tests.browser import CHROMIUM
 from tests.viewer.exhibits import START, Looker, painter
+from tests.viewer.windows import Window, window
+from tests.viewer.wire import serving
 
 pytestmark = [
     pytest.mark.slow,
@@ -34,61 +31,6 @@ pytestmark = [
     # In the threads of a browser that is told to go away.
     pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets"),
 ]
-PATIENCE = 30.0
-
-
-class Window:
-    """A window of the browser, which remembers what went wrong in it and whom it asked."""
-
-    def __init__(self, chromium: Any, address: str, size: tuple[int, int]) -> None:
-        self.page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
-        self.errors: list[str] = []
-        self.asked: list[str] = []
-        self.page.on("console", lambda line: self.errors.append(line.text) if line.type == "error" else None)
-        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.on("websocket", lambda socket: self.asked.append(socket.url))
-        self.page.goto(address)
-
-    def shot(self, width: int | None = None) -> NDArray[np.int32]:
-        """What is to be seen, without the controls on the right if a width is given."""
-        with Image.open(io.BytesIO(self.page.screenshot())) as image:
-            return np.asarray(image.convert("RGB"), np.int32)[:, :width]
-
-    def until(self, true: Callable[[], bool]) -> None:
-        """Wait until something is the case."""
-        end = time.monotonic() + PATIENCE
-        while not true():
-            assert time.monotonic() < end, self.page.inner_text("body")
-            self.page.wait_for_timeout(100)
-
-    def says(self, text: str) -> None:
-        """Wait until the page says something."""
-        self.until(lambda: text in self.page.inner_text("body"))
-
-    def check(self) -> None:
-        """Nothing went wrong, and nobody but the server was asked."""
-        assert not self.errors
-        others = [url for url in self.asked if urlsplit(url.removeprefix("blob:")).hostname not in ("127.0.0.1", None)]
-        assert not others
-
-
-@contextmanager
-def window(chromium: Any, work: Painter, size: tuple[int, int] = (1000, 640)) -> Iterator[Window]:
-    """A window on a page, whose pictures another thread makes."""
-    stop = threading.Event()
-    with Page(work, port=0) as page:
-        thread = threading.Thread(target=page.run, args=(stop,))
-        thread.start()
-        try:
-            opened = Window(chromium, page.address, size)
-            opened.says("above the ground")
-            yield opened
-            opened.check()
-            opened.page.close()
-        finally:
-            stop.set()
-            thread.join()
 
 
 def colours(pixels: NDArray[np.int32]) -> tuple[int, int]:
@@ -196,3 +138,66 @@ def test_the_page_in_a_file(
     assert not opened.errors
     assert all(url.startswith(("file:", "data:")) for url in opened.asked)
     page.close()
+
+
+def test_two_pages_in_one_browser(chromium: Any) -> None:
+    context = chromium.new_context(viewport={"width": 400, "height": 300})
+    with context, serving(painter(1)) as one, serving(painter(2)) as other:
+        first, second = one.address, other.address
+        tabs = [context.new_page() for _ in range(2)]
+        for tab, address in zip(tabs, (first, second), strict=True):
+            tab.bring_to_front()
+            tab.goto(address)
+            tab.get_by_text("above the ground").wait_for()
+            assert address.partition("token=")[2] not in tab.url
+            assert "token" not in tab.url
+        for tab in tabs:  # each by its own cookie, after the other has set one
+            tab.bring_to_front()
+            tab.reload()
+            tab.get_by_text("above the ground").wait_for()
+        tabs[0].bring_to_front()
+        tabs[0].goto(second)
+        tabs[0].get_by_text("PSNR").wait_for()
+        assert tabs[0].evaluate("history.length") == 3  # nothing, and each page once, without its token
+        names = {cookie["name"] for cookie in context.cookies()}
+        assert names == {f"{COOKIE}-{urlsplit(address).port}" for address in (first, second)}
+
+
+def test_another_port_gets_no_cookie(chromium: Any) -> None:
+    heard: list[str | None] = []
+
+    class Listener(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            heard.append(self.headers["Cookie"])
+            self.send_error(404)
+
+        def log_message(self, *words: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Listener) as other, chromium.new_context() as context:
+        thread = threading.Thread(target=other.serve_forever)
+        thread.start()
+        try:
+            with serving(painter(1)) as page:
+                tab = context.new_page()
+                tab.goto(page.address)
+                tab.get_by_text("above the ground").wait_for()
+                tab.goto(f"http://127.0.0.1:{other.server_port}/")
+                tab.evaluate("fetch('/page')")
+        finally:
+            other.shutdown()
+            thread.join()
+    assert len(heard) >= 2
+    assert set(heard) == {None}
+
+
+def test_the_page_opens_from_a_link_of_another_site(chromium: Any) -> None:
+    with serving(painter(1)) as page, chromium.new_context() as context:
+        tab = context.new_page()
+        tab.route(
+            "http://mail.example/",
+            lambda route: route.fulfill(body=f'<a href="{page.address}">the page</a>', content_type="text/html"),
+        )
+        tab.goto("http://mail.example/")
+        tab.get_by_text("the page").click()
+        tab.get_by_text("above the ground").wait_for()

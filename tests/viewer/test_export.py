@@ -17,6 +17,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.viewer import export
 from mi_splat.viewer.export import check_export, export_orbits, write_export
 from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.policy import script_hash
 from tests.viewer.exhibits import START, Looker, exhibit, painter
 
 
@@ -76,6 +77,13 @@ def test_it_asks_nothing_of_any_network(page: str) -> None:
     assert all(value is not None and value.startswith("data:") for value in links)
     assert not re.search(r"https?:|//[a-z]|url\(|@import|fetch\(|XMLHttp|WebSocket", re.sub(r"data:[^\"]*", "", page))
     assert "default-src 'none'" in page
+
+
+def test_no_script_runs_but_its_own(page: str) -> None:
+    (policy,) = (str(found["content"]) for tag, found in Elements(page).found if found.get("http-equiv"))
+    (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    assert f"script-src {script_hash(script)};" in policy
+    assert policy.replace("style-src 'unsafe-inline'", "").count("unsafe") == 0
 
 
 def test_sliders_have_names_and_a_keyboard(page: str) -> None:

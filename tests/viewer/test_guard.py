@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +12,12 @@ import pytest
 
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.viewer.guard import COOKIE, Guard, checked_host, guarding, is_loopback
+from mi_splat.viewer.policy import viser_scripts
 
-GUARD = Guard(token="secret")
+GUARD = Guard(token="secret", place="somewhere", cookie="crumb", scripts=("'sha256-of-it'",))
 HERE = {"Host": "127.0.0.1:8080"}
-COOKIES = {"Cookie": f"other=1; {COOKIE}=secret"}
+COOKIES = {"Cookie": f"other=1; {COOKIE}-8080=crumb"}
+TUNNEL = {"Host": "localhost:9000", "Cookie": f"{COOKIE}-9000=crumb"}
 
 
 @pytest.mark.parametrize(
@@ -22,8 +26,13 @@ COOKIES = {"Cookie": f"other=1; {COOKIE}=secret"}
         ("/?token=secret", HERE),
         ("/", {**HERE, **COOKIES}),
         ("/", {**HERE, **COOKIES, "Origin": "http://127.0.0.1:8080"}),
-        ("/", {"Host": "localhost:9000", **COOKIES, "Origin": "http://localhost:9000"}),  # through a tunnel
+        ("/somewhere", {**HERE, **COOKIES, "Origin": "http://127.0.0.1:8080"}),
+        ("/", {**TUNNEL, "Origin": "http://localhost:9000"}),
         ("/", {"Host": "[::1]:8080", **COOKIES}),
+        ("/", {"Host": "localhost", "Cookie": f"{COOKIE}-80=crumb"}),
+        # What others on this host have left in the browser is in the same header.
+        ("/", {**HERE, "Cookie": f'a={{"b": [1, 2]}}; {COOKIES["Cookie"]}'}),
+        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=theirs; {COOKIE}-8080=crumb; {COOKIE}-8080=theirs"}),
     ],
 )
 def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> None:
@@ -37,11 +46,18 @@ def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> Non
         ("/?token=wrong", HERE, "token"),
         ("/?token=", HERE, "token"),
         ("/?token=s\u00e9cret", HERE, "token"),
-        ("/", {**HERE, "Cookie": f"{COOKIE}=wrong"}, "token"),
+        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=wrong"}, "token"),
+        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=secret"}, "token"),  # it is for the address alone
+        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=cr\u00fcmb"}, "token"),
+        ("/", {**HERE, "Cookie": f"{COOKIE}-9000=crumb"}, "token"),
+        ("/?token=crumb", HERE, "token"),
+        ("/somewhere/", HERE, "token"),
         ("/", {**HERE, "Cookie": ";;\x00="}, "token"),
         ("/?token=secret", {}, "name"),
         ("/?token=secret", {"Host": "evil.example:8080"}, "name"),
         ("/?token=secret", {"Host": "127.0.0.1.evil.example"}, "name"),
+        ("/?token=secret", {"Host": "[127.0.0.1"}, "name"),
+        ("/?token=secret", {"Host": "127.0.0.1:none"}, "name"),
         ("/", {**HERE, **COOKIES, "Origin": "http://evil.example"}, "another page"),
         ("/", {**HERE, **COOKIES, "Origin": "http://127.0.0.1:9999"}, "another page"),
         ("/", {**HERE, **COOKIES, "Origin": "null"}, "another page"),
@@ -58,17 +74,69 @@ def test_under_any_name_the_token_is_needed_still() -> None:
     assert remote.objection("/", {"Host": "server.example", **COOKIES, "Origin": "http://evil.example"}) is not None
 
 
-def test_tokens_are_long_and_never_the_same() -> None:
-    assert len({Guard().token for _ in range(20)}) == 20
-    assert len(Guard().token) >= 32
+@pytest.mark.parametrize("part", ["token", "place", "cookie"])
+def test_secrets_are_long_and_never_the_same(part: str) -> None:
+    assert len({getattr(Guard(), part) for _ in range(20)}) == 20
+    assert len(getattr(Guard(), part)) >= (16 if part == "place" else 32)
 
 
-def test_the_page_may_ask_nobody_else() -> None:
-    headers = GUARD.headers("127.0.0.1:8080")
-    assert "default-src 'self'" in headers["Content-Security-Policy"]
-    assert "http" not in headers["Content-Security-Policy"]
-    assert "SameSite=Strict" in headers["Set-Cookie"]
-    assert "HttpOnly" in headers["Set-Cookie"]
+def test_the_page_may_ask_nobody_else_and_runs_no_other_script() -> None:
+    policy = dict(part.split(" ", 1) for part in GUARD.headers("127.0.0.1:8080")["Content-Security-Policy"].split("; "))
+    assert policy["script-src"] == "'sha256-of-it' 'wasm-unsafe-eval'"
+    assert policy["connect-src"] == "'self' ws://127.0.0.1:8080 data:"
+    shut = {"default-src", "frame-src", "object-src", "base-uri", "form-action", "frame-ancestors"}
+    assert {name for name, value in policy.items() if value == "'none'"} == shut
+    assert not [name for name, value in policy.items() if "unsafe-inline" in value and name != "style-src"]
+
+
+def test_a_cookie_goes_only_to_its_own_page() -> None:
+    other = Guard()
+    for guard in (GUARD, other):
+        name, *attributes = guard.headers("127.0.0.1:8080")["Set-Cookie"].split("; ")
+        assert attributes == ["HttpOnly", "SameSite=Strict", f"Path=/{guard.place}"]
+        assert name == f"{COOKIE}-8080={guard.cookie}"
+    assert other.objection("/", {**HERE, **COOKIES}) is not None
+    assert GUARD.headers("localhost:9000")["Set-Cookie"].startswith(f"{COOKIE}-9000=")
+
+
+def test_an_address_with_a_token_leads_on_to_one_without() -> None:
+    assert 'content="0; url=/somewhere/"' in str(GUARD.door("/?token=secret"))
+    kept = 'url=/somewhere/?darkMode=&amp;a=%22%3Cb%3E"'
+    assert kept in str(GUARD.door("/?darkMode&token=secret&a=%22<b>&token=x"))
+    assert GUARD.door("/somewhere/?darkMode") is None
+
+
+@pytest.mark.parametrize(
+    ("path", "inside"),
+    [
+        ("/somewhere", "/"),
+        ("/somewhere/", "/"),
+        ("/somewhere/?darkMode", "/?darkMode"),
+        ("/somewhere/a.js", "/a.js"),
+        ("/", "/"),
+        ("/other", "/other"),
+    ],
+)
+def test_paths_as_viser_knows_them(path: str, inside: str) -> None:
+    assert GUARD.inside(path) == inside
+
+
+def test_the_scripts_of_viser_s_page_are_known() -> None:
+    viser = pytest.importorskip("viser", reason="needs the extra `view`")
+    page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
+    loader, code = viser_scripts(page)
+    assert loader != code
+    assert all(re.fullmatch(r"'sha256-[\w+/]{43}='", one) for one in (loader, code))
+    packed = page.index('data-p="') + 1000
+    others = {
+        "no digit": page[:packed] + "&" + page[packed + 1 :],
+        "too long": page.replace('data-cs="', 'data-cs="1'),
+        "a script more": page.replace("</body>", "<script>1</script></body>"),
+        "none": "<html></html>",
+    }
+    for name, other in others.items():
+        with pytest.raises(MiSplatError, match="viser: expected a page whose scripts are known"):
+            pytest.fail(f"{name}: {viser_scripts(other)}")
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "127.8.8.8"])
@@ -85,7 +153,10 @@ def test_other_machines_need_a_word(host: str) -> None:
 
 
 def connection() -> Any:
-    return SimpleNamespace(respond=lambda status, text: (int(status), text))
+    def respond(status: int, text: str) -> Any:
+        return SimpleNamespace(status=int(status), text=text, headers={"Content-Type": "text/plain"})
+
+    return SimpleNamespace(respond=respond)
 
 
 def request(path: str, **headers: str) -> Any:
@@ -106,15 +177,21 @@ def served(answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 def test_a_guarded_server_asks_the_guard_first() -> None:
     process = served(lambda connection, request: pytest.fail("reached"))
-    status, text = process(connection(), request("/"))
-    assert status == 403
-    assert "token" in text
+    answer = process(connection(), request("/"))
+    assert answer.status == 403
+    assert "token" in answer.text
+    assert "Set-Cookie" not in answer.headers
 
 
 def test_a_guarded_server_answers_those_who_may_pass() -> None:
-    page, process = SimpleNamespace(headers={}), served(lambda connection, request: page)
-    assert process(connection(), request("/?token=secret")) is page
-    assert page.headers["Set-Cookie"].startswith(f"{COOKIE}=secret;")
+    process = served(lambda connection, request: SimpleNamespace(path=request.path, headers={}))
+    page = process(connection(), request("/somewhere/", **COOKIES))
+    assert page.path == "/"
+    assert page.headers["Set-Cookie"].startswith(f"{COOKIE}-8080=crumb;")
+    door = process(connection(), request("/?token=secret"))
+    assert (door.status, door.text) == (200, GUARD.door("/?token=secret"))
+    assert door.headers["Content-Type"].startswith("text/html")
+    assert door.headers["Set-Cookie"] == page.headers["Set-Cookie"]
 
 
 def test_a_websocket_goes_on_to_its_handler() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import re
 import socket
 import threading
 import time
@@ -23,26 +25,13 @@ from mi_splat.viewer.exhibit import Inspection
 from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page, check_port
 from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.panel import FREE, as_html
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests.viewer.exhibits import START, Looker, painter
-from tests.viewer.wire import Browser, connection, headers_of
+from tests.viewer.wire import Browser, connection, headers_of, serving
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
 FULL = (80, 160)
-
-
-@contextmanager
-def serving(work: Painter) -> Iterator[Page]:
-    """A page whose pictures another thread makes."""
-    stop = threading.Event()
-    with Page(work, port=0) as page:
-        thread = threading.Thread(target=page.run, args=(stop,))
-        thread.start()
-        try:
-            yield page
-        finally:
-            stop.set()
-            thread.join()
 
 
 @contextmanager
@@ -72,12 +61,21 @@ def fetch(address: str, headers: dict[str, str]) -> tuple[int, str, dict[str, st
 def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
     bare = page.address.partition("?")[0]
     status, text, headers = fetch(page.address, {})
-    assert (status, "<html" in text) == (200, True)
-    assert headers["Content-Security-Policy"].startswith("default-src 'self'")
-    assert fetch(bare, {"Cookie": headers["Set-Cookie"].partition(";")[0]})[0] == 200
+    assert status == 200
+    assert page.address.partition("=")[2] not in text
+    leads_to = re.search(r'url=/([\w-]+/)"', text)
+    assert leads_to is not None
+    cookie = {"Cookie": headers["Set-Cookie"].partition(";")[0]}
+    status, text, headers = fetch(bare + leads_to[1], cookie)
+    assert (status, '<div id="root">' in text) == (200, True)
+    assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'sha256-")
+    assert headers["Set-Cookie"].endswith(f"Path=/{leads_to[1][:-1]}")
+    assert fetch(bare + leads_to[1] + "none.js", cookie)[0] == 404
+    assert fetch(bare + leads_to[1], {})[0] == 403
     assert fetch(bare, {})[0] == 403
     assert fetch(bare + "?token=wrong", {})[0] == 403
     assert fetch(page.address, {"Host": "evil.example"})[0] == 403
+    assert fetch(page.address, {"Host": "127.0.0.1:none"})[0] == 403
     assert fetch(page.address, {"Origin": "http://evil.example"})[0] == 403
 
 
@@ -85,7 +83,9 @@ def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
 def test_a_websocket_needs_the_token_too(page: Page, case: str) -> None:
     from websockets.exceptions import InvalidStatus
 
-    headers = {"no token": {}, "wrong token": {"Cookie": f"{COOKIE}=x"}}.get(case, headers_of(page.address))
+    headers = {"no token": {}, "wrong token": {"Cookie": f"{COOKIE}-{urlsplit(page.address).port}=x"}}.get(
+        case, headers_of(page.address)
+    )
     origin = "http://evil.example" if case == "another page" else None
     with pytest.raises(InvalidStatus, match="403"), connection(page.address, headers, origin=origin):
         pass
@@ -156,6 +156,29 @@ def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
         elevation = browser.control("Elevation")["uuid"]
         browser.say("GuiUpdateMessage", uuid=elevation, updates={"value": 70.0})
         browser.until(lambda message: "mean colour" in str(message.get("updates", {})))
+
+
+def test_no_two_cameras_to_choose_from_have_one_name() -> None:
+    work = painter(1)
+    work.exhibit = replace(work.exhibit, cameras={FREE: START, f"({FREE})": START})
+    with visiting(work) as browser:
+        options = browser.control("From")["props"]["options"]
+    assert list(options) == [f"(({FREE}))", FREE, f"({FREE})"]
+
+
+@pytest.mark.parametrize(
+    "words", ["<img src=x onerror=run()>", "![](/etc/hostname)", "[a](javascript:run())", "*a* `b`"]
+)
+def test_what_is_said_of_a_picture_is_text(words: str) -> None:
+    assert as_html([(words, words), ("", words)]).count(html.escape(words)) == 3
+    assert as_html([("", f"\ud800{words}")]).endswith(f">?{html.escape(words)}</div>")
+    work = painter()
+    work.exhibit = replace(work.exhibit, place=lambda camera: (words,))
+    with visiting(work) as browser:
+        update = browser.until(lambda message: "PSNR" in str(message.get("updates", {})))["updates"]
+    assert list(update) == ["content"]  # as HTML
+    assert update["content"].startswith("<div")
+    assert f">{html.escape(words)}\nPSNR" in update["content"]
 
 
 def test_other_machines_need_the_token_under_any_name() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.viewer.composition import DIFFERENCE, SPLIT, lay_out
+from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
 from mi_splat.viewer.exhibit import Exhibit, ShownSplat, Wishes, exhibit_of_file
 from mi_splat.viewer.painter import MOST_PIXELS, Painter, within
 from mi_splat.viewer.session import Pace, Step, ViewState
+from tests.fakes import blobs
 from tests.viewer.exhibits import START, Looker, ball, exhibit, painter
 
 STATE = ViewState(orbit=START, show="side by side", canvas=(200, 100))
@@ -112,6 +114,30 @@ def test_two_names_are_two() -> None:
     splat = ShownSplat(name="one", scene=ball((1, 0, 0)), path=Path("a.ply"), own=RenderSettings())
     with pytest.raises(InvalidValueError, match="splats: expected one, or two of different names"):
         Exhibit(title="", splats=(splat, splat), settings=RenderSettings(), start=START, size=(8, 8))
+
+
+@pytest.mark.parametrize("way", [BESIDE, SPLIT, DIFFERENCE])
+def test_a_file_that_is_called_as_a_way_of_showing(way: str, tmp_path: Path) -> None:
+    save_splat(ball((0.5, 0.5, 0.5)), tmp_path / f"{way}.ply")
+    work = Painter(exhibit_of_file(tmp_path / f"{way}.ply"), blobs, Looker())
+    assert work.exhibit.names == (f"{way}.ply",)
+    state = ViewState(orbit=START, show=f"{way}.ply", canvas=(60, 40))
+    assert set(work.paint(state, Step.INSPECTED, Pace()).found) == {f"{way}.ply"}
+    with pytest.raises(InvalidValueError, match=f"name of a splat: expected none of a way of showing, got {way}"):
+        exhibit_of_file(tmp_path / f"{way}.ply", name=way)
+
+
+@pytest.mark.parametrize("change", ["title", "cameras", "lines", "path"])
+def test_what_no_page_can_hold_is_told(change: str) -> None:
+    bad, whole = "a\udcff", exhibit(1)
+    changes: dict[str, dict[str, Any]] = {
+        "title": {"title": bad},
+        "cameras": {"cameras": {bad: START}},
+        "lines": {"lines": {bad: whole.lines["Ring"]}},
+        "path": {"splats": (replace(whole.splats[0], path=Path(bad) / "b.ply"),)},
+    }
+    with pytest.raises(InvalidValueError, match=r"name: expected Unicode, got 'a\\udcff.*; rename it"):
+        replace(whole, **changes[change])
 
 
 def test_a_file_alone_is_shown_whole(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
-"""A browser of a few lines: what viser's page says and hears over its websocket."""
+"""A page that is served, and a browser of a few lines: what viser's page says and hears over its websocket."""
 
 from __future__ import annotations
 
 import io
+import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,8 +16,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.page import Page
+from mi_splat.viewer.painter import Painter
 
 PATIENCE = 20.0
 """Seconds after which what does not come will never come."""
@@ -101,8 +104,8 @@ class Browser:
 
 def headers_of(address: str) -> dict[str, str]:
     """Headers of a page that was opened by its address."""
-    token = urlsplit(address).query.removeprefix("token=")
-    return {"Cookie": f"{COOKIE}={token}"}
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        return {"Cookie": answer.headers["Set-Cookie"].partition(";")[0]}
 
 
 @contextmanager
@@ -121,3 +124,17 @@ def connection(address: str, headers: dict[str, str], *, origin: str | None = No
         compression=None,
     ) as socket:
         yield Browser(socket)
+
+
+@contextmanager
+def serving(work: Painter) -> Iterator[Page]:
+    """A page whose pictures another thread makes."""
+    stop = threading.Event()
+    with Page(work, port=0) as page:
+        thread = threading.Thread(target=page.run, args=(stop,))
+        thread.start()
+        try:
+            yield page
+        finally:
+            stop.set()
+            thread.join()

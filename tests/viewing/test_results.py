@@ -17,20 +17,19 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import CameraConfig, StudyConfig
 from attacks.cloak.study.report import SUMMARY
-from attacks.cloak.study.snapshots import snapshot
 from attacks.detectors import load_detector
 from attacks.viewing.detections import DetectorInspection, detector_inspector
 from attacks.viewing.results import middle_of_change, open_exhibit
 from attacks.viewing.studies import region
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io import load_splat, save_splat
+from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from tests.fakes import ColourDetector
 from tests.project.layers import ROOT
-from tests.viewer.exhibits import ball
+from tests.viewer.exhibits import ball, save_study
 
 STREET = ROOT / "scenes" / "car_street.xml"
 STUDY = StudyConfig(
@@ -55,9 +54,7 @@ def result(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     """What a study of CLOAK leaves behind, as far as it is read."""
-    for name, colour in (("clean", (0.8, 0.1, 0.1)), ("cloaked", (0.1, 0.8, 0.1))):
-        save_splat(ball(colour), tmp_path / f"{name}.ply")
-    (tmp_path / SUMMARY).write_text(json.dumps({"study": snapshot(STUDY)}))
+    save_study(tmp_path, STUDY)
     return tmp_path
 
 

@@ -25,6 +25,7 @@ from attacks.cloak.study.value_checks import one_of
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.locks import locked_folder
 from mi_splat.io.parsing import read_json
 
 VARIATIONS = "variations.json"
@@ -154,20 +155,20 @@ def vary(
     """
     stages = folder / "stages" if stages is None else stages
     plans = check_variations(study, groups, detectors, folder, stages, values=values)
-    folder.mkdir(parents=True, exist_ok=True)
-    save_json(snapshot(study), folder / STUDY)
-    earlier = folder / VARIATIONS
-    found: dict[str, dict[str, Any]] = read_json(earlier) if earlier.is_file() else {}
-    for group, studies in plans.items():
-        order = list(varied(study, group))
-        for name, one in studies.items():
-            place = _place(folder, group, order, name)
-            done = found.get(group, {}) | {name: run_study(one, detectors, place, stages=stages, on_step=on_step)}
-            found[group] = {known: done[known] for known in order if known in done}
-            save_json(found, folder / VARIATIONS)
-            save_text(tables(found), folder / "variations.md")
-        write_variation(group, found[group], folder / f"{group}.png")
-    return found
+    with locked_folder(folder):
+        save_json(snapshot(study), folder / STUDY)
+        earlier = folder / VARIATIONS
+        found: dict[str, dict[str, Any]] = read_json(earlier) if earlier.is_file() else {}
+        for group, studies in plans.items():
+            order = list(varied(study, group))
+            for name, one in studies.items():
+                place = _place(folder, group, order, name)
+                done = found.get(group, {}) | {name: run_study(one, detectors, place, stages=stages, on_step=on_step)}
+                found[group] = {known: done[known] for known in order if known in done}
+                save_json(found, folder / VARIATIONS)
+                save_text(tables(found), folder / "variations.md")
+            write_variation(group, found[group], folder / f"{group}.png")
+        return found
 
 
 def check_variations(

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat import provenance
-from mi_splat.datasets.writing import make_folder
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import sweep_temporary
+from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
 from mi_splat.io.fields import Fields
+from mi_splat.io.locks import locked_folder
 from mi_splat.io.parsing import read_json
 
 DONE = "done.json"
@@ -77,15 +77,18 @@ class StageCache:
                 stages made by their content.
             make: Does it, in the folder, and goes on with what an interrupted call left.
             outputs: Patterns of the files that later stages read.
+
+        Raises:
+            SplatFileError: Another process does this stage now.
         """
         path = self.folder(name, depends_on)
         if not (path / DONE).is_file():
-            make_folder(path)
-            sweep_temporary(path)
-            make(path)
-            made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
-            content = content_of(path, outputs)
-            save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
+            with locked_folder(path):
+                sweep_temporary(path)
+                make(path)
+                made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
+                content = content_of(path, outputs)
+                save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
         do = "delete its folder, so that it is made again"
         done = Fields(read_json(path / DONE), str(path / DONE), InvalidValueError, do)
         commit = done.object("made_by").values.get("commit")
@@ -101,7 +104,7 @@ def content_of(folder: Path, patterns: Iterable[str]) -> str:
     """SHA-256 of the names and bytes of the files in a folder that fit one of the patterns."""
     total = hashlib.sha256()
     for path in sorted({path for pattern in patterns for path in folder.glob(pattern) if path.is_file()}):
-        if path.name != DONE:
+        if path.name != DONE and not is_temporary(path.name):
             total.update(f"{path.relative_to(folder).as_posix()} {path.stat().st_size}\n".encode())
             total.update(path.read_bytes())
     return total.hexdigest()

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
@@ -18,6 +17,7 @@ from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.datasets.writing import make_folder
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
+from mi_splat.io.picture_files import load_picture
 from mi_splat.scene import GaussianScene
 
 
@@ -47,8 +47,7 @@ class CachedAppearance:
         file = self._folder / f"{camera_number(view.camera):08x}.png"
         if not file.is_file():
             save_png(to_bytes(self._appearance(view, mask)), file)
-        with Image.open(file) as picture:
-            return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32) / 255)
+        return torch.from_numpy(np.asarray(load_picture(file).convert("RGB"), np.float32) / 255)
 
 
 def kept_renders(scene: GaussianScene, render: RenderFn) -> Callable[[Camera], Tensor]:
@@ -72,6 +71,5 @@ def to_rgba(image: Tensor, alpha: Tensor) -> NDArray[np.uint8]:
 
 def read_rgba(file: Path) -> tuple[Tensor, Tensor]:
     """(H, W, 3) colours and (H, W) alpha in [0, 1]."""
-    with Image.open(file) as picture:
-        pixels = torch.from_numpy(np.asarray(picture.convert("RGBA"), np.float32) / 255)
+    pixels = torch.from_numpy(np.asarray(load_picture(file).convert("RGBA"), np.float32) / 255)
     return pixels[..., :3], pixels[..., 3]

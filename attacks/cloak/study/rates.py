@@ -186,8 +186,8 @@ def stealth(observed: Sequence[ObservedSplat]) -> dict[str, Any] | None:
 def figures(study: StudyConfig, observed: Sequence[ObservedSplat]) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
-    Intervals take every camera, seed and detector for a draw of its own. Seeds share cameras and pictures, so that how
-    far they differ (`by_seed`) says more than an interval over all of them.
+    Intervals take every camera, seed and detector for a draw of its own. Neighbouring cameras agree, and seeds share
+    object, light and cameras, so that the intervals are too narrow, and so is how far seeds differ (`by_seed`).
     """
     band = transition(study, observed)
     near = {which: fidelity(observed, which) for which in (CLEAN, CLOAKED)}

@@ -23,6 +23,7 @@ from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary
 from mi_splat.io.folders import check_writable
+from mi_splat.io.locks import check_unlocked, locked_folder
 
 # Measured on two cores with little else to do; only for the forecast.
 _PATH, _STEP, _PIXEL, _GAUSSIAN = 0.6e-6, 8e-3, 2.5e-7, 4e-7  # seconds
@@ -128,9 +129,10 @@ def check_folder(study: StudyConfig, folder: Path) -> None:
 
     Raises:
         InvalidValueError: It is not.
-        SplatFileError: It is a file, or cannot be written.
+        SplatFileError: It is a file, cannot be written, or another process has it.
     """
     check_writable(folder)
+    check_unlocked(folder)
     if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
         known = folder / STUDY
         if not known.is_file():
@@ -178,11 +180,12 @@ def run_study(
     """
     stages = folder / "stages" if stages is None else stages
     check(study, detectors, folder, stages)
-    begin_report(study, folder)
-    pipeline = StudyPipeline(study=study, folder=stages, on_step=on_step)
+    with locked_folder(folder):
+        begin_report(study, folder)
+        pipeline = StudyPipeline(study=study, folder=stages, on_step=on_step)
 
-    clean = pipeline.capture()
-    poisoned = pipeline.poison(clean)
-    splats = pipeline.train(clean, poisoned)
-    observed = observe(pipeline, splats, detectors)
-    return write_report(pipeline, poisoned, observed, detectors, folder)
+        clean = pipeline.capture()
+        poisoned = pipeline.poison(clean)
+        splats = pipeline.train(clean, poisoned)
+        observed = observe(pipeline, splats, detectors)
+        return write_report(pipeline, poisoned, observed, detectors, folder)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -11,14 +9,13 @@ from typing import Any
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS, PublishedDetector, folder_of
 from attacks.detectors.errors import DetectorError
+from mi_splat.io.documents import sha256
 from mi_splat.io.fields import Fields
 from mi_splat.io.parsing import DocumentReader
 
 _CARD = DocumentReader(
     expected="the card of a detector", do="get the detector again: mi-splat detectors --get", error=DetectorError
 )
-_MOST_BYTES = 1 << 28
-"""Most that the weights of a detector may be."""
 
 
 def card(detector: PublishedDetector, folder: Path, origin: str) -> dict[str, Any]:
@@ -43,7 +40,7 @@ def card(detector: PublishedDetector, folder: Path, origin: str) -> dict[str, An
         "source_licence": detector.source_licence,
         "taken_from": origin,
         "sha256_published": {file.member: file.sha256 for file in detector.files},
-        "sha256": {name: _sha256(folder / name) for name in (WEIGHTS, GRAPH)},
+        "sha256": {name: sha256(folder / name) for name in (WEIGHTS, GRAPH)},
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
 
@@ -99,11 +96,10 @@ def check_files(detector: PublishedDetector, folder: Path) -> None:
         raise _CARD.broken(str(folder / CARD), "that of another version", f"the card of {detector.spec}")
     written = card.object("sha256")
     for name in (WEIGHTS, GRAPH):
-        found = _sha256(folder / name)
+        try:
+            found = sha256(folder / name)
+        except OSError as error:
+            expected = "a file that can be read"
+            raise _CARD.broken(str(folder / name), error.strerror or str(error), expected) from error
         if found != written.text(name):
             raise _CARD.broken(str(folder / name), found, f"sha256 {written.text(name):.80}, as its card says")
-
-
-def _sha256(path: Path) -> str:
-    reader = replace(_CARD, expected="a file of a detector", most=_MOST_BYTES)
-    return hashlib.sha256(reader.read_bytes(path)).hexdigest()

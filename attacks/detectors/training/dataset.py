@@ -1,4 +1,4 @@
-"""Sets of training pictures on disk: a folder of 8-bit PNG files and one labels.json.
+"""Sets of training pictures on disk: a folder of 8-bit PNG files and one labels.json, which knows them by their bytes.
 
 Making a set again continues where it stopped.
 """
@@ -24,9 +24,11 @@ from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import sha256
 from mi_splat.io.fields import Fields
 from mi_splat.io.noted_tensors import read_line
 from mi_splat.io.parsing import DocumentReader
+from mi_splat.io.picture_files import load_picture
 
 OnStep = Callable[[int, int], None]
 Record = dict[str, Any]
@@ -42,8 +44,9 @@ def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]
 def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
     temporary = folder / f".{number:05d}.{os.getpid()}.png"
     Image.fromarray(picture.image.numpy()).save(temporary)
-    temporary.replace(folder / f"{number:05d}.png")
+    path = temporary.replace(folder / f"{number:05d}.png")
     return {
+        "sha256": sha256(path),
         "boxes": picture.boxes.tolist(),
         "labels": picture.labels.tolist(),
         "conditions": [asdict(one) for one in picture.conditions],
@@ -159,7 +162,8 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
         limit: Read so many pictures only, in the order of their numbers.
 
     Raises:
-        InvalidValueError: there is no data set in the folder.
+        InvalidValueError: there is no data set in the folder, or a picture is missing or not the one that was made;
+            that cannot be told of older sets, which have no digests.
     """
     path = folder / "labels.json"
     if not path.is_file():
@@ -167,13 +171,26 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     pictures = []
     records = Fields(_labels(folder)["pictures"], str(path), InvalidValueError, "make the data set again")
     for name in list(records.values)[:limit]:
-        image = torch.from_numpy(np.array(Image.open(folder / name)))
         record = records.object(name)
+        _check_bytes(folder / name, dict(record.values))
+        image = torch.from_numpy(np.array(load_picture(folder / name)))
         labels = record.wholes("labels", 1, len(SMALL_CLASSES))
         boxes = torch.tensor(record.rows("boxes", len(labels), 4), dtype=torch.float32).reshape(-1, 4)
         conditions = tuple(read_line(ViewingConditions, values) for values in record.objects("conditions"))
         pictures.append(LabelledPicture(image, boxes, torch.tensor(labels, dtype=torch.int64), conditions))
     return pictures
+
+
+def _check_bytes(path: Path, record: Record) -> None:
+    """Raise unless a picture is the one that was made, as far as its record knows that."""
+    try:
+        digest = sha256(path)
+        found = None if digest == record.get("sha256", digest) else "other bytes"
+    except OSError as error:
+        found = error.strerror or str(error)
+    if found:
+        expected, do = "the picture that labels.json lists", f"delete the folder {path.parent} to have it made again"
+        raise InvalidValueError(message(str(path), expected, found, do))
 
 
 def fill_conditions(

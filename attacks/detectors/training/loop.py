@@ -100,6 +100,7 @@ class Training:
         averaged: State dict of the running average of its weights, as float32.
         epoch: Number of finished epochs.
         history: One dict of figures a finished epoch.
+        data: Digest of what it is trained on; empty before `go_on_with`.
     """
 
     def __init__(self, config: TrainConfig, trainer: DetectorTrainer) -> None:
@@ -109,6 +110,7 @@ class Training:
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.epoch = 0
         self.history: list[dict[str, object]] = []
+        self.data = ""
         groups = [
             {"params": [p for p in self.model.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
             {"params": [p for p in self.model.parameters() if p.ndim <= 1], "weight_decay": 0.0},
@@ -210,6 +212,7 @@ class Training:
             "config": asdict(self.config),
             "epoch": self.epoch,
             "history": self.history,
+            "data": self.data,
         }
         temporary = folder / "checkpoint.partial"
         save_file(tensors, temporary, metadata={NOTES: json.dumps(notes)})
@@ -231,32 +234,46 @@ class Training:
             expected, do = f"a run of {trainer.name}", "choose another folder"
             got = notes.values.get("detector", "an older one")
             raise DetectorError(message(f"checkpoint {path}", expected, got, do))
-        if notes.values.get("config") != asdict(config):
-            do, got = "use the same one or another folder", notes.values.get("config")
-            raise DetectorError(message(f"checkpoint {path}", asdict(config), got, do))
+        if (there := notes.values.get("config")) != asdict(config):
+            do = "use the same one or another folder"
+            raise DetectorError(message(f"checkpoint {path}", asdict(config), there, do))
         training.epoch = notes.whole("epoch", 0, config.epochs)
         training.history = [dict(line.values) for line in notes.objects("history")]
-        if any(line.whole("epoch", 0, 1 << 31) > training.epoch for line in notes.objects("history")):
-            raise notes.bad("history", f"no epoch after {training.epoch}", training.history)
+        for line in notes.objects("history"):
+            line.whole("epoch", 0, training.epoch)
+        training.data = notes.text("data", "not known to an older version")
         training._take(tensors, str(path))
         return training
 
     def _take(self, tensors: Mapping[str, Tensor], path: str) -> None:
         """The tensors of a checkpoint in the place of one's own."""
-        own, average = self.model.state_dict(), _below(tensors, "average/")
-        check_like(_below(tensors, "model/"), own, f"checkpoint {path}, model", _READER)
-        check_like(average, own, f"checkpoint {path}, average", _READER)
-        self.model.load_state_dict(_below(tensors, "model/"))
-        self.averaged = average
+        model, self.averaged = _below(tensors, "model/"), _below(tensors, "average/")
+        for what, found in (("model", model), ("average", self.averaged)):
+            check_like(found, self.model.state_dict(), f"checkpoint {path}, {what}", _READER)
+        self.model.load_state_dict(model)
         state = self._optimiser.state_dict()
-        parameters = [one for group in self._optimiser.param_groups for one in group["params"]]
-        for number, one in enumerate(parameters):
-            moments = _below(tensors, f"optimiser/{number}/")
-            if moments:
+        for number, one in enumerate(one for group in self._optimiser.param_groups for one in group["params"]):
+            if moments := _below(tensors, f"optimiser/{number}/"):
                 like = {"exp_avg": one.detach(), "exp_avg_sq": one.detach(), "step": torch.zeros(())}
                 check_like(moments, like, f"checkpoint {path}, optimiser {number}", _READER)
                 state["state"][number] = moments
         self._optimiser.load_state_dict(state)
+
+    def go_on_with(self, data: str, folder: Path) -> None:
+        """Say what the run is trained on; one that is resumed goes on with the same alone.
+
+        Args:
+            data: Digest of all pictures, and of the weights to begin from.
+            folder: That of the run, for the message.
+
+        Raises:
+            DetectorError: It is something else.
+        """
+        if self.data not in ("", data):
+            expected = "the pictures and the weights to begin from that it began with"
+            do = "pass the same folder of pictures and the same start, or train in another folder"
+            raise DetectorError(message(f"the training in {folder}", expected, "others", do))
+        self.data = data
 
 
 def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:

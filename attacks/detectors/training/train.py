@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -26,6 +27,7 @@ from attacks.detectors.training.false_positives import false_positives
 from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.splat_pictures import splat_set
+from attacks.detectors.weights import fingerprint, read_weights
 
 OnWork = Callable[[str, int, int], None]
 """Called with what is going on, the units of it that are done, and the number wanted."""
@@ -134,9 +136,11 @@ def train(
         on_epoch: Called with the figures of each finished epoch, and of the pretraining as epoch 0.
 
     Raises:
-        DetectorError: The weights to start from are missing or do not fit.
+        DetectorError: The weights to start from are missing or do not fit, or the training was resumed and began with
+            others, or with other pictures.
     """
     config = training.config
+    training.go_on_with(_digest(start, pictures, validation), folder)
     while training.epoch < config.epochs:
         if not training.history and start is not None:
             training.begin_from(start)
@@ -159,6 +163,18 @@ def train(
         curves = {"config": asdict(config), "history": training.history}
         (folder / "curves.json").write_text(json.dumps(curves, indent=1))
         on_epoch(record)
+
+
+def _digest(start: Path | None, *sets: Sequence[LabelledPicture]) -> str:
+    """SHA-256 of the weights to begin from, and of the pictures and labels of some sets."""
+    total = hashlib.sha256(b"" if start is None else fingerprint(read_weights(start)).encode())
+    for pictures in sets:
+        total.update(f"{len(pictures)} pictures".encode())
+        for picture in pictures:
+            for values in (picture.image, picture.boxes, picture.labels):
+                total.update(repr(tuple(values.shape)).encode())
+                total.update(values.numpy().tobytes())
+    return total.hexdigest()
 
 
 def validated(training: Training, validation: Sequence[LabelledPicture], folder: Path) -> dict[str, object]:

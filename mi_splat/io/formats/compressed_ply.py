@@ -87,7 +87,7 @@ def write_compressed_ply(scene: GaussianScene) -> Encoded:
     """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so that chunks are small in space.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     order = morton_order(Values.of(scene).means)
     values = Values.of(scene, order)

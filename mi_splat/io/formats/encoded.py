@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, dc_to_colour, degree_of
@@ -82,13 +83,12 @@ class Values:
         """The values of a scene, in another order of rows if one is given.
 
         Raises:
-            InvalidValueError: A value is not finite in float32.
+            InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
         """
         kept = [value.detach().to("cpu", torch.float32).double() for value in scene.tensors()]
-        if not all(bool(torch.isfinite(value).all()) for value in kept):
-            raise InvalidValueError(
-                message("scene", "values that are finite in float32", "others", "remove those Gaussians")
-            )
+        if not all(bool((value.abs() <= LARGEST).all()) for value in kept):
+            expected = f"values that are finite in float32, up to {LARGEST:g}"
+            raise InvalidValueError(message("scene", expected, "others", "remove those Gaussians"))
         if order is not None:
             kept = [value[torch.from_numpy(order)] for value in kept]
         means, scales, rotations, opacities, sh = kept

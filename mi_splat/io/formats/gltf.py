@@ -139,7 +139,7 @@ def write_glb(scene: GaussianScene) -> Encoded:
     COLOR_0 is there for programs that draw points: linear light of the first SH coefficient, and the opacity.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
         SplatFileError: The scene is empty, which glTF has no accessors for.
     """
     if not len(scene):

@@ -132,7 +132,7 @@ def write_sog(scene: GaussianScene) -> Encoded:
     are among the losses.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
         SplatFileError: The scene is empty, for which there are no pictures.
     """
     if not len(scene):

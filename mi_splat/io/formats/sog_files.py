@@ -19,6 +19,7 @@ from PIL import Image
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import open_regular
+from mi_splat.io.picture_files import PictureFileError, load_picture
 
 Files = Callable[[str, int], bytes]
 """Bytes of the member `name`, which may have at most so many."""
@@ -119,13 +120,12 @@ def read_picture(data: bytes, where: str, *, least: int, width: int | None = Non
         wanted = f"{least} to {min(4 * least + _SPREAD, _MOST_PIXELS)} pixels" + (f", {width} wide" if width else "")
         raise SplatFileError(message(where, wanted, f"{found[0]} x {found[1]}", "export the SOG again"))
     try:
-        with Image.open(io.BytesIO(data), formats=["WEBP"]) as picture:
-            if picture.size != found:
-                raise ValueError(f"another size, {picture.size}")
-            values = np.asarray(picture.convert("RGBA"))
-    except (OSError, ValueError, EOFError, SyntaxError, RuntimeError, Image.DecompressionBombError) as error:
-        raise SplatFileError(message(where, "an intact WebP picture", str(error)[:100], _AGAIN)) from None
-    return values.reshape(-1, 4)
+        picture = load_picture(data, where, formats=("WEBP",))
+    except PictureFileError as error:
+        raise SplatFileError(str(error)).hinted(error.hint) from None
+    if picture.size != found:
+        raise SplatFileError(message(where, "an intact WebP picture", f"another size, {picture.size}", _AGAIN))
+    return np.asarray(picture.convert("RGBA")).reshape(-1, 4)
 
 
 def webp_size(data: bytes) -> tuple[int, int] | None:

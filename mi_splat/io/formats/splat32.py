@@ -49,7 +49,7 @@ def write_splat(scene: GaussianScene) -> Encoded:
     """A scene as a `.splat` file, in the scene's order.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
         SplatFileError: The scene is empty, which the format cannot say.
     """
     if not len(scene):

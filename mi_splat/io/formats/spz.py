@@ -79,7 +79,7 @@ def write_spz(scene: GaussianScene, version: Literal[2, 3, 4] = 3) -> Encoded:
         version: 3 is read by most programs; 4 is compressed with Zstandard; 2 has coarser rotations.
 
     Raises:
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     values = Values.of(half_turns.turned(scene, half_turns.X))
     bits = _fraction_bits(values.means)

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.attributes import LARGEST
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.io.ply.blocks import Rows
 from mi_splat.scene import GaussianScene
@@ -20,6 +21,7 @@ COLUMNS = {
     "opacities": ("opacity",),
 }
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_UNBOUNDED = (*COLUMNS["scales"], *COLUMNS["rotations"], *COLUMNS["opacities"])
 REST_COUNTS = (0, 9, 24, 45)
 """Number of f_rest_* properties for SH degree 0 to 3: channel-major, all of red, then green, then blue."""
 
@@ -51,7 +53,7 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
     """Fill rows of `file_record` with the Gaussians of `part`, which is float32 on the CPU.
 
     Returns:
-        Whether all values are finite.
+        Whether all values may be read again.
     """
     values = {name: value.numpy() for name, value in to_raw_parameters(part).items()}
     for name in COLUMNS:
@@ -59,7 +61,7 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
     rows["dc"] = values["sh"][:, 0]
     for channel in range(3):  # a channel at a time is twice as fast as one transpose
         rows["rest"][:, channel] = values["sh"][:, 1:, channel]
-    return bool(np.isfinite(rows.view("<f4")).all())
+    return bool((np.abs(rows.view("<f4")) <= LARGEST).all() and (part.scales <= LARGEST).all())
 
 
 def unpack(rows: Rows, rest: int, part: Sequence[Tensor]) -> NDArray[np.bool_]:
@@ -107,9 +109,11 @@ def _columns(table: NDArray[np.floating], place: dict[str, int], names: Sequence
 
 
 def _valid(part: Sequence[NDArray[np.float32]], logits: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """(rows,) which Gaussians have finite values, in the file too (an infinite logit has a sigmoid), and scales > 0."""
-    good = np.ones(len(part[0]), np.bool_)
-    for check in (part[1] > 0, *(np.isfinite(value) for value in (logits, *part))):
+    """(rows,) which Gaussians have values in range, finite in the file too (an infinite logit has a sigmoid)."""
+    means, scales, rotations, opacities, sh = part
+    good = np.ones(len(means), np.bool_)
+    bounded = (np.abs(value) <= LARGEST for value in (means, scales, sh))
+    for check in (scales > 0, *bounded, *(np.isfinite(value) for value in (logits, rotations, opacities))):
         if not check.all():
             good &= check.reshape(len(check), -1).all(1)
     return good
@@ -118,8 +122,9 @@ def _valid(part: Sequence[NDArray[np.float32]], logits: NDArray[np.floating]) ->
 def describe(row: np.void, rest: int) -> str:
     """What is wrong with one Gaussian that is not valid."""
     for name in needed_names(rest):
-        if not np.isfinite(row[name]):
-            return f"{name} is {row[name]}"
+        if not (abs(row[name]) <= LARGEST or (np.isfinite(row[name]) and name in _UNBOUNDED)):
+            return f"{name} is {row[name]:g}"
     if all(row[name] == 0 for name in COLUMNS["rotations"]):
         return "the quaternion is zero"
-    return f"values, or log-scales {[round(float(row[name]), 3) for name in COLUMNS['scales']]}, leave float32's range"
+    found = [round(float(row[name]), 3) for name in COLUMNS["scales"]]
+    return f"log-scales {found} are scales outside of float32's range or above {LARGEST:g}"

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError
@@ -48,7 +49,7 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         SplatFileError: The file cannot be written; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32.
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     rest = 3 * (scene.sh.shape[1] - 1)
     properties = "\n".join(f"property float {name}" for name in file_names(rest))
@@ -62,7 +63,8 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
             last = first + len(rows)
             if not pack(GaussianScene.unchecked(*(value[first:last] for value in tensors)), rows):
                 found = f"others between rows {first} and {last - 1}"
-                raise InvalidValueError(message("scene", "values that are finite in float32", found, "remove them"))
+                expected = f"values that are finite in float32, up to {LARGEST:g}"
+                raise InvalidValueError(message("scene", expected, found, "remove them"))
             with lock:
                 file.seek(len(head) + first * record.itemsize)
                 write_all(file, rows.view(np.uint8).data)

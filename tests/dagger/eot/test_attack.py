@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 
+from attacks.budgets import Budget
 from attacks.dagger.eot.attack import attack_views
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.problem import joined
@@ -16,6 +17,7 @@ from attacks.dagger.eot.result import by_angle
 from attacks.evaluation.views import as_saved
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Verdict, hide, relabel, untargeted
+from attacks.pgd import Parameters
 from attacks.transformations.config import PictureChanges
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
@@ -66,6 +68,18 @@ def test_the_control_moves_what_the_attack_moves_by_as_much() -> None:
     assert len(found.judgement.noise_images) == 1
     assert found.used_in_file["sh"] == pytest.approx(found.used["sh"], rel=1e-5)
     assert found.judgement.noise_images[0].outside == pytest.approx(found.judgement.image.outside, abs=0.02)
+
+
+def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds, plain = [], Budget.noise
+
+    def noise(budget: Budget, parameters: Parameters, reference: Parameters, generator: torch.Generator) -> Parameters:
+        seeds.append(generator.initial_seed())
+        return plain(budget, parameters, reference, generator)
+
+    monkeypatch.setattr(Budget, "noise", noise)
+    quick(seed=7, noise_draws=2, steps=1)
+    assert seeds == [8, 8]  # not those of the attack's views and starting points, which have the seed 7
 
 
 def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:

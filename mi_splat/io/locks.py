@@ -1,0 +1,125 @@
+"""A folder for one process alone, so that two jobs never write into the same one."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import platform
+import shlex
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from mi_splat.errors import message
+from mi_splat.io.atomic import LOCK
+from mi_splat.io.errors import SplatFileError, from_os_error
+
+_HELD: dict[str, int] = {}
+"""Folders that this process has for itself, and the thread that took each."""
+_TAKEN = (errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK)
+
+
+@contextlib.contextmanager
+def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Have a folder for this process alone while the body runs; a thread may take what it has already once more.
+
+    The lock is on a file in the folder, which says who has it. The system gives it up when the process ends, however
+    it ends; the file is removed at the end of the body, and one that a kill left behind locks nothing. Windows, and
+    disks that know no locks, give none: the body then runs without.
+
+    Args:
+        folder: Where; it is made if need be, and removed again if nothing was written into it.
+
+    Raises:
+        SplatFileError: Another process has it, or it cannot be made.
+    """
+    key = os.path.realpath(folder)
+    if _HELD.get(key) == threading.get_ident():
+        yield
+        return
+    missing = [place for place in (Path(key), *Path(key).parents) if not os.path.lexists(place)]
+    try:
+        os.makedirs(key, exist_ok=True)
+        descriptor = _lock(os.path.join(key, LOCK), os.fspath(folder))
+    except OSError as error:
+        raise from_os_error(os.fspath(folder), "a folder that can be written", error) from error
+    _HELD[key] = threading.get_ident()
+    try:
+        yield
+    finally:
+        del _HELD[key]
+        with contextlib.suppress(OSError):
+            os.unlink(os.path.join(key, LOCK))
+        os.close(descriptor)
+        with contextlib.suppress(OSError):  # they are not empty
+            for place in missing:
+                place.rmdir()
+
+
+def check_unlocked(folder: str | os.PathLike[str]) -> None:
+    """Raise if another process has a folder for itself; see `locked_folder`.
+
+    Raises:
+        SplatFileError: One has.
+    """
+    if os.path.lexists(os.path.join(folder, LOCK)):
+        with locked_folder(folder):
+            pass
+
+
+def _lock(file: str, folder: str) -> int:
+    """Lock a file, made if need be, and write into it who has it; returns it open."""
+    while True:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
+        try:
+            _take(descriptor, folder)
+            if os.name == "nt" or os.path.samestat(os.fstat(descriptor), os.stat(file)):
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, json.dumps(_this_process()).encode())
+                return descriptor
+        except FileNotFoundError:  # who had it removed it, between two of our calls
+            pass
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _take(descriptor: int, folder: str) -> None:
+    """Take the lock on an open file, where the system has locks.
+
+    Raises:
+        SplatFileError: Another process has it.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno not in _TAKEN:  # a disk without locks
+            return
+        do = "wait for its end, or pass another folder"
+        expected, found = "a folder that no other process writes into", f"one in use by {_holder(descriptor)}"
+        raise SplatFileError(message(folder, expected, found, do)) from None
+
+
+def _this_process() -> dict[str, object]:
+    name = os.path.basename(sys.argv[0]) if sys.argv else ""
+    words = ["mi-splat" if name == "__main__.py" else name, *sys.argv[1:]]
+    since = time.strftime("%Y-%m-%d %H:%M:%S")
+    return {"host": platform.node(), "process": os.getpid(), "command": shlex.join(words)[:300], "since": since}
+
+
+def _holder(descriptor: int) -> str:
+    """Who has the lock, in words, as far as the file says."""
+    try:
+        found = json.loads(os.pread(descriptor, 4096, 0))
+        return f"`{found['command']}`, process {found['process']} on {found['host']}, since {found['since']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"

@@ -1,0 +1,154 @@
+"""Picture files of unknown origin: how many pixels they have is known, and limited, before one is decoded.
+
+A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes in memory.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image, UnidentifiedImageError
+
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+
+MOST_PIXELS = 50_000_000
+"""Pixels that a picture may have unless more are allowed: cameras of 2026 take up to 50 million, as floats 600 MB."""
+
+FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
+"""Kinds of files that are read: those that the endings of the names promise, whatever else Pillow knows."""
+
+BROKEN = (
+    *(OSError, SyntaxError, ValueError, EOFError, LookupError, TypeError, struct.error, OverflowError, MemoryError),
+    *(AttributeError, ImportError, Warning),
+)
+"""What Pillow raises for files that are broken in one way or another.
+
+ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed. Warning: where the
+caller has made errors of warnings.
+"""
+
+_ANIMATED = ("PNG", "WEBP")
+_lock = threading.RLock()
+_most = MOST_PIXELS
+
+
+class PictureFileError(MiSplatError):
+    """A picture cannot be read; the message names the file and says what to do."""
+
+
+@contextmanager
+def pixel_limit(most: int) -> Iterator[None]:
+    """Another number of pixels that a picture may have while the block runs, in all threads.
+
+    Raises:
+        InvalidValueError: It is not positive.
+    """
+    global _most
+    if most < 1:
+        raise InvalidValueError(message("max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual"))
+    before, _most = _most, most
+    try:
+        yield
+    finally:
+        _most = before
+
+
+@contextmanager
+def pixels_bounded() -> Iterator[None]:
+    """Let Pillow raise for every picture that is opened in this block and has more pixels than it may have.
+
+    For libraries that open pictures themselves; what has to be decoded is decoded later.
+    """
+    with _pillow_limit(_most), warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        yield
+
+
+@contextmanager
+def _pillow_limit(most: int | None) -> Iterator[None]:
+    """Another limit of Pillow's own, of which it warns, and raises at twice as many; None is none."""
+    with _lock:
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, most
+        try:
+            yield
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
+
+
+def picture_header(path: Path, what: str = "", *, formats: Sequence[str] = FORMATS) -> tuple[tuple[int, int], str]:
+    """Width and height of a picture and Pillow's name of its mode, from its header.
+
+    Args:
+        path: The file.
+        what: Its name, for messages; that of the file if empty.
+        formats: Pillow's names of the kinds of files that it may be.
+
+    Raises:
+        PictureFileError: There is no such picture, or it cannot be read or has too many pixels.
+    """
+    with _opened(path, what or str(path), formats) as picture:
+        return picture.size, picture.mode
+
+
+def load_picture(source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS) -> Image.Image:
+    """A whole picture, decoded.
+
+    Args:
+        source: The file, or its bytes.
+        what: Its name, for messages; that of the file if empty.
+        formats: Pillow's names of the kinds of files that it may be.
+
+    Raises:
+        PictureFileError: There is no such picture, or it is broken, has too many pixels, or is an animation.
+    """
+    with _opened(source, what or str(source), formats) as picture:
+        if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
+            do = "save one picture of it"
+            raise PictureFileError(message(what or str(source), "one picture", "an animation", do))
+        picture.load()
+        return picture.copy()
+
+
+@contextmanager
+def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator[Image.Image]:
+    """A picture whose header is right; what Pillow raises in the block is said in our words."""
+    file = io.BytesIO(source) if isinstance(source, bytes) else source
+    try:
+        with _pillow_limit(None), Image.open(file, formats=tuple(formats)) as opened:
+            check_pixels(what, *opened.size)
+            yield opened
+    except FileNotFoundError as error:
+        do = "put the picture there or take it off the list"
+        raise PictureFileError(message(what, "a picture", "no such file", do)) from error
+    except UnidentifiedImageError as error:
+        kinds = f"a picture that can be read ({', '.join(formats)})"
+        raise PictureFileError(message(what, kinds, "something else", "save it as one of these")) from error
+    except BROKEN as error:
+        found_text = " ".join(str(error).split())[:160] or type(error).__name__
+        do = "write or download it again"
+        raise PictureFileError(message(what, "a picture that can be read", found_text, do)) from error
+
+
+def check_pixels(what: str, width: int, height: int) -> None:
+    """Raise if a picture that another library decodes has too many pixels, or none.
+
+    Args:
+        what: Its name, for messages.
+        width: Pixels.
+        height: Pixels.
+
+    Raises:
+        PictureFileError: It has.
+    """
+    if width < 1 or height < 1:
+        raise PictureFileError(message(what, "a picture with pixels", f"{width} x {height}", "write it again"))
+    if width * height > _most:
+        expected, found = f"at most {_most:,} pixels", f"{width * height:,}"
+        error = PictureFileError(message(what, expected, found, "make it smaller, or allow more"))
+        raise error.hinted("--max-pixels")

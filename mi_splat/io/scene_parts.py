@@ -1,0 +1,130 @@
+"""What a Mitsuba scene is made of: the elements of its file and of those that it includes, and the files they name."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.scene_xml import MOST_BYTES, MOST_ELEMENTS, scene_elements
+from mi_splat.io.texture_files import check_texture
+
+MOST_INCLUSIONS, _MOST_PLACES = 1000, 64
+"""How many files a scene may include, and in how many folders it may have them looked for."""
+_LONGEST_CHAIN = 16
+"""Files that include each other in a row; Mitsuba refuses more."""
+_PICTURES = (".bmp", ".exr", ".hdr", ".jpeg", ".jpg", ".pfm", ".png", ".ppm", ".rgbe", ".tga", ".tif", ".tiff", ".webp")
+
+
+@dataclass(slots=True)
+class SceneParts:
+    """What a scene is made of; see `scene_parts`.
+
+    Attributes:
+        elements: All elements in their order, those of included files after their inclusion, with the values of the
+            parameters in their attributes.
+        files: The scene file and every file that an element names, in their order.
+    """
+
+    elements: list[Element] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+
+
+def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> SceneParts:
+    """Read what a scene is made of.
+
+    A file is looked for where Mitsuba does: in the folders that <path> elements name, beside the scene file, then in
+    the working folder; one that is included, before that beside the file that includes it. What meshes name is left
+    out, since Mitsuba reads no material of them.
+
+    Args:
+        path: The scene file.
+        parameters: Values that take the place of its defaults.
+
+    Raises:
+        InvalidValueError: The scene file, or one that it includes, cannot be read, is no XML in UTF-8, defines
+            entities, is too large or too deep, or includes itself; or parameters make the texts too long.
+    """
+    reader = _Reader(path, parameters or {})
+    reader.read(path, [path.resolve()])
+    return reader.found
+
+
+def check_scene_file(path: Path, parameters: Mapping[str, object] | None = None) -> None:
+    """Raise unless Mitsuba may read a scene file, the files that it includes and the pictures that they name.
+
+    Args:
+        path: The scene file.
+        parameters: Values that take the place of its defaults.
+
+    Raises:
+        InvalidValueError: As `scene_parts`.
+        PictureFileError: A picture has too many pixels.
+    """
+    for file in dict.fromkeys(scene_parts(path, parameters).files):
+        if file.suffix.lower() in _PICTURES:
+            check_texture(file)
+
+
+class _Reader:
+    """Reads a scene file by file, and knows what the files before said of parameters and folders."""
+
+    def __init__(self, path: Path, parameters: Mapping[str, object]) -> None:
+        self.found = SceneParts(files=[path])
+        self._scene = f"scene {path}"
+        self._values = {name: str(value) for name, value in parameters.items()}
+        self._longest = max(map(len, self._values.values()), default=0)
+        self._size, self._included = 0, 0
+        self._places = [path.parent, Path()]
+
+    def read(self, path: Path, chain: list[Path]) -> None:
+        """Add the elements of a file that was included by way of others, and the files that they name."""
+        for element in scene_elements(path):
+            filled = self._filled(element)
+            self.found.elements.append(Element(element.tag, filled))
+            if len(self.found.elements) > MOST_ELEMENTS:
+                raise self._refused(f"at most {MOST_ELEMENTS:,} elements in all", "more", "split the scene")
+            if element.tag == "default":
+                self._values.setdefault(filled.get("name", ""), filled.get("value", ""))
+                self._longest = max(self._longest, len(filled.get("value", "")))
+            elif element.tag == "path":
+                named = [place / filled.get("value", "") for place in self._places]
+                self._places[:0] = [place for place in named if os.path.isdir(place)][:1]
+                if len(self._places) > _MOST_PLACES:
+                    raise self._refused(f"at most {_MOST_PLACES} folders to look in", "more", "write fewer <path>")
+            else:
+                name = filled.get("value" if element.tag == "string" else "filename", "")
+                places = [path.parent] * (element.tag == "include") + self._places
+                files = [place / name for place in places if os.path.isfile(place / name)]  # of names of any length
+                self.found.files += files[:1]
+                if files and element.tag == "include":
+                    self._include(files[0], chain)
+
+    def _include(self, file: Path, chain: list[Path]) -> None:
+        """Read a file that is included."""
+        inner, self._included = [*chain, file.resolve()], self._included + 1
+        if inner[-1] in chain or len(inner) > _LONGEST_CHAIN:
+            names = " includes ".join(one.name for one in inner)
+            raise self._refused("files that end somewhere", names, "remove the circle")
+        if self._included > MOST_INCLUSIONS:
+            raise self._refused(f"at most {MOST_INCLUSIONS:,} inclusions", "more", "write what they hold into one file")
+        self.read(file, inner)
+
+    def _filled(self, element: Element) -> dict[str, str]:
+        """The attributes of an element with the values of parameters in the place of their names."""
+        self._size += sum(len(text) + text.count("$") * self._longest for text in element.attrib.values())
+        if self._size > MOST_BYTES:
+            expected = f"at most {MOST_BYTES:,} characters, with the values of parameters"
+            raise self._refused(expected, "more", "write less into <default>")
+        found = {}
+        for key, text in element.items():
+            found[key] = re.sub(r"\$(\w+)", lambda part: self._values.get(part[1], part[0]), text)
+        return found
+
+    def _refused(self, expected: str, got: str, do: str) -> InvalidValueError:
+        """The error for a scene that no one needs."""
+        return InvalidValueError(message(self._scene, expected, got, do))

@@ -1,0 +1,152 @@
+"""Pictures of unknown origin: the number of pixels is limited before decoding, and whatever is broken is said so."""
+
+from __future__ import annotations
+
+import io
+import random
+import struct
+import warnings
+import zlib
+from pathlib import Path
+
+import pytest
+from PIL import Image, PngImagePlugin
+
+from attacks import cli
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.picture_files import MOST_PIXELS, PictureFileError, load_picture, picture_header, pixel_limit
+from tests.project.layers import PACKAGES, ROOT
+
+SQUARE = Image.linear_gradient("L").convert("RGB")
+
+
+def png(width: int, height: int, *chunks: tuple[bytes, bytes]) -> bytes:
+    """A PNG that claims a size, and has hardly any pixels."""
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), *chunks]
+    parts += [(b"IDAT", zlib.compress(bytes(100))), (b"IEND", b"")]
+    told = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(told)
+
+
+def saved(kind: str, **options: object) -> bytes:
+    """The square as a file."""
+    buffer = io.BytesIO()
+    SQUARE.save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("size", [(7072, 7072), (30_000, 30_000), (2**31 - 1, 2**31 - 1), (MOST_PIXELS + 1, 1)])
+@pytest.mark.parametrize("action", ["error", "ignore"])
+def test_too_many_pixels_are_refused_from_the_header(size: tuple[int, int], action: str, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.png"
+    path.write_bytes(png(*size))
+    before = Image.MAX_IMAGE_PIXELS
+    for read in (picture_header, load_picture):
+        with warnings.catch_warnings():
+            warnings.simplefilter(action)  # type: ignore[arg-type]
+            with pytest.raises(
+                PictureFileError, match=rf"bomb\.png: expected at most 50,000,000 pixels, got {size[0] * size[1]:,}"
+            ):
+                read(path)
+    assert before == Image.MAX_IMAGE_PIXELS
+
+
+@pytest.mark.parametrize("kind", ["PNG", "TIFF", "WEBP"])
+def test_a_raised_limit_is_above_pillow_s_own(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = saved(kind)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
+    assert load_picture(data, "square").size == (256, 256)
+    assert Image.MAX_IMAGE_PIXELS == 1000
+
+
+def test_the_limit_can_be_raised_and_lowered(tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    path.write_bytes(png(20_000, 20_000))
+    with pixel_limit(400_000_000):
+        assert picture_header(path) == ((20_000, 20_000), "RGB")
+    with pytest.raises(PictureFileError, match="at most"):
+        picture_header(path)
+    with pixel_limit(256 * 256 - 1), pytest.raises(PictureFileError, match=r"at most 65,535 pixels, got 65,536"):
+        load_picture(saved("PNG"), "square")
+    with pytest.raises(InvalidValueError, match="max-pixels"), pixel_limit(0):
+        pass
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TIFF"])
+def test_whole_files_are_read_and_broken_ones_refused(kind: str) -> None:
+    data = saved(kind)
+    assert load_picture(data, "square").size == (256, 256)
+    with pytest.raises(PictureFileError, match="square: expected a picture that can be read"):
+        load_picture(data[: len(data) // 2], "square")
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TIFF"])
+def test_mutants_are_pictures_or_refused(kind: str) -> None:
+    dice, data = random.Random(kind), saved(kind)
+    refused = 0
+    for _ in range(150):
+        mutant = bytearray(data)
+        for _ in range(dice.randint(1, 4)):
+            mutant[dice.randrange(200)] = dice.randrange(256)
+        with warnings.catch_warnings():
+            warnings.simplefilter(dice.choice(["error", "ignore"]))
+            try:
+                load_picture(bytes(mutant), "mutant")
+            except PictureFileError:
+                refused += 1
+    assert refused > 10
+
+
+@pytest.mark.parametrize("kind", ["GIF", "PPM", "EPS", "PDF", "TGA", "ICO"])
+def test_other_kinds_are_refused_whatever_their_name(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "square.png"
+    path.write_bytes(saved(kind))
+    with pytest.raises(PictureFileError, match="something else"):
+        load_picture(path)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "WEBP"])
+def test_animations_are_refused(kind: str) -> None:
+    data = saved(kind, save_all=True, append_images=[SQUARE.rotate(90)])
+    with pytest.raises(PictureFileError, match="expected one picture, got an animation"):
+        load_picture(data, "moving")
+
+
+@pytest.mark.parametrize("kind", ["iTXt", "zTXt"])
+def test_text_that_expands_is_refused(kind: str) -> None:
+    text = zlib.compress(bytes(PngImagePlugin.MAX_TEXT_CHUNK + 1))
+    chunk = b"key\0" + (b"\1\0\0\0" if kind == "iTXt" else b"\0") + text
+    with pytest.raises(PictureFileError, match="too large"):
+        load_picture(png(8, 8, (kind.encode(), chunk)), "text")
+
+
+def test_commands_refuse_and_take_the_flag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bomb.png").write_bytes(png(30_000, 30_000))
+    assert cli.main(["detect", "bomb.png", "--detectors", "fasterrcnn_small", "--out", "found"]) == 1
+    error = capsys.readouterr().err
+    assert error.splitlines() == [
+        "mi-splat: bomb.png: expected at most 50,000,000 pixels, got 900,000,000; make it smaller, or allow more "
+        "(--max-pixels)"
+    ]
+    assert not Path("found").exists()
+    for words in (["--max-pixels", "100", "detect", "a.png"], ["detect", "a.png", "--max_pixels=100"]):
+        Path("a.png").write_bytes(saved("PNG"))
+        assert cli.main([*words, "--out", "found"]) == 1
+        assert "at most 100 pixels" in capsys.readouterr().err
+    for words in (["--max-pixels", "none"], ["--max-pixels"], ["--max-pixels=0"], ["--max-pixels=-3"]):
+        assert cli.main(["detect", "a.png", *words]) == 2
+        assert "detect: --max-pixels: expected a number of pixels" in capsys.readouterr().err
+    assert picture_header(Path("a.png"))[0] == (256, 256)
+
+
+def test_no_picture_is_opened_elsewhere() -> None:
+    # What these two read back, they have written in memory a moment ago.
+    known = {"mi_splat/io/picture_files.py", "mi_splat/io/images.py", "attacks/transformations/pictures.py"}
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
+    assert {str(file.relative_to(ROOT)) for file in files if "Image.open(" in file.read_text()} == known
+    assert issubclass(PictureFileError, MiSplatError)

@@ -1,0 +1,135 @@
+"""Scene files of unknown origin: what would end the process or fill the memory is refused before Mitsuba reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from attacks import cli
+from mi_splat.capture.mitsuba_meshes import load_scene, scalar_variant
+from mi_splat.capture.sources import open_source
+from mi_splat.errors import MiSplatError
+from mi_splat.io.picture_files import pixel_limit
+from mi_splat.io.scene_parts import check_scene_file, scene_parts
+from mi_splat.io.scene_xml import DEEPEST, MOST_BYTES, MOST_ELEMENTS
+from mi_splat.mixed_scenes import MixedScene, contents_hash, holds_surfaces
+from mi_splat.scene_files import read_scene
+from tests.project.layers import ROOT
+
+
+def scene(*inside: str) -> bytes:
+    return "".join(['<scene version="3.0.0">', *inside, "</scene>"]).encode()
+
+
+def nested(depth: int) -> bytes:
+    return scene('<shape type="sphere">' * depth, "</shape>" * depth)
+
+
+ENTITIES = '<!DOCTYPE scene [<!ENTITY a "aa">' + "".join(f'<!ENTITY b{i} "&a;&a;">' for i in range(9)) + "]>"
+DOUBLED = '<default name="p{}" value="$p{}$p{}"/>'
+REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
+    "8,000 in each other": (lambda: nested(8000), f"more than {DEEPEST} elements in each other"),
+    "a million in each other": (lambda: nested(300_000), "in each other"),
+    "many": (lambda: scene('<shape type="sphere"/>' * MOST_ELEMENTS), "more than 100,000 elements"),
+    "large": (lambda: scene(" " * MOST_BYTES), "bytes, more than"),
+    "entities": (lambda: ENTITIES.encode() + scene("&b8;"), "DOCTYPE"),
+    "files as entities": (lambda: b'<!DOCTYPE s [<!ENTITY a SYSTEM "/etc/hostname">]>' + scene("&a;"), "DOCTYPE"),
+    "entities without a type": (lambda: scene("&a;"), "undefined entity"),
+    "no UTF-8": (lambda: scene('<shape type="sphere" id="x"/>').replace(b"x", b"\xe4\xff"), "utf-8"),
+    "UTF-16": (lambda: scene().decode().encode("utf-16"), "utf-8"),
+    "Latin-1": (lambda: b'<?xml version="1.0" encoding="latin1"?>' + scene(), "encoding latin1"),
+    "zeros": (lambda: scene("\0"), "not well-formed"),
+    "cut off": (lambda: scene()[:-3], "unclosed token"),
+    "itself": (lambda: scene('<include filename="a.xml"/>'), r"a\.xml includes a\.xml"),
+    "itself by a default": (
+        lambda: scene('<default name="f" value="a"/><include filename="$f.xml"/>'),
+        r"a\.xml includes a\.xml",
+    ),
+    "a circle": (lambda: scene('<include filename="b/b.xml"/>'), r"a\.xml includes b\.xml includes a\.xml"),
+    "a broken one": (lambda: scene('<include filename="b/c.xml"/>'), r"c\.xml.*not well-formed"),
+    "one in a path": (lambda: scene('<path value="b"/><include filename="c.xml"/>'), r"c\.xml.*not well-formed"),
+    "parameters of parameters": (
+        lambda: scene('<default name="p0" value="x"/>', *map(DOUBLED.format, range(1, 40), range(39), range(39))),
+        "at most 16,777,216 characters",
+    ),
+    "a long parameter": (
+        lambda: scene(f'<default name="p" value="{"x" * 100_000}"/>', f'<string name="{"$p" * 10_000}" value=""/>'),
+        "at most 16,777,216 characters",
+    ),
+    "a tree of many": (lambda: scene('<include filename="t4.xml"/>' * 50), "at most 1,000 inclusions"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "b.xml").write_bytes(scene('<include filename="../a.xml"/>'))
+    (tmp_path / "b" / "c.xml").write_bytes(b"\1")
+    (tmp_path / "t0.xml").write_bytes(scene('<shape type="sphere"/>'))
+    for number in range(4):
+        (tmp_path / f"t{number + 1}.xml").write_bytes(scene(f'<include filename="t{number}.xml"/>' * 50))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_no_scene_needs_is_refused(name: str, folder: Path) -> None:
+    make, says = REFUSED[name]
+    path = folder / "a.xml"
+    path.write_bytes(make())
+    with pytest.raises(MiSplatError, match=says):
+        check_scene_file(path)
+
+
+@pytest.mark.parametrize("name", ["8,000 in each other", "a circle"])
+def test_every_reader_checks_first(name: str, folder: Path) -> None:
+    make, says = REFUSED[name]
+    path = folder / "a.xml"
+    path.write_bytes(make())
+    for read in (read_scene, contents_hash, MixedScene, load_scene, lambda path: open_source(str(path))):
+        with pytest.raises(MiSplatError, match=says):
+            read(path)
+    assert not holds_surfaces(path)
+
+
+def test_commands_say_it_in_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    Path("a.xml").write_bytes(nested(8000))
+    for words in ("render a.xml", "info a.xml", "capture a.xml --out out", "select a.xml", "detect a.xml --out out"):
+        assert cli.main(words.split()) == 1
+        assert "in each other" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+def test_pictures_that_a_scene_names_are_counted(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "wood.png")
+    texture = '<texture type="bitmap" name="reflectance"><string name="filename" value="wood.png"/></texture>'
+    path = tmp_path / "a.xml"
+    path.write_bytes(scene(f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>'))
+    with pixel_limit(1200):
+        assert open_source(str(path)).radius > 0
+    with pixel_limit(1199), pytest.raises(MiSplatError, match=r"wood\.png: expected at most 1,199 pixels"):
+        open_source(str(path))
+
+
+def test_an_inclusion_is_first_looked_for_beside_the_file_that_includes_it(tmp_path: Path) -> None:
+    for folder in ("b", "c"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "leaf.xml").write_bytes(scene(f'<shape type="sphere" id="{folder}"/>'))
+    (tmp_path / "b" / "inner.xml").write_bytes(scene('<include filename="leaf.xml"/>'))
+    (tmp_path / "a.xml").write_bytes(scene('<path value="c"/><include filename="b/inner.xml"/>'))
+    assert scene_parts(tmp_path / "a.xml").files[1:] == [tmp_path / "b" / "inner.xml", tmp_path / "b" / "leaf.xml"]
+    with scalar_variant():  # as Mitsuba does
+        assert [shape.id() for shape in load_scene(tmp_path / "a.xml").shapes()] == ["b"]
+
+
+def test_shipped_scenes_pass() -> None:
+    paths = sorted((ROOT / "scenes").rglob("*.xml"))
+    assert paths
+    for path in paths:
+        check_scene_file(path, {"size": 24})
