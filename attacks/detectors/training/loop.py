@@ -231,9 +231,8 @@ class Training:
             return training
         notes, tensors = read_noted_tensors(path, _READER)
         if notes.values.get("detector") != trainer.name:
-            expected, do = f"a run of {trainer.name}", "choose another folder"
             got = notes.values.get("detector", "an older one")
-            raise DetectorError(message(f"checkpoint {path}", expected, got, do))
+            raise _READER.broken(f"checkpoint {path}", got, f"a run of {trainer.name}")
         if (there := notes.values.get("config")) != asdict(config):
             do = "use the same one or another folder"
             raise DetectorError(message(f"checkpoint {path}", asdict(config), there, do))
