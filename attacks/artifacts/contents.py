@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,12 +12,11 @@ from attacks.artifacts.figures import Figure, read_figure
 from attacks.artifacts.rows import Table
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
+from mi_splat.io.parsing import DocumentReader
 
 RECORD, CAMERAS, SPLATS = "artifact.json", "cameras.json", "splats"
 FORMAT = 1
 """Raised when older programs could no longer read what this one writes."""
-MOST_BYTES = 1 << 25
-"""Most that artifact.json and cameras.json may be."""
 
 _NAME = re.compile(r"(?:splats/)?[A-Za-z0-9_][A-Za-z0-9_.-]{0,100}")
 _PAGE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.-]*/)*[A-Za-z0-9_][A-Za-z0-9_.-]*\.md")
@@ -161,18 +158,7 @@ def read_object(path: Path) -> dict[str, Any]:
     Raises:
         InvalidValueError: It is missing, too large, or holds none.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise ValueError(f"more than {MOST_BYTES:,} bytes")
-        found = json.loads(data, parse_constant=_no_number, parse_float=_finite)
-        if not isinstance(found, dict):
-            raise ValueError(type(found).__name__)
-    except (OSError, ValueError, RecursionError) as error:
-        do = "pass a folder that mi-splat artifact has written"
-        raise InvalidValueError(message(str(path), "a JSON object", error, do)) from error
-    return found
+    return DocumentReader(do="pass a folder that mi-splat artifact has written").read_json(path)
 
 
 def checked_page(page: str, where: str) -> str:
@@ -203,15 +189,4 @@ def _of(values: Mapping[str, Any], name: str, kind: type[_T], where: str) -> _T:
     if not isinstance(value, kind):
         expected = f"{name}, a {kind.__name__}"
         raise InvalidValueError(message(where, expected, repr(value)[:80], "get the artifact again"))
-    return value
-
-
-def _no_number(text: str) -> float:
-    raise ValueError(f"the number {text}")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text[:40]}")
     return value

@@ -34,8 +34,9 @@ from mi_splat import provenance
 from mi_splat.cli.console import Advance, follow, limit_threads, progress, show_json
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
-from mi_splat.io.documents import read_json, save_json
+from mi_splat.io.documents import save_json
 from mi_splat.io.folders import check_new_file, check_new_folder, new_folder
+from mi_splat.io.parsing import read_json
 from mi_splat.rendering import Renderer, RenderSettings
 
 JSON, PNG = ".json", ".png"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from typing import Any
 
@@ -22,6 +21,7 @@ from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import describe
 from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.parsing import read_json
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.select import require_visible
 
@@ -48,7 +48,7 @@ def run(options: DaggerSanityOptions) -> int:
             write_findings(findings, runs, folder, **conditions)
     red = sum(one.passed is False for one in findings)
     if options.json:
-        show_json(json.loads((options.out / RECORD).read_text()))
+        show_json(read_json(options.out / RECORD))
     else:
         for one in findings:
             show(f"{one.colour:5}  {one.claim}: {one.figures}")

@@ -27,7 +27,7 @@ def run(options: RenderingStudyOptions) -> int:
 def _study(options: RenderingStudyOptions) -> int:
     """As `run`, in a folder that is this process's own."""
     study = read_rendering_study(options.study)
-    toml = options.study.read_text("utf-8")
+    toml = options.study.read_text("utf-8-sig")
     if options.seeds is not None:
         study = dataclasses.replace(study, seeds=options.seeds)
     if options.detectors:

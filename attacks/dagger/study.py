@@ -20,9 +20,11 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import Job
 from attacks.limits import NormName
 from mi_splat.attributes import Attribute
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import own_folder
+from mi_splat.io.parsing import read_json
 
 JOBS = "jobs"
 """Folder of the ledger."""
@@ -174,8 +176,7 @@ def stored_records(out: Path) -> list[dict[str, Any]]:
 def _stored(path: Path) -> dict[str, Any] | None:
     """The record in a file; None if there is none, or not a whole one."""
     try:
-        record = json.loads(path.read_text())
-    except (FileNotFoundError, json.JSONDecodeError):
+        record = read_json(path)
+    except InvalidValueError:
         return None
-    complete = isinstance(record, dict) and {"job", "fingerprint", "result"} <= set(record)
-    return record if complete else None
+    return record if {"job", "fingerprint", "result"} <= set(record) else None

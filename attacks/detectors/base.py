@@ -93,7 +93,10 @@ class Detector(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """16 hex digits that stand for the weights (see `attacks.detectors.weights.fingerprint`); in every result."""
+        """16 hex digits that stand for the weights (see `attacks.detectors.weights.fingerprint`); in every result.
+
+        Where the network itself comes from a file, as a graph does, it belongs to them.
+        """
         ...
 
     @property

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import torch
 from torch import nn
 
-from attacks.detectors.weights import fingerprint
+from attacks.detectors.weights import check_finite, fingerprint
 
 _Self = TypeVar("_Self", bound="FrozenDetector")
 
@@ -27,7 +27,12 @@ class FrozenDetector:
     model: Any
 
     def __init__(self, name: str, model: nn.Module, classes: Sequence[str]) -> None:
-        """Freeze a model, in place."""
+        """Freeze a model, in place.
+
+        Raises:
+            DetectorError: A weight is not a finite number.
+        """
+        check_finite(model.state_dict(), f"weights of {name}")
         self.name, self.classes = name, tuple(classes)
         self.model = model.eval().requires_grad_(False)
 

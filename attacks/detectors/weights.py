@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,14 +15,25 @@ from torch import Tensor, nn
 
 from attacks.detectors.errors import DetectorError
 from mi_splat.errors import message
+from mi_splat.io.noted_tensors import not_finite
 
 SUFFIXES = (".safetensors", ".pth", ".pt")
 _SHOWN = 4
+_UNREADABLE = (
+    *(SafetensorError, pickle.UnpicklingError, struct.error, EOFError, OSError, RuntimeError, AssertionError),
+    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ImportError),
+)
+"""What safetensors, and torch on its way through a pickle, raise for files that are broken in one way or another."""
 
 
-def fingerprint(state: Mapping[str, Tensor]) -> str:
-    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order."""
-    total = hashlib.sha256()
+def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
+    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order.
+
+    Args:
+        state: Tensors by name.
+        more: Stands for what else the detector is made of; it comes first.
+    """
+    total = hashlib.sha256(more.encode())
     for name, value in state.items():
         total.update(name.encode())
         total.update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
@@ -32,7 +44,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`.
 
     Raises:
-        DetectorError: the file is missing, unreadable, of another format, or holds something else than tensors.
+        DetectorError: the file is missing, unreadable, of another format, or holds something else than
+            tensors of finite numbers.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
@@ -43,16 +56,20 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
     try:
         if path.suffix == ".safetensors":
-            return load_file(path)
+            return _finite(load_file(path), path)
         state: object = torch.load(path, map_location="cpu", weights_only=True)
-    except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+    except _UNREADABLE as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DetectorError(
             message(f"weights {path}", f"a readable {path.suffix} file of tensors", reason, "download or save it again")
         ) from error
     if isinstance(state, Mapping) and isinstance(state.get("model"), Mapping):
         state = state["model"]  # a training checkpoint of torchvision's reference scripts
-    if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()) or not state:
+    if (
+        not isinstance(state, Mapping)
+        or not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in state.items())
+        or not state
+    ):
         raise DetectorError(
             message(
                 f"weights {path}",
@@ -61,7 +78,25 @@ def read_weights(path: Path) -> dict[str, Tensor]:
                 "save model.state_dict()",
             )
         )
-    return dict(state)
+    return _finite(dict(state), path)
+
+
+def _finite(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
+    check_finite(state, f"weights {path}")
+    return state
+
+
+def check_finite(state: Mapping[str, Tensor], what: str) -> None:
+    """Raise unless all numbers are finite: a detector of others finds nothing, as if each attack had succeeded.
+
+    A single infinite number without axes is a setting, for instance what a picture is padded with.
+
+    Raises:
+        DetectorError: One is not.
+    """
+    weights = {name: value for name, value in state.items() if value.ndim or not bool(torch.isinf(value))}
+    if name := not_finite(weights):
+        raise DetectorError(message(what, f"finite numbers in {name}", "others", "download or save them again"))
 
 
 def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object) -> None:
@@ -75,6 +110,10 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
     """
     own = model.state_dict()
     misshapen = [k for k in own if k in state and state[k].shape != own[k].shape]
+    if kinds := [k for k in own if k in state and state[k].is_floating_point() != own[k].is_floating_point()]:
+        got = f"{kinds[0]} of {state[kinds[0]].dtype}"
+        do = "pass weights that were saved from the same detector"
+        raise DetectorError(message(f"weights {source}", f"{own[kinds[0]].dtype}", got, do))
     shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(own[k].shape)}" for k in misshapen]
     try:
         report = model.load_state_dict({k: v for k, v in state.items() if k not in misshapen}, strict=False)

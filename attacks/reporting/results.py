@@ -25,7 +25,7 @@ from attacks.reporting.kinds.detectors import comparison, held_out, pictures
 from attacks.reporting.kinds.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.reporting.section import Section
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io.documents import read_json
+from mi_splat.io.parsing import read_json
 
 Found = Mapping[str, Any]
 
@@ -164,7 +164,7 @@ def _read(kind: Kind, path: Path, record: Path, found: Found) -> Section:
         return kind.read(path, found)
     except MiSplatError:
         raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
         expected, do = f"a finished result of mi-splat {kind.command}", "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
         raise InvalidValueError(message(str(record), expected, got, do)) from error

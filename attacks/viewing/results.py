@@ -15,7 +15,7 @@ from mi_splat.bounds import bounds
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.camera_records import camera_of
-from mi_splat.io.documents import read_json
+from mi_splat.io.parsing import read_json
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mi_splat.capture.gltf_checks import document_fault
 from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes
 from mi_splat.errors import MiSplatError, message
+from mi_splat.io.parsing import DocumentReader
 
 _READ = {"EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform", "KHR_lights_punctual"}
 _UNPACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization"}
@@ -30,6 +31,9 @@ class GltfError(MiSplatError):
     """A glTF file cannot be read."""
 
 
+_DOCUMENT = DocumentReader(expected="a glTF 2.0 file", do="export it again", error=GltfError, most=1 << 28)
+
+
 def gltf_notes(path: Path) -> MeshFileNotes:
     """Of a glTF file: its materials by their index, and the document as trimesh shall read it.
 
@@ -40,6 +44,15 @@ def gltf_notes(path: Path) -> MeshFileNotes:
             which trimesh leaves out.
     """
     document, rest = _read(path)
+    try:
+        return _noted(document, rest, path)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        got = f"{type(error).__name__}: {error}"[:160]
+        raise _DOCUMENT.broken(str(path), got, "a glTF file whose parts fit together") from error
+
+
+def _noted(document: dict[str, Any], rest: bytes | None, path: Path) -> MeshFileNotes:
+    """What a document says; of one whose parts are of other kinds than glTF's, any error of Python."""
     _check_extensions(document, path)
     if fault := document_fault(document, None if rest is None else max(0, len(rest) - _CHUNK_HEADER)):
         raise GltfError(message(str(path), "a glTF file whose parts fit together", fault, "export it again"))
@@ -79,11 +92,11 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
             if _HEADER + length > len(data):
                 raise ValueError("a file that is cut off")
             data, rest = data[_HEADER : _HEADER + length], data[_HEADER + length :]
-        document = json.loads(data.decode("utf-8-sig"))
-        if not isinstance(document, dict) or "asset" not in document:
-            raise ValueError("no object with the key asset")
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise GltfError(message(str(path), "a glTF 2.0 file", str(error)[:160], "export it again")) from error
+    document = _DOCUMENT.json_object(data, str(path))
+    if "asset" not in document:
+        raise _DOCUMENT.broken(str(path), "no object with the key asset")
     return document, rest
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,8 @@ from mi_splat.datasets.writing import make_folder
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
+from mi_splat.io.fields import Fields
+from mi_splat.io.parsing import DocumentReader
 
 RECORD = "capture.json"
 """File in the folder of a capture that holds its settings."""
@@ -30,6 +31,8 @@ PICTURES_RECOUNTED = 2
 
 _OLDER: dict[str, Any] = {"near": None, "pictures": 1}
 """What a record of format 1 does not say."""
+
+_RECORD = DocumentReader(expected="the record of a capture", do="choose a new folder")
 
 Inputs = Mapping[str, Mapping[str, Any]]
 """What the user asked for, as JSON can hold it: names and values under "scene" and under "cameras"."""
@@ -92,14 +95,10 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str | None:
             raise InvalidValueError(message(str(folder), "an empty folder or that of a capture", found, do))
         save_json(wanted, file)
         return str(wanted["version"])
-    try:
-        there = json.loads(file.read_bytes())
-        if not isinstance(there, dict):
-            raise ValueError("no object")
-    except (OSError, ValueError, RecursionError) as error:
-        raise InvalidValueError(
-            message(str(file), "the record of a capture", str(error), "choose a new folder")
-        ) from error
+    there = _RECORD.read_json(file)
+    inputs = Fields(there, str(file), InvalidValueError, _RECORD.do).object("inputs", {})
+    for kind in inputs.values:
+        inputs.object(kind)
     if changed := differences(there, wanted):
         do = "choose a new folder, or the same settings to go on"
         raise InvalidValueError(message(str(file), "the settings of this capture", "; ".join(changed), do))
@@ -126,7 +125,7 @@ def differences(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str
         asked = _asked(known, wanted, key)
         if asked:
             changed += asked
-        elif key == "scene" or (counts == (wanted["train"], wanted["test"]) and known["scene"] == wanted["scene"]):
+        elif key == "scene" or (counts == (wanted["train"], wanted["test"]) and known.get("scene") == wanted["scene"]):
             changed.append(_unknown(key, there, wanted))
     return changed
 
@@ -146,5 +145,7 @@ def _unknown(key: str, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> s
         return f"{what} ({why}; that version may also have read the same scene otherwise)"
     where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
     versions = there.get("version"), wanted["version"]
-    upgrade = f", or how version {versions[1]} reads them, where {versions[0]} began" if len(set(versions)) > 1 else ""
+    upgrade = (
+        f", or how version {versions[1]} reads them, where {versions[0]} began" if versions[0] != versions[1] else ""
+    )
     return f"{what} ({where}{upgrade})"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 
@@ -14,6 +13,7 @@ from mi_splat.datasets import Dataset, has_tests, load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.io.folders import own_folder
+from mi_splat.io.parsing import read_json
 from mi_splat.metrics import load_lpips
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
@@ -68,7 +68,7 @@ def _train(options: TrainOptions) -> int:
             on_resume=resumed,
             on_step=lambda line: advance(words(line)),
         )
-    figures = json.loads((options.out / METRICS).read_text())
+    figures = read_json(options.out / METRICS)
     if options.json:
         show_json({**figures, "out": str(options.out), "seconds": time.monotonic() - begun})
         return 0

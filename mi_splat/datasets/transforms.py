@@ -5,7 +5,6 @@ Poses in these files are camera-to-world with OpenGL's axes (x right, y up, z ba
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +18,7 @@ from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import Frame, Split, find_mask, find_picture, held_out, refuse_doubles
 from mi_splat.datasets.pictures import picture_size
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.parsing import DocumentReader
 
 OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """Camera space with OpenGL's axes to ours, and back."""
@@ -30,6 +30,11 @@ POINTS = ("points3D.ply", "points3d.ply")
 WORLD_OFFSET = "world_offset"
 """Key of what has to be added to a file's coordinates to get those of the world that was photographed."""
 
+_TRANSFORMS = DocumentReader(
+    expected="JSON with a list of frames",
+    do="repair it or write it again",
+    error=DatasetError,
+)
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LARGEST = 1e12
 _PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
@@ -102,16 +107,11 @@ def read_world_offset(path: Path) -> tuple[float, float, float]:
 
 def _document(path: Path) -> dict[str, Any]:
     """The file's JSON object."""
-    try:
-        document = json.loads(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError as error:
+    if not path.exists():
         do = "write it, or choose another split"
-        raise DatasetError(message(str(path), "a transforms file", "no such file", do)) from error
-    except OSError as error:
-        raise DatasetError(message(str(path), "a file that can be read", error.strerror, "check the path")) from error
-    except (ValueError, RecursionError) as error:
-        raise DatasetError(message(str(path), "JSON", str(error), "repair it or write it again")) from error
-    if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
+        raise DatasetError(message(str(path), "a transforms file", "no such file", do))
+    document = _TRANSFORMS.read_json(path)
+    if not isinstance(document.get("frames"), list):
         raise DatasetError(message(str(path), "an object with a list of frames", "none", "pass a NeRF transforms file"))
     if not document["frames"]:
         raise DatasetError(message(str(path), "at least one frame", "an empty list", "add pictures to it"))

@@ -6,7 +6,7 @@ of objects with img_name, width, height, fx, fy, position (3,) and rotation (3, 
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,12 @@ import torch
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.fields import Fields
+from mi_splat.io.parsing import DocumentReader, kind_of
+
+_AGAIN = "write it again"
+_MOST_PIXELS = 1 << 31  # a camera has a bound of its own
+_RECORD = DocumentReader(expected="cameras as the commands write them", do=_AGAIN)
 
 
 def describe(name: str, camera: Camera) -> dict[str, object]:
@@ -47,57 +53,67 @@ def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera]
         InvalidValueError: It is such a file, but a camera in it is broken.
     """
     try:
-        document = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+        document = _RECORD.read_json_value(path)
+    except InvalidValueError:
         return None
-    entries = _entries(document)
+    entries = _entries(document, str(path))
     if not entries or (not reference and "reference" in document):
         return None
-    try:
-        return {
-            str(entry.get("name", entry.get("img_name", number))): camera_of(entry)
-            for number, entry in enumerate(entries)
-        }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        do = "write it again"
-        raise InvalidValueError(message(str(path), "cameras as the commands write them", error, do)) from error
+    return {name: _camera(entry) for name, entry in entries}
 
 
-def _entries(document: Any) -> list[Any]:
-    """What describes the cameras in a document; nothing in one of another program."""
+def _entries(document: Any, path: str) -> list[tuple[str, Fields]]:
+    """Names and fields of the cameras in a document; nothing in one of another program."""
     if isinstance(document, list):
-        return document
-    if not isinstance(document, dict) or "frames" in document:
+        document = {"cameras": document}
+    root = Fields(document if isinstance(document, dict) else {}, path, InvalidValueError, _AGAIN)
+    if "frames" in root.values:
         return []
-    if "reference" in document:  # of an attack on a distribution of views, which are drawn about this camera
-        return [document["reference"]]
-    if isinstance(document.get("views"), list):  # of an attack, whose cameras are called by names beside the views
-        names = document.get("cameras") or range(len(document["views"]))
-        pairs = zip(names, document["views"], strict=False)
-        return [{"name": name, **view["camera"]} for name, view in pairs if isinstance(view, dict) and "camera" in view]
-    found = document.get("cameras")
-    return found if isinstance(found, list) else []
+    if "reference" in root.values:  # of an attack on a distribution of views, which are drawn about this camera
+        return [_named(root.object("reference"), 0)]
+    if isinstance(root.values.get("views"), list):  # of an attack, whose cameras are called by names beside the views
+        views = root.objects("views")
+        pairs = zip(root.texts("cameras") or map(str, range(len(views))), views, strict=False)
+        return [_named(view.object("camera"), name) for name, view in pairs if "camera" in view.values]
+    listed = isinstance(root.values.get("cameras"), list)
+    return [_named(entry, number) for number, entry in enumerate(root.objects("cameras"))] if listed else []
 
 
-def camera_of(entry: dict[str, Any]) -> Camera:
+def _named(entry: Fields, usual: object) -> tuple[str, Fields]:
+    """A camera with its name, or the usual one if it has none."""
+    found = entry.values.get("name", entry.values.get("img_name", usual))
+    if not isinstance(found, str | int):
+        raise entry.bad("name", "a text", found)
+    return str(found), entry
+
+
+def camera_of(entry: Mapping[str, object], where: str = "camera") -> Camera:
     """A camera as `describe`, or the trainer of 3DGS, writes it.
 
+    Args:
+        entry: What is written.
+        where: What it is part of, for messages.
+
     Raises:
-        KeyError, TypeError, ValueError: It lacks something, or something is no number.
+        InvalidValueError: It lacks something, or something in it is no camera's.
     """
-    if "rotation" in entry:  # of the trainer of 3DGS
-        pose = torch.eye(4, dtype=torch.float64)
-        pose[:3, :3] = torch.tensor(entry["rotation"], dtype=torch.float64)
-        pose[:3, 3] = torch.tensor(entry["position"], dtype=torch.float64)
-        focal = (entry["fx"], entry["fy"])
-        return Camera(to_world=pose, focal=focal, width=entry["width"], height=entry["height"])
-    width, height = entry["size"]
-    fx, fy = entry["focal"]
-    cx, cy = entry["principal"]
-    return Camera(
-        to_world=torch.tensor(entry["to_world"], dtype=torch.float64),
-        focal=(fx, fy),
-        width=width,
-        height=height,
-        principal=(cx, cy),
-    )
+    if not isinstance(entry, Mapping):
+        raise InvalidValueError(message(where, "an object", kind_of(entry), _AGAIN))
+    return _camera(Fields(entry, where, InvalidValueError, _AGAIN))
+
+
+def _camera(entry: Fields) -> Camera:
+    try:
+        if "rotation" in entry.values:  # of the trainer of 3DGS
+            pose = torch.eye(4, dtype=torch.float64)
+            pose[:3, :3] = torch.tensor(entry.rows("rotation", 3, 3), dtype=torch.float64)
+            pose[:3, 3] = torch.tensor(entry.numbers("position", 3, 3), dtype=torch.float64)
+            width, height = (entry.whole(name, 1, _MOST_PIXELS) for name in ("width", "height"))
+            return Camera(to_world=pose, focal=(entry.number("fx"), entry.number("fy")), width=width, height=height)
+        width, height = entry.wholes("size", 1, _MOST_PIXELS, 2)
+        fx, fy = entry.numbers("focal", 2, 2)
+        cx, cy = entry.numbers("principal", 2, 2)
+        pose = torch.tensor(entry.rows("to_world", 4, 4), dtype=torch.float64)
+        return Camera(to_world=pose, focal=(fx, fy), width=width, height=height, principal=(cx, cy))
+    except InvalidValueError as error:
+        raise InvalidValueError(f"{entry.where}: {error}") from error

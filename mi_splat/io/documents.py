@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
 
 
@@ -40,21 +39,6 @@ def save_json(values: Any, path: Path, *, indent: int = 2) -> None:
         ValueError: A number is not finite.
     """
     save_text(json.dumps(values, indent=indent, allow_nan=False) + "\n", path)
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file.
-
-    Raises:
-        InvalidValueError: It holds none.
-    """
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InvalidValueError(message(str(path), "a JSON object", str(error), "make the result again")) from error
-    if not isinstance(found, dict):
-        raise InvalidValueError(message(str(path), "a JSON object", type(found).__name__, "make the result again"))
-    return found
 
 
 def save_png(pixels: NDArray[np.uint8], path: Path) -> None:

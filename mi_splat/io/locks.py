@@ -17,6 +17,7 @@ from pathlib import Path
 from mi_splat.errors import message
 from mi_splat.io.atomic import LOCK
 from mi_splat.io.errors import SplatFileError, from_os_error
+from mi_splat.io.parsing import DocumentReader
 
 _HELD: dict[str, int] = {}
 """Folders that this process has for itself, and the thread that took each."""
@@ -119,7 +120,7 @@ def _this_process() -> dict[str, object]:
 def _holder(descriptor: int) -> str:
     """Who has the lock, in words, as far as the file says."""
     try:
-        found = json.loads(os.pread(descriptor, 4096, 0))
+        found = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
         return f"`{found['command']}`, process {found['process']} on {found['host']}, since {found['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

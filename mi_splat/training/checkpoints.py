@@ -6,21 +6,23 @@ A run that is taken up again makes the bits that it would have made without the 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.fields import Fields
+from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
+from mi_splat.io.parsing import DocumentReader
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.evaluation import Scores
 from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import strategy_config, strategy_name
 
@@ -29,10 +31,16 @@ FORMAT = 3
 pictures of a set by their bytes, and no longer by names and sizes."""
 _ADAM = ("exp_avg", "exp_avg_sq", "step")
 _STRATEGY = "strategy/"
+_MOST_VIEWS = 1 << 31
 
 
 class CheckpointError(MiSplatError):
     """A checkpoint that cannot be read, or that belongs to another state."""
+
+
+_READER = DocumentReader(
+    expected="a checkpoint of this version", do="train anew in another folder", error=CheckpointError
+)
 
 
 def to_json(config: FitConfig) -> dict[str, Any]:
@@ -87,7 +95,7 @@ def save_state(state: TrainState, path: Path) -> None:
         "threads": torch.get_num_threads(),
         "history": [asdict(line) for line in state.history],
     }
-    packed = save({k: v.contiguous() for k, v in tensors.items()}, metadata={"notes": json.dumps(notes)})
+    packed = save({k: v.contiguous() for k, v in tensors.items()}, metadata={NOTES: json.dumps(notes)})
     with atomic_write(path) as file:
         write_all(file, memoryview(packed))
 
@@ -103,56 +111,84 @@ def load_state(path: Path) -> tuple[TrainState, int]:
     """
     if not path.is_file():
         raise CheckpointError(message(f"checkpoint {path}", "a file", "nothing there", "train without resuming"))
+    notes, tensors = read_noted_tensors(path, _READER)
+    found = notes.values.get("format", 1)
+    if found != FORMAT:
+        expected = f"format {FORMAT}, which knows its pictures by their bytes"
+        do = "end it with the version that began it, or train anew in another folder"
+        raise CheckpointError(message(f"checkpoint {path}", expected, f"format {found!r:.40}", do))
     try:
-        with safe_open(path, framework="pt") as file:
-            notes = json.loads(file.metadata()["notes"])
-            if notes.get("format", 1) != FORMAT:
-                expected = f"format {FORMAT}, which knows its pictures by their bytes"
-                do = "end it with the version that began it, or train anew in another folder"
-                raise CheckpointError(message(f"checkpoint {path}", expected, f"format {notes.get('format', 1)}", do))
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        return _assemble(notes, tensors), notes["threads"]
+        return _assemble(notes, tensors), notes.whole("threads", 1, 1 << 20)
     except InvalidValueError as error:
-        written = notes.get("version") or "an older version"
+        written = notes.values.get("version") or "an older version"
         raise CheckpointError(f"checkpoint {path}, written by mi-splat {written}: {error}") from error
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise CheckpointError(
-            message(f"checkpoint {path}", "a checkpoint of this version", reason, "train anew in another folder")
-        ) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:  # of settings, which strategies check
+        raise _READER.broken(f"checkpoint {path}", f"{type(error).__name__}: {error}") from error
 
 
-def _assemble(notes: dict[str, Any], tensors: dict[str, Tensor]) -> TrainState:
-    config = from_json(notes["config"])
-    names = ("means", "scales", "rotations", "opacities", "sh0", "shN")
-    values = {name: tensors[f"parameters/{name}"] for name in names}
-    count = len(values["means"])
-    blank = GaussianScene(
+def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
+    """The run in a checkpoint, every part of it checked against the others."""
+    config = from_json(dict(notes.object("config").values))
+    own = _parts(tensors)
+    means = own["parameters"].get("means")
+    if means is None or means.ndim != 2 or not len(means):
+        raise _READER.broken(f"{notes.where}, means", described(means), "at least one row of 3 numbers")
+    extent, seed = notes.number("scene_extent"), notes.whole("seed", -(1 << 63), (1 << 63) - 1)
+    if not extent > 0:
+        raise notes.bad("scene_extent", "a number above 0", extent)
+    state = TrainState(_blank(len(means), config.sh_degree), config, scene_extent=extent, seed=seed)
+    check_like(own["parameters"], state.parameters, f"{notes.where}, parameters", _READER)
+    with torch.no_grad():
+        for name, value in own["parameters"].items():
+            state.parameters[name].copy_(value)
+    for name in state.trained:
+        adam = {key: own[key][name] for key in _ADAM if name in own[key]}
+        if adam:
+            like = state.parameters[name].detach()
+            check_like(adam, dict(zip(_ADAM, (like, like, torch.zeros(())), strict=True)), notes.where, _READER)
+            state.optimiser.state[state.parameters[name]] = adam
+    check_like(own["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
+    state.strategy_state = own["strategy"]
+    _take_place(state, notes, tensors.get("generator"))
+    return state
+
+
+def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
+    """The tensors of a checkpoint by what stands before the / in their names."""
+    found: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", *_ADAM)}
+    for key, value in tensors.items():
+        group, _, name = key.partition("/")
+        found.setdefault(group, {})[name] = value
+    return found
+
+
+def _blank(count: int, degree: int) -> GaussianScene:
+    """So many Gaussians, which only have the right shapes."""
+    return GaussianScene(
         torch.zeros(count, 3),
         torch.ones(count, 3),
         torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
         torch.full((count,), 0.5),
-        torch.zeros(count, (config.sh_degree + 1) ** 2, 3),
+        torch.zeros(count, (degree + 1) ** 2, 3),
     )
-    state = TrainState(blank, config, scene_extent=notes["scene_extent"], seed=notes["seed"])
-    with torch.no_grad():
-        for name, value in values.items():
-            state.parameters[name].copy_(value)
-    for name in state.trained:
-        adam = {key: tensors[f"{key}/{name}"] for key in _ADAM if f"{key}/{name}" in tensors}
-        if adam:
-            state.optimiser.state[state.parameters[name]] = adam
-    state.strategy_state = {
-        name.removeprefix(_STRATEGY): value for name, value in tensors.items() if name.startswith(_STRATEGY)
-    }
-    state.settings = dict(notes.get("settings", {}))
-    state.generator.set_state(tensors["generator"])
-    state.history = [_line(line) for line in notes["history"]]
-    state.data_digest = notes["data_digest"]
-    state.iteration, state.view_queue = notes["iteration"], list(notes["view_queue"])
-    return state
 
 
-def _line(plain: dict[str, Any]) -> Progress:
-    held_out = plain["held_out"]
-    return Progress(**{**plain, "held_out": None if held_out is None else Scores(**held_out)})
+def _take_place(state: TrainState, notes: Fields, generator: Tensor | None) -> None:
+    """Bring a run to where it has got to."""
+    if generator is None:
+        raise _READER.broken(notes.where, "none", "the state of a generator")
+    check_like({"generator": generator}, {"generator": state.generator.get_state()}, notes.where, _READER)
+    try:
+        state.generator.set_state(generator)
+    except RuntimeError as error:
+        raise _READER.broken(f"{notes.where}, generator", str(error)[:100], "the state of a generator") from error
+    state.settings = dict(notes.object("settings", {}).values)
+    state.data_digest = notes.text("data_digest")
+    state.iteration = notes.whole("iteration", 0, state.config.iterations)
+    state.view_queue = notes.wholes("view_queue", 0, _MOST_VIEWS)
+    if len(set(state.view_queue)) != len(state.view_queue):
+        raise notes.bad("view_queue", "views, each once", state.view_queue)
+    state.history = [read_line(Progress, line) for line in notes.objects("history")]
+    steps = [line.iteration for line in state.history]
+    if steps != sorted(set(steps)) or not all(0 < step <= state.iteration for step in steps):
+        raise notes.bad("history", f"growing steps from 1 to {state.iteration}, the run's", steps)

@@ -85,6 +85,7 @@ def train(
         path, digest = folder / CHECKPOINT, _digest(start, views, held_out)
         if path.is_file():
             state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
+            _check_queue(state, len(views), path)
             if on_resume is not None:
                 on_resume(state)
         else:
@@ -157,6 +158,15 @@ def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, fold
         differs = ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key])
         raise CheckpointError(
             message(str(folder), f"a run with {differs}", "another", "use those, or train in another folder")
+        )
+
+
+def _check_queue(state: TrainState, views: int, path: Path) -> None:
+    """Raise if the run is to see a view next that there is not."""
+    if state.view_queue and max(state.view_queue) >= views:
+        got = max(state.view_queue)
+        raise CheckpointError(
+            message(f"checkpoint {path}: view_queue", f"views below {views}", got, "train anew in another folder")
         )
 
 

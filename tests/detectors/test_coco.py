@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 from torch import Tensor
 
 from attacks.detectors import DETECTORS, load_detector
@@ -15,13 +18,13 @@ from attacks.detectors.coco import centernet, nanodet
 from attacks.detectors.coco.detector import FAMILIES, Family, GraphDetector, load_published
 from attacks.detectors.coco.sources import GRAPH, PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.tfjs.files import load_graph_model
+from attacks.detectors.tfjs.files import load_graph_model, topology
 from attacks.detectors.tfjs.network import GraphNetwork
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
-from tests.detectors.tfjs.graphs import model, node, placeholder
+from tests.detectors.tfjs.graphs import files, model, node, placeholder
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 there = {
@@ -84,11 +87,11 @@ def test_pictures_are_prepared_as_the_networks_want_them() -> None:
     torch.testing.assert_close(nanodet.prepare(colour)[0, :, 0, 0], blue_green_red)
 
 
-def _tiny() -> GraphDetector:
+def _tiny(operation: str = "Sigmoid") -> GraphDetector:
     """Scores are the sigmoid of the mean colour over quarters of the picture; the box of each is the quarter's."""
     nodes = [
         placeholder("x", (1, 8, 8, 3)),
-        node("scores", "Sigmoid", ["mean"]),
+        node("scores", operation, ["mean"]),
         node("mean", "Reshape", ["pooled", "shape"]),
         node("pooled", "Mean", ["parts", "axes"]),
         node("parts", "Reshape", ["x", "split"]),
@@ -124,6 +127,35 @@ def test_boxes_are_in_pixels_of_the_picture_whatever_its_size() -> None:
     (all_of_them,) = detector.candidates(image)
     assert all_of_them.scores.shape == (4, 3)
     assert all_of_them.boxes[3, 2].tolist() == [16.0, 8.0, 32.0, 16.0]
+
+
+def test_the_graph_belongs_to_the_fingerprint() -> None:
+    one, same, other = _tiny(), _tiny(), _tiny("Relu6")
+    assert one.fingerprint == same.fingerprint != other.fingerprint
+    assert re.fullmatch("[0-9a-f]{16}", one.fingerprint)
+    assert [*one.model.state_dict()] == [*other.model.state_dict()]
+
+
+@pytest.mark.parametrize(
+    ("name", "known"), [("centernet_coco", "095e4df75766ddc7"), ("nanodet_coco", "646ac96e7c3021ab")]
+)
+def test_the_fingerprint_of_the_published_is_that_of_results(name: str, known: str) -> None:
+    if not weights_of(name).is_file():
+        pytest.skip(f"{name} is not here: mi-splat detectors --get {name}")
+    assert load_published(name).fingerprint == known
+
+
+def test_a_graph_of_another_family_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, weights = files([placeholder("x", (1, 8, 8, 3)), node(centernet.OUTPUTS[0], "Relu", ["x"])], {}, ["x"])
+    (tmp_path / GRAPH).write_bytes(topology(graph))
+    save_file({"unused": torch.zeros(1)}, tmp_path / "weights.safetensors")
+    assert not weights
+    monkeypatch.setattr("attacks.detectors.coco.detector.check_files", lambda detector, folder: None)
+    family = replace(FAMILIES["centernet_coco"], outputs=centernet.OUTPUTS[:1])
+    for side, words in ((512, r"one input of \(1, 512, 512, 3\)"), (8, "outputs of its family")):
+        monkeypatch.setitem(FAMILIES, "centernet_coco", replace(family, side=side))
+        with pytest.raises(DetectorError, match=words):
+            load_published("centernet_coco", tmp_path / "weights.safetensors")
 
 
 def test_candidates_are_differentiable_in_every_picture() -> None:

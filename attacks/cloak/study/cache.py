@@ -15,9 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat import provenance
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
+from mi_splat.io.fields import Fields
 from mi_splat.io.locks import locked_folder
+from mi_splat.io.parsing import read_json
 
 DONE = "done.json"
 
@@ -86,8 +89,10 @@ class StageCache:
                 made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
                 content = content_of(path, outputs)
                 save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
-        done = json.loads((path / DONE).read_text())
-        return Stage(folder=path, content=done["content"], commit=done["made_by"]["commit"])
+        do = "delete its folder, so that it is made again"
+        done = Fields(read_json(path / DONE), str(path / DONE), InvalidValueError, do)
+        commit = done.object("made_by").values.get("commit")
+        return Stage(folder=path, content=done.text("content"), commit=None if commit is None else str(commit))
 
 
 def digest(values: Mapping[str, Any]) -> str:

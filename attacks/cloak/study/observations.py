@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,8 +21,12 @@ from attacks.detectors.base import Detector
 from attacks.evaluation.views import ViewDetections, detect_views
 from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json
+from mi_splat.io.fields import Fields
 from mi_splat.io.images import through_png
+from mi_splat.io.noted_tensors import read_line
+from mi_splat.io.parsing import read_json
 from mi_splat.metrics import psnr, ssim
 
 MARGIN = 10
@@ -148,12 +151,13 @@ def _observe(
         {detector.name: detector.fingerprint for detector in detectors},
     )
     stage = pipeline.cache.finished("observations", depends_on, make)
-    values: dict[str, Any] = json.loads((stage.folder / "observations.json").read_text())
+    file = stage.folder / "observations.json"
+    values = Fields(read_json(file), str(file), InvalidValueError, "delete its folder, so that it is made again")
     return ObservedSplat(
         trained=splat,
-        observations=tuple(Observation(**one) for one in values["observations"]),
-        fidelities=tuple(Fidelity(**one) for one in values["fidelities"]),
-        blends=tuple(Blend(**one) for one in values["blends"]),
+        observations=tuple(read_line(Observation, one) for one in values.objects("observations")),
+        fidelities=tuple(read_line(Fidelity, one) for one in values.objects("fidelities")),
+        blends=tuple(read_line(Blend, one) for one in values.objects("blends")),
     )
 
 

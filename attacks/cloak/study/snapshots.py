@@ -10,7 +10,7 @@ from typing import Any
 
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.parsing import DocumentReader
 
 _SECTIONS: dict[str, Any] = {
     "scene": SceneConfig,
@@ -39,10 +39,7 @@ def differences(file: Path, study: StudyConfig) -> list[str]:
     Raises:
         InvalidValueError: The file cannot be read.
     """
-    try:
-        there = dict(_flat(json.loads(file.read_text())))
-    except (OSError, ValueError, RecursionError, AttributeError) as error:
-        raise InvalidValueError(message(str(file), "a study", str(error), "choose another folder")) from error
+    there = dict(_flat(DocumentReader(expected="a study", do="choose another folder").read_json(file)))
     wanted = dict(_flat(json.loads(json.dumps(snapshot(study)))))
     found = []
     for name in {**there, **wanted}:

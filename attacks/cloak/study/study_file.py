@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import types
 import typing
 from pathlib import Path
@@ -12,11 +11,7 @@ from typing import Any, Literal, TypeVar
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.value_checks import one_of
 from mi_splat.errors import InvalidValueError, message
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from mi_splat.io.parsing import DocumentReader
 
 RENAMED = {
     "apart": "min_separation",
@@ -60,12 +55,9 @@ def read_table(kind: type[_T], path: Path) -> _T:
     Raises:
         InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
     """
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError as error:
-        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path")) from error
-    except (OSError, ValueError) as error:
-        raise InvalidValueError(message(f"study {path}", "a TOML file", str(error), "correct it")) from error
+    if not path.is_file():
+        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path"))
+    content = DocumentReader(expected="a TOML file", do="correct it").read_toml(path)
     return from_table(kind, content, str(path))
 
 

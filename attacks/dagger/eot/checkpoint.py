@@ -6,17 +6,17 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from attacks.dagger.eot.image_budget import ImagePrice
 from attacks.optimisers import OptimiserState
 from attacks.pgd import Parameters, Step
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
+from mi_splat.io.parsing import DocumentReader
 
 FORMAT = 2
 _GROUPS = ("point", "velocity", "square", "best")
@@ -24,6 +24,9 @@ _GROUPS = ("point", "velocity", "square", "best")
 
 class CheckpointError(MiSplatError):
     """A checkpoint that cannot be read, or that belongs to another attack."""
+
+
+_READER = DocumentReader(expected="a checkpoint", do="delete it, or pass another name", error=CheckpointError)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -76,7 +79,7 @@ def save_state(state: SearchState, path: Path, *, key: str) -> None:
         "seconds": state.seconds,
         "threads": torch.get_num_threads(),
     }
-    packed = save(tensors, metadata={"notes": json.dumps(notes)})
+    packed = save(tensors, metadata={NOTES: json.dumps(notes)})
     with atomic_write(path) as file:
         write_all(file, memoryview(packed))
 
@@ -89,30 +92,44 @@ def load_state(path: Path, *, key: str) -> SearchState | None:
         key: What tells this attack from others.
 
     Raises:
-        CheckpointError: The file is no checkpoint, or one of another attack.
+        CheckpointError: The file is no checkpoint, or one of another attack; or a part of it does not fit the others.
     """
     if not path.exists():
         return None
-    what, do = f"checkpoint {path}", "delete it, or pass another name"
-    try:
-        with safe_open(path, framework="pt") as file:
-            notes: dict[str, Any] = json.loads(file.metadata()["notes"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if notes["format"] != FORMAT or notes["key"] != key:
-            raise CheckpointError(message(what, "one of this very attack", "one of another", do))
-        point, velocity, square, best = (
-            {name.partition("/")[2]: value for name, value in tensors.items() if name.startswith(f"{group}/")}
-            for group in _GROUPS
-        )
-        line, price = notes["best_line"], notes["price"]
-        return SearchState(
-            point=point,
-            optimiser=OptimiserState(index=notes["index"], velocity=velocity, square=square),
-            best=best,
-            best_line=None if line is None else Step(**line),
-            price=None if price is None else ImagePrice(**price),
-            trace=tuple(Step(**one) for one in notes["trace"]),
-            seconds=notes["seconds"],
-        )
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
-        raise CheckpointError(message(what, "a checkpoint", f"{type(error).__name__}: {error}", do)) from error
+    notes, tensors = read_noted_tensors(path, _READER)
+    if notes.values.get("format") != FORMAT or notes.values.get("key") != key:
+        raise _READER.broken(f"checkpoint {path}", "one of another", "one of this very attack")
+    point, velocity, square, best = (
+        {name.partition("/")[2]: value for name, value in tensors.items() if name.startswith(f"{group}/")}
+        for group in _GROUPS
+    )
+    check_like(best, point, f"{notes.where}, best", _READER)
+    for group, memory in (("velocity", velocity), ("square", square)):
+        if memory:  # nothing before the first step, or where nothing needs it
+            check_like(memory, point, f"{notes.where}, {group}", _READER)
+    line, price = notes.values.get("best_line"), notes.values.get("price")
+    return SearchState(
+        point=point,
+        optimiser=OptimiserState(index=notes.whole("index", 0, 1 << 31), velocity=velocity, square=square),
+        best=best,
+        best_line=None if line is None else read_line(Step, notes.object("best_line")),
+        price=None if price is None else read_line(ImagePrice, notes.object("price")),
+        trace=tuple(read_line(Step, one) for one in notes.objects("trace")),
+        seconds=notes.number("seconds"),
+    )
+
+
+def check_point(state: SearchState, reference: Parameters, steps: int) -> None:
+    """Raise unless a search can go on from a state.
+
+    Args:
+        state: Of a checkpoint.
+        reference: What is attacked.
+        steps: Of the whole search.
+
+    Raises:
+        CheckpointError: It is at a point of another kind, or has done more steps.
+    """
+    check_like(state.point, reference, "checkpoint, point", _READER)
+    if state.optimiser.index > steps:
+        raise _READER.broken("checkpoint, index", state.optimiser.index, f"at most {steps} steps")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from attacks.dagger.eot.checkpoint import SearchState, load_state, save_state
+from attacks.dagger.eot.checkpoint import SearchState, check_point, load_state, save_state
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.eot.problem import EotProblem, joined
@@ -66,7 +66,9 @@ def search(
     """
     reference, budget = problem.reference(config.attributes, config.sh_degree), config.budget
     begun = None if checkpoint is None else load_state(checkpoint.path, key=key)
-    if begun is None:
+    if begun is not None:
+        check_point(begun, reference, config.steps)
+    else:
         price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
         begun = SearchState(
             point=reference, optimiser=START, best=reference, best_line=None, price=price, trace=(), seconds=0.0

@@ -7,8 +7,7 @@ looks at those that the study has judged by.
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from attacks.transformations.pictures import changing
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.io.parsing import read_json
 from mi_splat.scene import GaussianScene
 
 HELD_OUT = "held_out"
@@ -96,36 +96,47 @@ def held_out_jobs(study: Path, detectors: Sequence[str], *, views: int) -> list[
     """
     found = []
     for path in sorted((study / JOBS).glob("pairs-*.json")):
-        splat, record = study / RESULTS / path.stem / "attacked.ply", json.loads(path.read_text())
-        job, marks = record["job"], record["result"]["detectors"]
-        if job["target"] is None or not splat.is_file():
-            continue
-        config, where = job["config"], job["transformations"]
-        for detector in detectors:
-            found.append(
-                HeldOutJob(
-                    attack=path.stem,
-                    sources=tuple(job["detectors"]),
-                    weights=tuple(marks[name] for name in job["detectors"]),
-                    scene=job["scene"],
-                    object=job["object"],
-                    target=job["target"],
-                    attributes=tuple(config["attributes"]),
-                    norm=config["norm"],
-                    sh_degree=config["sh_degree"],
-                    transformations=Transformations(
-                        cameras=CameraRegion(**where["cameras"]), pictures=PictureChanges(**where["pictures"])
-                    ),
-                    seed=config["judge_seed"],
-                    views=min(views, config["held_out"]),
-                    splat=hashlib.sha256(splat.read_bytes()).hexdigest(),
-                    detector=detector,
-                )
-            )
+        splat, record = study / RESULTS / path.stem / "attacked.ply", read_json(path)
+        try:
+            found += _jobs_of(record, path.stem, splat, detectors, views)
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            do = "run mi-splat dagger-eot-study again"
+            raise InvalidValueError(message(str(path), "the record of an attack", repr(error)[:120], do)) from error
     if not found:
         do = "run mi-splat dagger-eot-study --groups pairs first"
         raise InvalidValueError(message(str(study), f"attacks in {JOBS}/ with splats in {RESULTS}/", "none", do))
     return found
+
+
+def _jobs_of(
+    record: Mapping[str, Any], name: str, splat: Path, detectors: Sequence[str], views: int
+) -> list[HeldOutJob]:
+    """Every detector on the splat of one record; none if it has no target or no splat."""
+    job, marks = record["job"], record["result"]["detectors"]
+    if job["target"] is None or not splat.is_file():
+        return []
+    config, where = job["config"], job["transformations"]
+    return [
+        HeldOutJob(
+            attack=name,
+            sources=tuple(job["detectors"]),
+            weights=tuple(marks[one] for one in job["detectors"]),
+            scene=job["scene"],
+            object=job["object"],
+            target=job["target"],
+            attributes=tuple(config["attributes"]),
+            norm=config["norm"],
+            sh_degree=config["sh_degree"],
+            transformations=Transformations(
+                cameras=CameraRegion(**where["cameras"]), pictures=PictureChanges(**where["pictures"])
+            ),
+            seed=config["judge_seed"],
+            views=min(views, config["held_out"]),
+            splat=hashlib.sha256(splat.read_bytes()).hexdigest(),
+            detector=detector,
+        )
+        for detector in detectors
+    ]
 
 
 class HeldOutRunner:

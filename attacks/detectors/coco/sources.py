@@ -49,6 +49,7 @@ class PublishedDetector:
         parameters: Their number, millions.
         input_size: Height and width of its input, pixels.
         coco_map: Average precision on COCO as its source publishes it, percent.
+        graph: Digest of its graph, `GraphNetwork.digest`.
     """
 
     name: str
@@ -64,6 +65,7 @@ class PublishedDetector:
     parameters: float
     input_size: tuple[int, int]
     coco_map: float
+    graph: str
 
     @property
     def spec(self) -> str:
@@ -101,6 +103,7 @@ PUBLISHED = {
             parameters=2.0,
             input_size=(512, 512),
             coco_map=25.0,
+            graph="403f578d48dcee5c0d9d6b68a56a78e7cf219fdd32c4ab76cb0c53313631b7ca",
         ),
         PublishedDetector(
             name="nanodet_coco",
@@ -124,6 +127,7 @@ PUBLISHED = {
             parameters=3.8,
             input_size=(416, 416),
             coco_map=23.0,
+            graph="2104646f424e56931aa6d22c20aebf3a0fb96ca851646cfda3ce8b863fcfced8",
         ),
     )
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.evaluation.held_out import BACKGROUND, PATH_TRACED, SPLAT_RENDERS
 from attacks.detectors.evaluation.recall import UNITS, bin_names
 from attacks.rate import Rate
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.parsing import DocumentReader
 
 Document = Mapping[str, Any]
 """What the command wrote."""
@@ -19,6 +18,7 @@ Document = Mapping[str, Any]
 USUAL_CONFIDENCE = 0.5
 """Confidence from which detections count where nothing else is said."""
 
+_FIGURES = DocumentReader(expected="figures of a detector", do="name a file that `mi-splat evaluate-detector` wrote")
 _STREET = f"{BACKGROUND}street"
 
 
@@ -28,16 +28,11 @@ def read_figures(path: Path) -> dict[str, Any]:
     Raises:
         InvalidValueError: The file holds no such figures.
     """
-    try:
-        found = json.loads(path.read_text())
-        found = found.get("held_out", found)
-        if {"detector", "confidence", "sets", "false_positives"} <= set(found):
-            return dict(found)
-        reason = "others"
-    except (ValueError, AttributeError, TypeError) as error:
-        reason = repr(error)
-    do = "name a file that `mi-splat evaluate-detector` wrote"
-    raise InvalidValueError(message(f"file {path}", "figures of a detector", reason, do))
+    found = _FIGURES.read_json(path)
+    found = found.get("held_out", found)
+    if not isinstance(found, dict) or not {"detector", "confidence", "sets", "false_positives"} <= set(found):
+        raise _FIGURES.broken(str(path), "others")
+    return found
 
 
 def detector_tables(found: Document) -> str:

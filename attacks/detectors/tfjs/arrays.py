@@ -67,7 +67,7 @@ def leaky_relu(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 def cast(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """Cast."""
-    name = str(node.attributes["DstT"]["type"])
+    name = node.kind("DstT")
     if name not in _DTYPES:
         raise unsupported(node, "DstT", ", ".join(_DTYPES), name)
     dtype = _DTYPES[name]

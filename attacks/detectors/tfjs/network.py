@@ -6,6 +6,7 @@ of pictures are put channels first, and what is left is a list of calls.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -14,7 +15,7 @@ from torch.nn import functional
 
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.tfjs import arrays, convolutions
-from attacks.detectors.tfjs.files import GraphModel, Node
+from attacks.detectors.tfjs.files import MOST_ELEMENTS, GraphModel, Node
 from attacks.detectors.tfjs.values import Function, Step, Value, plain
 from mi_splat.errors import InvalidValueError, message
 
@@ -54,6 +55,10 @@ OPERATIONS: Mapping[str, arrays.Build] = {
 """What each operation of TensorFlow becomes."""
 
 
+_MISFITS = (RuntimeError, ValueError, TypeError, IndexError, KeyError, ArithmeticError)
+"""What Python and torch raise where inputs and settings of an operation do not fit together."""
+
+
 class GraphNetwork(nn.Module):
     """Some outputs of a graph as functions of its inputs.
 
@@ -62,6 +67,8 @@ class GraphNetwork(nn.Module):
     Attributes:
         inputs: Names of the tensors that it takes, with their shapes.
         outputs: Names of the tensors that it gives.
+        shapes: Shapes of these.
+        digest: SHA-256 that stands for the nodes and the outputs.
     """
 
     def __init__(self, model: GraphModel, outputs: Sequence[str] | None = None) -> None:
@@ -81,6 +88,8 @@ class GraphNetwork(nn.Module):
         self._calls: list[tuple[Function, tuple[str, ...], tuple[str, ...]]] = []
         self._constants: dict[int, str] = {}
         found = self._walk(model)
+        self.shapes = [value.shape for value in found]
+        self.digest = hashlib.sha256(" ".join((model.digest, *self.outputs)).encode()).hexdigest()
         self._last_use: dict[str, int] = {}
         self._results = [(self._kept(value), value.order) for value in found]
         for number, (_, taken, _) in enumerate(self._calls):
@@ -143,10 +152,19 @@ class GraphNetwork(nn.Module):
         if node.op not in OPERATIONS:
             expected = f"one of {', '.join(OPERATIONS)}"
             raise DetectorError(message(f"operation of node {node.name}", expected, node.op, "add it to OPERATIONS"))
-        return OPERATIONS[node.op](node, inputs, self._run)
+        try:
+            return OPERATIONS[node.op](node, inputs, self._run)
+        except _MISFITS as error:
+            expected, got = "inputs and settings that fit together", " ".join(str(error).split())[:120]
+            do = "convert the model again, or report the file"
+            raise DetectorError(message(f"{node.op} {node.name}", expected, got or type(error).__name__, do)) from error
 
     def _run(self, step: Step) -> tuple[Value, ...]:
         with torch.no_grad():
+            plan = step.function(*(value.tensor.to("meta") for value in step.inputs))
+            sizes = [tensor.numel() for tensor in (plan if isinstance(plan, tuple) else (plan,))]
+            if max(sizes, default=0) > MOST_ELEMENTS:
+                raise ValueError(f"a result of {max(sizes):,} numbers, more than {MOST_ELEMENTS:,}")
             result = step.function(*(value.tensor for value in step.inputs))
         tensors = result if isinstance(result, tuple) else (result,)
         if all(value.constant for value in step.inputs):
@@ -168,4 +186,8 @@ class GraphNetwork(nn.Module):
 
 def _output(ready: Mapping[str, tuple[Value, ...]], name: str) -> Value:
     node, _, number = name.partition(":")
-    return ready[node][int(number or 0)]
+    values = ready[node]
+    if number and (not number.isdecimal() or len(number) > 4 or int(number) >= len(values)):
+        do = "convert the model again, or report the file"
+        raise DetectorError(message(f"output of node {node}", f"one of {len(values)}", number[:40], do))
+    return values[int(number or 0)]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
+from mi_splat.io.fields import Fields
+from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,12 +19,10 @@ def read_history(path: Path) -> list[dict[str, Any]]:
     Raises:
         InvalidValueError: The file holds no such history, or no epoch with a validation.
     """
-    try:
-        history = json.loads(path.read_text())["history"]
-    except (ValueError, KeyError, TypeError) as error:
-        do = "name the curves.json of a training"
-        raise InvalidValueError(message(f"file {path}", "JSON with a history", repr(error), do)) from error
-    epochs: list[dict[str, Any]] = [record for record in history if record["epoch"] > 0]
+    do = "name the curves.json of a training"
+    found = DocumentReader(expected="JSON with a history", do=do).read_json(path)
+    records = Fields(found, str(path), InvalidValueError, do).objects("history")
+    epochs = [dict(record.values) for record in records if record.whole("epoch", 0, 1 << 31) > 0]
     if not any("validation" in record for record in epochs):
         raise InvalidValueError(message(f"file {path}", "an epoch with a validation", "none", "train on"))
     return epochs

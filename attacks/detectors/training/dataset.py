@@ -11,7 +11,7 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
+from mi_splat.io.fields import Fields
+from mi_splat.io.noted_tensors import read_line
+from mi_splat.io.parsing import DocumentReader
 from mi_splat.io.picture_files import load_picture
 
 OnStep = Callable[[int, int], None]
@@ -62,7 +65,7 @@ def check_note(folder: Path, note: dict[str, object]) -> None:
     Raises:
         InvalidValueError: It was made otherwise.
     """
-    noted = json.loads((folder / "labels.json").read_text())["recipe"]
+    noted = _labels(folder)["recipe"]
     if _without_none(noted) != _without_none(json.loads(json.dumps(note))):
         do = "choose an empty folder or the same configuration"
         raise InvalidValueError(message(f"folder {folder}", note, noted, do))
@@ -126,19 +129,29 @@ def _replace_labels(folder: Path, content: dict[str, Any]) -> None:
     temporary.replace(folder / "labels.json")
 
 
+def _labels(folder: Path) -> dict[str, Any]:
+    """What a data set says of its pictures."""
+    found = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28).read_json(
+        folder / "labels.json"
+    )
+    if not isinstance(found.get("recipe"), dict) or not isinstance(found.get("pictures"), dict):
+        raise InvalidValueError(message(f"folder {folder}", "a recipe and pictures", "others", "make it again"))
+    return found
+
+
 def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
-    path = folder / "labels.json"
-    if not path.is_file():
+    if not (folder / "labels.json").is_file():
         return {}
-    content = json.loads(path.read_text())
+    content = _labels(folder)
     noted: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
     }
-    if replace(PictureSetConfig(**noted), count=config.count) != config:
+    unknown = noted.keys() - {field.name for field in fields(PictureSetConfig)}
+    if unknown or replace(PictureSetConfig(**noted), count=config.count) != config:
         raise InvalidValueError(
             message(f"folder {folder}", config, content["recipe"], "choose an empty folder or the same configuration")
         )
-    return {int(Path(name).stem): record for name, record in content["pictures"].items()}
+    return {int(Path(name).stem): record for name, record in content["pictures"].items() if Path(name).stem.isdecimal()}
 
 
 def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
@@ -156,12 +169,15 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     if not path.is_file():
         raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
     pictures = []
-    for name, record in list(json.loads(path.read_text())["pictures"].items())[:limit]:
-        _check_bytes(folder / name, record)
+    records = Fields(_labels(folder)["pictures"], str(path), InvalidValueError, "make the data set again")
+    for name in list(records.values)[:limit]:
+        record = records.object(name)
+        _check_bytes(folder / name, dict(record.values))
         image = torch.from_numpy(np.array(load_picture(folder / name)))
-        boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-        conditions = tuple(ViewingConditions(**values) for values in record.get("conditions", ()))
-        pictures.append(LabelledPicture(image, boxes, torch.tensor(record["labels"], dtype=torch.int64), conditions))
+        labels = record.wholes("labels", 1, len(SMALL_CLASSES))
+        boxes = torch.tensor(record.rows("boxes", len(labels), 4), dtype=torch.float32).reshape(-1, 4)
+        conditions = tuple(read_line(ViewingConditions, values) for values in record.objects("conditions"))
+        pictures.append(LabelledPicture(image, boxes, torch.tensor(labels, dtype=torch.int64), conditions))
     return pictures
 
 
@@ -191,7 +207,7 @@ def fill_conditions(
     Raises:
         InvalidValueError: The pictures show something else.
     """
-    content = json.loads((folder / "labels.json").read_text())
+    content = _labels(folder)
     changed = False
     for done, (number, first) in enumerate(firsts.items(), start=1):
         records = [content["pictures"][f"{i:05d}.png"] for i in range(first, first + scenes.shots)]

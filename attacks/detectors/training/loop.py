@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
@@ -21,12 +21,17 @@ from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.weights import apply_weights, read_weights
 from mi_splat.errors import message
+from mi_splat.io.noted_tensors import NOTES, check_like, read_noted_tensors
+from mi_splat.io.parsing import DocumentReader
 
 OnStep = Callable[[int, int, dict[str, float]], None]
 """Called with (step in the epoch, steps of an epoch, losses)."""
 
 Targets = list[dict[str, Tensor]]
 """For each picture `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in SMALL_CLASSES."""
+
+
+_READER = DocumentReader(expected="a checkpoint of this run", do="choose another folder", error=DetectorError)
 
 
 class DetectorTrainer(Protocol):
@@ -210,7 +215,7 @@ class Training:
             "data": self.data,
         }
         temporary = folder / "checkpoint.partial"
-        save_file(tensors, temporary, metadata={"notes": json.dumps(notes)})
+        save_file(tensors, temporary, metadata={NOTES: json.dumps(notes)})
         temporary.replace(folder / "checkpoint.safetensors")
 
     @classmethod
@@ -218,31 +223,40 @@ class Training:
         """Continue from the checkpoint in `folder`, or begin where there is none.
 
         Raises:
-            DetectorError: the checkpoint belongs to a run with another configuration.
+            DetectorError: the checkpoint is broken, or belongs to a run with another configuration.
         """
         path = folder / "checkpoint.safetensors"
         training = cls(config, trainer)
         if not path.is_file():
             return training
-        notes = json.loads(_metadata(path)["notes"])
-        if notes.get("detector") != trainer.name:
-            expected, do = f"a run of {trainer.name}", "choose another folder"
-            raise DetectorError(message(f"checkpoint {path}", expected, notes.get("detector", "an older one"), do))
-        if notes["config"] != asdict(config):
-            raise DetectorError(
-                message(f"checkpoint {path}", asdict(config), notes["config"], "use the same one or another folder")
-            )
-        tensors = load_file(path)
-        training.model.load_state_dict(_below(tensors, "model/"))
-        training.averaged = _below(tensors, "average/")
-        state = training._optimiser.state_dict()
-        for key, value in _below(tensors, "optimiser/").items():
-            number, name = key.split("/")
-            state["state"].setdefault(int(number), {})[name] = value
-        training._optimiser.load_state_dict(state)
-        training.epoch, training.history = notes["epoch"], notes["history"]
-        training.data = notes.get("data", "not known to an older version")
+        notes, tensors = read_noted_tensors(path, _READER)
+        if notes.values.get("detector") != trainer.name:
+            got = notes.values.get("detector", "an older one")
+            raise _READER.broken(f"checkpoint {path}", got, f"a run of {trainer.name}")
+        if (there := notes.values.get("config")) != asdict(config):
+            do = "use the same one or another folder"
+            raise DetectorError(message(f"checkpoint {path}", asdict(config), there, do))
+        training.epoch = notes.whole("epoch", 0, config.epochs)
+        training.history = [dict(line.values) for line in notes.objects("history")]
+        for line in notes.objects("history"):
+            line.whole("epoch", 0, training.epoch)
+        training.data = notes.text("data", "not known to an older version")
+        training._take(tensors, str(path))
         return training
+
+    def _take(self, tensors: Mapping[str, Tensor], path: str) -> None:
+        """The tensors of a checkpoint in the place of one's own."""
+        model, self.averaged = _below(tensors, "model/"), _below(tensors, "average/")
+        for what, found in (("model", model), ("average", self.averaged)):
+            check_like(found, self.model.state_dict(), f"checkpoint {path}, {what}", _READER)
+        self.model.load_state_dict(model)
+        state = self._optimiser.state_dict()
+        for number, one in enumerate(one for group in self._optimiser.param_groups for one in group["params"]):
+            if moments := _below(tensors, f"optimiser/{number}/"):
+                like = {"exp_avg": one.detach(), "exp_avg_sq": one.detach(), "step": torch.zeros(())}
+                check_like(moments, like, f"checkpoint {path}, optimiser {number}", _READER)
+                state["state"][number] = moments
+        self._optimiser.load_state_dict(state)
 
     def go_on_with(self, data: str, folder: Path) -> None:
         """Say what the run is trained on; one that is resumed goes on with the same alone.
@@ -282,13 +296,5 @@ def _seed(*parts: int) -> int:
     return mixed
 
 
-def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def _below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
-
-
-def _metadata(path: Path) -> dict[str, str]:
-    from safetensors import safe_open
-
-    with safe_open(path, framework="pt") as file:
-        metadata: dict[str, str] = file.metadata()
-    return metadata

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mi_splat.io.documents import read_json
+from mi_splat.io.parsing import read_json
 
 
 def ledger(folder: Path) -> list[dict[str, Any]]:

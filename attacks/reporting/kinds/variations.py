@@ -22,7 +22,7 @@ from attacks.reporting.wording import (
     settings,
     shared,
 )
-from mi_splat.io.documents import read_json
+from mi_splat.io.parsing import read_json
 
 KIND = "CLOAK, one thing varied at a time"
 _LINES: tuple[tuple[str, str, Role], ...] = (

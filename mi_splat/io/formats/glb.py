@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.fields import Fields, parse
 from mi_splat.io.formats.encoded import Array
-from mi_splat.io.formats.json_fields import Fields, parse
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _JSON_LIMIT = 1 << 22

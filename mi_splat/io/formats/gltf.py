@@ -16,11 +16,11 @@ import torch
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.io.fields import Fields
 from mi_splat.io.formats import half_turns
 from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of
 from mi_splat.io.formats.glb import Glb, glb_bytes, open_glb
 from mi_splat.io.formats.gltf_nodes import placements
-from mi_splat.io.formats.json_fields import Fields
 from mi_splat.io.loaded import Loaded, check_count, judged, read_whole
 from mi_splat.scene import GaussianScene, Similarity, merge
 

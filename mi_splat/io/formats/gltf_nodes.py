@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 
+from mi_splat.io.fields import Fields
 from mi_splat.io.formats.encoded import Array
-from mi_splat.io.formats.json_fields import Fields
 from mi_splat.rotation import normalise, to_matrix
 
 
@@ -26,7 +26,7 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
     if not nodes or not scenes:
         return
     scene = scenes[root.whole("scene", 0, len(scenes) - 1, 0)]
-    waiting = [(number, np.eye(4)) for number in scene.wholes("nodes", len(nodes))]
+    waiting = [(number, np.eye(4)) for number in scene.places("nodes", len(nodes))]
     seen = {number for number, _ in waiting}
     while waiting:
         number, above = waiting.pop(0)
@@ -35,7 +35,7 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
         matrix = above if own is None else above @ own
         if "mesh" in node.values:
             yield node.whole("mesh", 0, meshes - 1), matrix
-        children = node.wholes("children", len(nodes))
+        children = node.places("children", len(nodes))
         if seen & set(children):
             raise node.bad("children", "nodes that have no parent yet", sorted(seen & set(children)))
         seen |= set(children)

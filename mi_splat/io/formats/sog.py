@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.fields import Fields, parse
 from mi_splat.io.formats.codebooks import ENTRIES, PALETTE, codebook, palette
 from mi_splat.io.formats.encoded import Array, Encoded, Loss, Values, bytes_of, vanished
-from mi_splat.io.formats.json_fields import Fields, parse
 from mi_splat.io.formats.quaternions import ROOT_HALF, drop_largest, restore_largest
 from mi_splat.io.formats.sog_files import (
     Files,

@@ -83,6 +83,9 @@ class Strategy(Protocol):
     def initial_state(self, count: int) -> State:
         """What is remembered before the first step.
 
+        Names, shapes and kinds of numbers stay those for the number of Gaussians that there are: a checkpoint with
+        others is refused.
+
         Args:
             count: Number of Gaussians to begin with.
         """

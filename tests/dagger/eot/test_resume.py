@@ -17,6 +17,7 @@ from attacks.objectives import relabel
 from attacks.pgd import Step
 from tests.dagger.eot.toy import QUICK, toy_views
 from tests.fakes import ColourDetector
+from tests.io.noted import Change, changed
 
 
 class KilledError(Exception):
@@ -95,3 +96,31 @@ def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="expected a checkpoint"):
         run(path)
     assert path.read_bytes() == b"something else"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda n, t: first(t, "point/").fill_(torch.nan), "finite numbers in point/"),
+        (lambda n, t: first(t, "velocity/").fill_(torch.inf), "finite numbers in velocity/"),
+        (lambda n, t: [t.update({k: t[k][:1]}) for k in list(t)], r"checkpoint, point, \w+: expected"),
+        (lambda n, t: t.pop(next(k for k in t if k.startswith("best/"))), r"best, \w+: expected .*, got none"),
+        (lambda n, t: n.update(index=-1), "index: expected a whole number from 0"),
+        (lambda n, t: n.update(index=99), "index: expected at most 8 steps, got 99"),
+        (lambda n, t: n["best_line"].update(score=None), "best_line: score: expected a finite number"),
+        (lambda n, t: n["trace"][0].update(success="no"), r"trace\[0\]: success: expected a bool"),
+        (lambda n, t: n.update(trace=3), "trace: expected a list of objects"),
+        (lambda n, t: n.update(seconds=float("nan")), "seconds: expected a finite number"),
+    ],
+)
+def test_checkpoints_whose_parts_do_not_fit_are_refused(tmp_path: Path, change: Change, words: str) -> None:
+    path = tmp_path / "search.checkpoint"
+    with pytest.raises(KilledError):
+        run(path, killed_at=5)
+    changed(path, change)
+    with pytest.raises(CheckpointError, match=words):
+        run(path)
+
+
+def first(tensors: dict[str, torch.Tensor], prefix: str) -> torch.Tensor:
+    return next(value for name, value in tensors.items() if name.startswith(prefix))

@@ -129,7 +129,7 @@ def test_files_are_checked() -> None:
         read_graph_model(graph, weights[:-1])
     with pytest.raises(DetectorError, match="bytes, as the manifest says"):
         read_graph_model(graph, weights + b"\0")
-    with pytest.raises(DetectorError, match="expected JSON"):
+    with pytest.raises(DetectorError, match=r"expected a TensorFlow\.js graph model, got Expecting"):
         read_graph_model(b"{", weights)
     with pytest.raises(DetectorError, match=r"modelTopology\.node"):
         read_graph_model(b'{"format": "layers-model"}', weights)
@@ -162,5 +162,66 @@ def test_a_kept_model_is_the_one_that_was_read(tmp_path: Path) -> None:
     kept = load_graph_model(tmp_path / "graph.json", tmp_path / "weights.safetensors")
     x = torch.randn(1, 3, 4, 5)
     assert torch.equal(GraphNetwork(kept)(x)[0], GraphNetwork(read)(x)[0])
-    with pytest.raises(DetectorError, match="a readable file"):
+    with pytest.raises(DetectorError, match="got No such file or directory"):
         load_graph_model(tmp_path / "none.json", tmp_path / "weights.safetensors")
+
+
+def relu(**changes: object) -> dict[str, object]:
+    return {**node("y", "Relu", ["x"]), **changes}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "says"),
+    [
+        ([placeholder("x", (2,)), relu(input="x")], r"node\[2\]: input: expected strings"),
+        ([placeholder("x", (2,)), relu(input=[7])], r"node\[2\]: input: expected strings"),
+        ([placeholder("x", (2,)), relu(input=[])], "Relu y: expected inputs and settings that fit together"),
+        ([placeholder("x", (2,)), relu(input=["x:1"])], "output of node x: expected one of 1, got 1"),
+        ([placeholder("x", (2,)), relu(input=["x:one"])], "output of node x: expected one of 1, got one"),
+        ([placeholder("x", (2,)), relu(input=["y"])], "no circle"),
+        ([placeholder("x", (2,)), relu(op=None)], r"node\[2\]: op: expected a string"),
+        ([placeholder("x", (2,)), relu(attr=[])], r"node\[2\]: attr: expected an object"),
+        ([placeholder("x", (2,)), relu(), relu()], "nodes of different names, got two called y"),
+        ([placeholder("x", (2,)), 7], "node: expected a list of objects"),
+        ([placeholder("x", (1 << 20, 1 << 20)), relu()], "an input of at most"),
+        ([node("x", "Placeholder"), relu()], "attr: shape: expected an object"),
+        (
+            [placeholder("x", (1 << 20, 1)), placeholder("z", (1, 1 << 20)), relu(op="Mul", input=["x", "z"])],
+            "a result",
+        ),
+        (
+            [placeholder("x", (2, 3)), placeholder("z", (4, 5)), relu(op="Mul", input=["x", "z"])],
+            "Mul y: expected inputs",
+        ),
+        ([placeholder("x", (1, 4, 4, 3)), node("y", "Conv2D", ["x", "k"], strides=7)], "strides of node y, an object"),
+        (
+            [placeholder("x", (1, 4, 4, 3)), node("y", "Conv2D", ["x", "k"], strides={"list": {"i": ["x"] * 4}})],
+            "32 bits",
+        ),
+        (
+            [placeholder("x", (1, 4, 4, 3)), node("y", "Conv2D", ["x", "k"], strides=ints(0, 0, 0, 0))],
+            "Conv2D y: expected",
+        ),
+        ([placeholder("x", (1, 4, 4, 3)), node("y", "Conv2D", ["x", "k"], padding={"s": "?"})], "a string in base 64"),
+    ],
+)
+def test_graphs_whose_parts_do_not_fit_are_refused(nodes: list[dict[str, object]], says: str) -> None:
+    with pytest.raises(DetectorError, match=says):
+        GraphNetwork(model(nodes, {"k": KERNEL}, ["y"]))
+
+
+def test_constants_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(DetectorError, match="finite numbers in k"):
+        model([placeholder("x", (2,))], {"k": np.array([1, np.nan], np.float32)}, ["x"])
+    with pytest.raises(DetectorError, match="finite numbers in k"):
+        model([placeholder("x", (2,))], {"k": np.array([-np.inf], np.float32)}, ["x"])
+    padding = model([placeholder("x", (2,))], {"k": np.array(-np.inf, np.float32)}, ["x"])
+    assert float(padding.constants["k"]) == -np.inf
+
+
+def test_the_digest_is_that_of_nodes_and_outputs() -> None:
+    nodes = [placeholder("x", (2,)), node("y", "LeakyRelu", ["x"], alpha={"f": 0.1}), relu(name="z")]
+    other = [placeholder("x", (2,)), node("y", "LeakyRelu", ["x"], alpha={"f": 0.2}), relu(name="z")]
+    digests = [GraphNetwork(model(some, {}, outputs)).digest for some in (nodes, other) for outputs in ("y", "z")]
+    assert len(set(digests)) == 4
+    assert digests[0] == GraphNetwork(model(nodes, {}, ["y"])).digest

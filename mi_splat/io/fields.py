@@ -1,14 +1,14 @@
-"""JSON that somebody else wrote: read within bounds, each field with its kind and range."""
+"""The fields of JSON that somebody else wrote, each with its kind and range."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from mi_splat.errors import message
+from mi_splat.errors import MiSplatError, message
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.parsing import DocumentReader
 
 _AGAIN = "export it again"
 
@@ -20,23 +20,27 @@ class Fields:
     Attributes:
         values: Its content.
         where: What it is part of, for messages; starts with the path of the file.
+        error: What is raised for a field that is something else.
+        do: What to do about one, for messages.
     """
 
     values: Mapping[str, object]
     where: str
+    error: type[MiSplatError] = SplatFileError
+    do: str = _AGAIN
 
-    def bad(self, name: str, expected: str, found: object, do: str = _AGAIN) -> SplatFileError:
+    def bad(self, name: str, expected: str, found: object, do: str | None = None) -> MiSplatError:
         """The error for a field.
 
         Args:
             name: Name of the field.
             expected: What would have been right.
             found: What is there.
-            do: What to do about it.
+            do: What to do about it; None for what is done about all of this object.
         """
         shown = repr(found)
         shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
-        return SplatFileError(message(f"{self.where}: {name}", expected, shown, do))
+        return self.error(message(f"{self.where}: {name}", expected, shown, self.do if do is None else do))
 
     def whole(self, name: str, low: int, high: int, default: int | None = None) -> int:
         """A whole number in a range.
@@ -58,6 +62,13 @@ class Fields:
         if not isinstance(value, str):
             raise self.bad(name, "a string", value)
         return value
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        found = self.values.get(name)
+        if not math.isfinite(_number(found)):
+            raise self.bad(name, "a finite number", found)
+        return _number(found)
 
     def numbers(self, name: str, low: int, high: int, default: Sequence[float] | None = None) -> list[float]:
         """A list of finite numbers.
@@ -88,28 +99,52 @@ class Fields:
         found = self.values.get(name, default)
         if not isinstance(found, Mapping):
             raise self.bad(name, "an object", found)
-        return Fields(found, f"{self.where}: {name}")
+        return replace(self, values=found, where=f"{self.where}: {name}")
 
     def objects(self, name: str) -> list[Fields]:
         """A list of objects; empty if it is missing."""
         found = self.values.get(name, [])
         if not isinstance(found, list) or not all(isinstance(item, Mapping) for item in found):
             raise self.bad(name, "a list of objects", found)
-        return [Fields(item, f"{self.where}: {name}[{number}]") for number, item in enumerate(found)]
+        return [
+            replace(self, values=item, where=f"{self.where}: {name}[{number}]") for number, item in enumerate(found)
+        ]
 
-    def wholes(self, name: str, count: int) -> list[int]:
+    def rows(self, name: str, count: int, width: int) -> list[list[float]]:
+        """A list of `count` lists of `width` finite numbers each."""
+        found = self.values.get(name)
+        if not isinstance(found, list) or len(found) != count:
+            raise self.bad(name, f"{count} lists of {width} finite numbers", found)
+        parts = replace(self, values={f"{name}[{number}]": row for number, row in enumerate(found)})
+        return [parts.numbers(part, width, width) for part in parts.values]
+
+    def wholes(self, name: str, low: int, high: int, count: int | None = None) -> list[int]:
+        """A list of `count` whole numbers in a range; of any number if no count is given.
+
+        Args:
+            name: Name of the field.
+            low: Smallest number allowed.
+            high: Largest one.
+            count: Length of the list.
+        """
+        found = self.values.get(name)
+        parts = found if isinstance(found, list) and count in (None, len(found)) else [None]
+        kept = [item for item in parts if isinstance(item, int) and not isinstance(item, bool) and low <= item <= high]
+        if len(kept) != len(parts):
+            how_many = "" if count is None else f"{count} "
+            raise self.bad(name, f"{how_many}whole numbers from {low} to {high}", found)
+        return kept
+
+    def places(self, name: str, count: int) -> list[int]:
         """A list of whole numbers from 0 to below `count`, each once; empty if it is missing."""
-        found = self.values.get(name, [])
-        if not isinstance(found, list):
-            raise self.bad(name, "a list", found)
-        kept = [item for item in found if isinstance(item, int) and not isinstance(item, bool) and 0 <= item < count]
-        if len(kept) != len(found) or len(set(kept)) != len(kept):
-            raise self.bad(name, f"different whole numbers below {count}", found)
+        kept = self.wholes(name, 0, count - 1) if name in self.values else []
+        if len(set(kept)) != len(kept):
+            raise self.bad(name, f"different whole numbers below {count}", kept)
         return kept
 
 
 def parse(data: bytes, path: str, *, limit: int) -> Fields:
-    """The object in a JSON document.
+    """The object in the JSON of a splat file.
 
     Args:
         data: The document.
@@ -119,16 +154,7 @@ def parse(data: bytes, path: str, *, limit: int) -> Fields:
     Raises:
         SplatFileError: It is longer, no JSON, or no object.
     """
-    if len(data) > limit:
-        raise SplatFileError(message(path, f"at most {limit} bytes of JSON", len(data), _AGAIN))
-    try:
-        values = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = str(error)[:100] or type(error).__name__
-        raise SplatFileError(message(path, "a JSON document", reason, _AGAIN)) from None
-    if not isinstance(values, dict):
-        raise SplatFileError(message(path, "a JSON object", type(values).__name__, _AGAIN))
-    return Fields(values, path)
+    return Fields(DocumentReader(do=_AGAIN, error=SplatFileError, most=limit).json_object(data, path), path)
 
 
 def _number(value: object) -> float:

@@ -1,0 +1,132 @@
+"""Checkpoints: safetensors files with notes as JSON, read with distrust."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+import typing
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.fields import Fields
+from mi_splat.io.parsing import DocumentReader
+
+NOTES = "notes"
+"""Key of the notes among a file's metadata."""
+
+_Line = TypeVar("_Line")
+
+
+def read_noted_tensors(path: Path, reader: DocumentReader) -> tuple[Fields, dict[str, Tensor]]:
+    """The notes and the tensors of a checkpoint, all of them of finite numbers.
+
+    Args:
+        path: The file.
+        reader: What is said, and raised, of a broken one.
+
+    Raises:
+        MiSplatError: It is of the reader's class; the file is no checkpoint, or a number in it is not finite.
+    """
+    what = f"checkpoint {path}"
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata: dict[str, str] = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError, TypeError, RuntimeError) as error:
+        raise reader.broken(what, str(error)[:160] or type(error).__name__) from error
+    if NOTES not in metadata:
+        raise reader.broken(what, "one without notes")
+    notes = reader.json_object(metadata[NOTES].encode(), f"{what}, notes")
+    if name := not_finite(tensors):
+        raise reader.broken(what, "others", f"finite numbers in {name}")
+    return Fields(notes, what, reader.error, reader.do), tensors
+
+
+def not_finite(tensors: Mapping[str, Tensor]) -> str | None:
+    """Name of the first tensor that has a number which is not finite; None if there is none."""
+    for name, value in tensors.items():
+        if (value.is_floating_point() or value.is_complex()) and not bool(torch.isfinite(value.float()).all()):
+            return name
+    return None
+
+
+def check_like(found: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what: str, reader: DocumentReader) -> None:
+    """Raise unless some tensors have the names, shapes and kinds of numbers of others.
+
+    Args:
+        found: Those of a file.
+        wanted: What they have to be like.
+        what: What they are, for messages.
+        reader: What is said, and raised.
+
+    Raises:
+        MiSplatError: It is of the reader's class.
+    """
+    for name, value in wanted.items():
+        there = found.get(name)
+        if there is None or there.shape != value.shape or there.dtype != value.dtype:
+            raise reader.broken(f"{what}, {name}", described(there), described(value))
+    if more := sorted(found.keys() - wanted.keys()):
+        raise reader.broken(what, f"{more[0]} besides", f"the tensors {', '.join(wanted)}"[:160])
+
+
+def described(value: Tensor | None) -> str:
+    """Shape and kind of numbers of a tensor, in words."""
+    return "none" if value is None else f"{tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
+
+
+def read_line(kind: type[_Line], fields: Fields) -> _Line:
+    """A dataclass of numbers, texts, truth values, numbers by name and other such dataclasses from its fields.
+
+    Args:
+        kind: The dataclass; a field that may be None stands as `... | None`.
+        fields: As `dataclasses.asdict` writes it.
+
+    Raises:
+        MiSplatError: It is of the class of the fields; one is missing, unknown, or of another kind.
+    """
+    hints = _hints(typing.cast(Hashable, kind))
+    if more := sorted(fields.values.keys() - hints.keys()):
+        raise fields.bad(more[0], "no such field", fields.values[more[0]])
+    found = {}
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        if field.name in fields.values or field.default is dataclasses.MISSING:
+            found[field.name] = _part(hints[field.name], fields, field.name)
+    try:
+        return kind(**found)
+    except InvalidValueError as error:
+        raise fields.error(f"{fields.where}: {error}") from error
+
+
+@functools.cache
+def _hints(kind: Hashable) -> dict[str, Any]:
+    return typing.get_type_hints(typing.cast(type, kind))
+
+
+def _part(hint: Any, fields: Fields, name: str) -> object:
+    """A field as its hint says."""
+    value = fields.values.get(name)
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        if value is None:
+            return None
+        (hint,) = (part for part in typing.get_args(hint) if part is not type(None))
+    if dataclasses.is_dataclass(hint):
+        return read_line(typing.cast(type, hint), fields.object(name))
+    if typing.get_origin(hint) is Mapping:  # names to numbers
+        part = fields.object(name)
+        return {key: part.values[key] for key in part.values if math.isfinite(part.number(key))}
+    if hint is int:
+        return fields.whole(name, -(1 << 63), (1 << 63) - 1)
+    if hint is float:
+        fields.number(name)
+    elif not isinstance(value, hint):
+        raise fields.bad(name, f"a {hint.__name__}", value)
+    return value

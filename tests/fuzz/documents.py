@@ -1,0 +1,77 @@
+"""The JSON inside of files."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """Where a file has JSON.
+
+    Attributes:
+        get: The document in the file.
+        put: The file with another one.
+    """
+
+    get: Callable[[bytes], Any]
+    put: Callable[[bytes, str], bytes]
+
+
+PLAIN_JSON = Document(json.loads, lambda data, text: text.encode("utf-8", "surrogatepass"))
+"""A file that is one document."""
+
+
+def _glb_json(data: bytes) -> Any:
+    return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+
+
+def _with_glb_json(data: bytes, text: str) -> bytes:
+    part = text.encode("utf-8", "surrogatepass")
+    part += b" " * (-len(part) % 4)
+    body = struct.pack("<I4s", len(part), b"JSON") + part + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def _sog_json(data: bytes) -> Any:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return json.loads(archive.read("meta.json"))
+
+
+def _with_sog_json(data: bytes, text: str) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(buffer, "w") as other:
+        for name in archive.namelist():
+            part = text.encode("utf-8", "surrogatepass") if name == "meta.json" else archive.read(name)
+            other.writestr(name, part)
+    return buffer.getvalue()
+
+
+def _header(data: bytes) -> Any:
+    return json.loads(data[8 : 8 + struct.unpack_from("<Q", data)[0]])
+
+
+def _with_header(data: bytes, text: str) -> bytes:
+    part = text.encode("utf-8", "surrogatepass")
+    return struct.pack("<Q", len(part)) + part + data[8 + struct.unpack_from("<Q", data)[0] :]
+
+
+def _notes(data: bytes) -> Any:
+    return json.loads(_header(data)["__metadata__"]["notes"])
+
+
+def _with_notes(data: bytes, text: str) -> bytes:
+    return _with_header(data, json.dumps({**_header(data), "__metadata__": {"notes": text}}))
+
+
+CHECKPOINT = Document(_notes, _with_notes)
+SAFETENSORS = Document(_header, _with_header)
+
+GLB = Document(_glb_json, _with_glb_json)
+SOG = Document(_sog_json, _with_sog_json)

@@ -1,0 +1,300 @@
+"""Every kind of file that is read: a small valid one, and what reads it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from safetensors.torch import save_file
+
+from attacks.artifacts.checking import check_artifact
+from attacks.cloak.study.study_file import read_study
+from attacks.dagger.eot import checkpoint as eot_checkpoint
+from attacks.dagger.eot.image_budget import ImagePrice
+from attacks.detectors.coco import cards
+from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS
+from attacks.detectors.evaluation.tables import read_figures
+from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
+from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.training.loop import Training
+from attacks.detectors.weights import apply_weights, read_weights
+from attacks.optimisers import START
+from attacks.pgd import Step
+from attacks.rendering_studies.config import read_rendering_study
+from attacks.reporting.results import KINDS, read_section
+from mi_splat.capture.gltf import gltf_notes
+from mi_splat.capture.record import claim_folder
+from mi_splat.datasets.pictures import read_mask, read_picture
+from mi_splat.datasets.transforms import read_cameras, read_world_offset
+from mi_splat.io.camera_records import describe, recorded_cameras
+from mi_splat.io.documents import save_json
+from mi_splat.io.points import load_points
+from mi_splat.io.splat_files import load_splat, save_splat
+from mi_splat.scene_files import open_scene
+from mi_splat.selection.masks import load_mask, save_mask
+from mi_splat.training.checkpoints import load_state, save_state
+from mi_splat.training.loop import Progress, TrainState
+from mi_splat.training.strategies import FixedConfig
+from tests.detectors.packages import TOPOLOGY, toy
+from tests.detectors.packages import WEIGHTS as TOY_WEIGHTS
+from tests.detectors.test_training_loop import PLAIN, Noting
+from tests.detectors.tfjs.graphs import files, ints, node, placeholder, string
+from tests.fakes import camera
+from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
+from tests.io.closeness import tame_scene
+from tests.io.format_files import valid
+from tests.reporting.makers import MAKERS
+from tests.training.sets import SHORT, scene_and_views
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of file.
+
+    Attributes:
+        make: Writes a valid one into a folder, with what belongs to it; gives its path.
+        read: Reads it as the commands do.
+        document: Where it has JSON; None if it has none.
+    """
+
+    make: Callable[[Path], Path]
+    read: Callable[[Path], object]
+    document: Document | None = None
+
+
+def _splat(name: str) -> Kind:
+    def make(folder: Path) -> Path:
+        (folder / name).write_bytes(valid(name))
+        return folder / name
+
+    document = {"a.glb": GLB, "a.sog": SOG}.get(name)
+    return Kind(make=make, read=load_splat, document=document)
+
+
+def _written(name: str, content: Callable[[], Any]) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        values = content()
+        (folder / name).write_bytes(values if isinstance(values, bytes) else json.dumps(values).encode())
+        return folder / name
+
+    return make
+
+
+def _copied(*names: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        for name in names:
+            shutil.copy(ROOT / name, folder)
+        return folder / Path(names[0]).name
+
+    return make
+
+
+def _transforms() -> dict[str, Any]:
+    pose = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
+    frames = [{"file_path": f"images/{n}.png", "transform_matrix": pose, "k1": 0} for n in range(2)]
+    return {"camera_angle_x": 0.7, "w": 64, "h": 48, "world_offset": [1, 2, 3.5], "frames": frames}
+
+
+def _camera_files(path: Path) -> None:
+    if recorded_cameras(path) is None:
+        read_cameras(path, (64, 48))
+        read_world_offset(path)
+
+
+_CAPTURE = {"format": 2, "version": "1", "scene": "a", "cameras": "b", "train": 3, "test": 1, "samples": 16, "seed": 0}
+_CAPTURE |= {"alpha": True, "points": 0, "near": None, "pictures": 1, "mitsuba": "3", "world_offset": [0, 0, 0]}
+_CAPTURE |= {"inputs": {"scene": {"object": "car"}, "cameras": {"count": 3}}}
+
+
+def _card(folder: Path) -> Path:
+    save_file({"half": torch.zeros(1, 2), "axes": torch.zeros(2, dtype=torch.int32)}, folder / WEIGHTS)
+    (folder / GRAPH).write_bytes(topology(TOPOLOGY))
+    save_json(cards.card(toy("toy"), folder, "here"), folder / CARD)
+    return folder / CARD
+
+
+def _graph_files() -> tuple[bytes, bytes]:
+    nodes = [
+        placeholder("x", (1, 6, 6, 2)),
+        node("y", "_FusedConv2D", ["x", "k", "b"], strides=ints(1, 2, 2, 1), padding=string("SAME"), fused_ops=_FUSED),
+        node("p", "Pad", ["y", "amounts"]),
+        node("r", "Reshape", ["p", "shape"]),
+        node("t", "Transpose", ["r", "order"]),
+        node("s", "StridedSlice", ["t", "from", "to", "by"], begin_mask={"i": "1"}, shrink_axis_mask={"i": "2"}),
+        node("u", "ResizeBilinear", ["x", "side"], half_pixel_centers={"b": True}),
+        node("m", "Mean", ["u", "axes"], keep_dims={"b": False}),
+        node("z", "AddV2", ["s", "m"]),
+    ]
+    whole = {"amounts": [[0, 0], [1, 0], [1, 0], [0, 0]], "shape": [4, 4, 2], "order": [2, 0, 1], "side": [4, 4]}
+    whole |= {"from": [0, 1, 0], "to": [2, 2, 2], "by": [1, 1, 2], "axes": [0, 1, 2]}
+    constants: dict[str, Any] = {name: np.array(value, np.int32) for name, value in whole.items()}
+    constants |= {"k": np.ones((3, 3, 2, 2), np.float32), "b": np.zeros(2, np.float32)}
+    return files(nodes, constants, ["z"])
+
+
+_FUSED = {"list": {"s": ["Qmlhc0FkZA==", "UmVsdTY="]}}
+
+
+def _graph(folder: Path) -> Path:
+    model, weights = _graph_files()
+    save_file(dict(read_graph_model(model, weights).constants), folder / WEIGHTS)
+    (folder / GRAPH).write_bytes(topology(model))
+    return folder / GRAPH
+
+
+def _run_graph(path: Path) -> None:
+    network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path.with_name(WEIGHTS)))
+    with torch.no_grad():
+        network(*(torch.zeros(shape) for shape in network.inputs.values()))
+
+
+def _weights(name: str, folder: Path) -> Path:
+    state = torch.nn.Linear(3, 2).state_dict()
+    (save_file if name.endswith(".safetensors") else torch.save)(state, folder / name)
+    return folder / name
+
+
+def _training(folder: Path) -> Path:
+    _, _, start = scene_and_views(4)
+    config = dataclasses.replace(SHORT, iterations=9, sh_degree=0, strategy=FixedConfig())
+    state = TrainState(start, config, scene_extent=1.0, seed=5)
+    state.iteration, state.view_queue, state.settings = 4, [2, 0], {"near": 0.1}
+    state.history = [Progress(iteration=2, loss=0.5, count=4)]
+    for name in state.trained:
+        moments = {key: torch.zeros_like(state.parameters[name]) for key in ("exp_avg", "exp_avg_sq")}
+        state.optimiser.state[state.parameters[name]] = {**moments, "step": torch.ones(())}
+    save_state(state, folder / "state.safetensors")
+    return folder / "state.safetensors"
+
+
+def _search(folder: Path) -> Path:
+    line = Step(index=0, loss=1.0, score=0.5, success=False, unambiguous=False, zero_gradient_fraction=0.0)
+    point = {"means": torch.zeros(2, 3)}
+    price = ImagePrice.of(35.0, steps=8)
+    values = {"point": point, "optimiser": START, "best": point, "best_line": line, "price": price, "trace": (line,)}
+    eot_checkpoint.save_state(eot_checkpoint.SearchState(**values, seconds=1.0), folder / "s.checkpoint", key="key")  # type: ignore[arg-type]
+    return folder / "s.checkpoint"
+
+
+def _detector_training(folder: Path) -> Path:
+    training = Training(PLAIN, Noting())
+    training.history = [{"epoch": 0, "named": 0.5}]
+    training.save(folder)
+    return folder / "checkpoint.safetensors"
+
+
+def _resume(path: Path) -> None:
+    Training.resume(path.parent, PLAIN, Noting())
+
+
+def _result(name: str) -> Kind:
+    """A result that a page can show."""
+    kind = next(kind for kind in KINDS if kind.command == name)
+
+    def make(folder: Path) -> Path:
+        place = MAKERS[name](folder / "result")
+        return place if kind.one_file else place / kind.record
+
+    return Kind(make=make, read=lambda path: read_section(path if kind.one_file else path.parent), document=PLAIN_JSON)
+
+
+def _artifact(file: str) -> Kind:
+    def make(folder: Path) -> Path:
+        shutil.copytree(ROOT / "docs/artifacts/transfer_views", folder / "artifact")
+        return next((folder / "artifact").glob(file))
+
+    document = PLAIN_JSON if file.endswith(".json") else None
+    return Kind(make=make, read=lambda path: check_artifact(path.parent), document=document)
+
+
+def _mask(folder: Path) -> Path:
+    save_mask(torch.arange(20) % 3 == 0, folder / "m.npy")
+    return folder / "m.npy"
+
+
+def _picture(name: str, folder: Path) -> Path:
+    pixels = np.arange(16 * 12 * 3, dtype=np.uint8).reshape(12, 16, 3)
+    Image.fromarray(pixels).save(folder / name)
+    return folder / name
+
+
+def _see(path: Path) -> None:
+    read_picture(path, downscale=1, background=(0.0, 0.0, 0.0))
+    read_mask(path, downscale=1)
+
+
+def _ply(folder: Path) -> Path:
+    save_splat(tame_scene(5, 1), folder / "a.ply")
+    return folder / "a.ply"
+
+
+_SPLATS = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
+_KSPLATS = sorted(path.name.removesuffix(".gz") for path in (ROOT / "tests/io/data").glob("*.ksplat.gz"))
+
+
+def _kinds() -> Iterator[tuple[str, Kind]]:
+    for name in (*_SPLATS, *_KSPLATS[:1]):
+        yield f"splat {name}", _splat(name)
+    yield "splat a.ply", Kind(make=_ply, read=load_splat)
+    yield "points", Kind(make=_ply, read=load_points)
+    cameras: dict[str, Callable[[], Any]] = {
+        "cameras.json": lambda: [describe("left", camera())],
+        "transforms.json": _transforms,
+        "result.json": lambda: {"views": [{"camera": describe("a", camera())}], "cameras": ["left"]},
+    }
+    for name, content in cameras.items():
+        yield f"cameras {name}", Kind(make=_written(name, content), read=_camera_files, document=PLAIN_JSON)
+    capture = _written("capture.json", lambda: _CAPTURE)
+    claim = Kind(make=capture, read=lambda path: claim_folder(path.parent, dict(_CAPTURE)), document=PLAIN_JSON)
+    yield "record of a capture", claim
+    check = partial(cards.check_files, toy("toy"))
+    yield "detector card", Kind(make=_card, read=lambda path: check(path.parent), document=PLAIN_JSON)
+    yield "graph", Kind(make=_graph, read=_run_graph, document=PLAIN_JSON)
+    yield (
+        "constants",
+        Kind(make=lambda folder: _graph(folder).with_name(WEIGHTS), read=_run_graph, document=SAFETENSORS),
+    )
+    convert = Kind(
+        make=_written("model.json", lambda: TOPOLOGY),
+        read=lambda path: read_graph_model(path.read_bytes(), TOY_WEIGHTS),
+        document=PLAIN_JSON,
+    )
+    yield "model", convert
+    for name in ("w.safetensors", "w.pth"):
+        document = SAFETENSORS if name.endswith("tensors") else None
+        yield f"weights {name}", Kind(make=partial(_weights, name), read=_apply, document=document)
+    yield "training", Kind(make=_training, read=load_state, document=CHECKPOINT)
+    yield "search", Kind(make=_search, read=partial(eot_checkpoint.load_state, key="key"), document=CHECKPOINT)
+    yield "training of a detector", Kind(make=_detector_training, read=_resume, document=CHECKPOINT)
+    for name in MAKERS:
+        yield f"result {name}", _result(name)
+    figures = ROOT / "attacks/detectors/fasterrcnn_small.json"
+    yield "figures", Kind(make=_written("f.json", figures.read_bytes), read=read_figures, document=PLAIN_JSON)
+    yield "artifact.json", _artifact("artifact.json")
+    yield "table of an artifact", _artifact("*.csv*")
+    yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
+    yield "rendering study", Kind(make=_copied("scenes/studies/files.toml"), read=read_rendering_study)
+    gltf = _written("a.gltf", lambda: GLB.get(valid("a.glb")))
+    yield "mesh a.gltf", Kind(make=gltf, read=gltf_notes, document=PLAIN_JSON)
+    yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
+    yield from ((f"picture {name}", Kind(make=partial(_picture, name), read=_see)) for name in ("p.png", "p.jpg"))
+    parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
+    yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
+
+
+def _apply(path: Path) -> None:
+    apply_weights(torch.nn.Linear(3, 2), read_weights(path), path)
+
+
+EVERY = dict(_kinds())

@@ -1,0 +1,143 @@
+"""Damages files: bytes, words, and the structure of JSON inside of them; the same for the same random numbers."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+import struct
+from random import Random
+from typing import Any
+
+from tests.fuzz.documents import Document
+
+RAW = "@raw@"
+"""Stands before what is to be in the JSON as it is."""
+VALUES: tuple[Any, ...] = (
+    *(
+        None,
+        True,
+        0,
+        -1,
+        1,
+        3,
+        0.5,
+        1e300,
+        1 << 31,
+        1 << 62,
+        "",
+        "x",
+        "\0",
+        "../../x",
+        "1",
+        [],
+        {},
+        [[]],
+        [0],
+        {"a": 1},
+    ),
+    *(f"{RAW}NaN", f"{RAW}-Infinity", f"{RAW}1e999", f"{RAW}{'9' * 10_000}", f'{RAW}"\\ud800"'),
+    *(f"{RAW}{1 << 64}", f"{RAW}{'[' * 70}{']' * 70}", f"{RAW}{'[' * 5000}{']' * 5000}", f'{RAW}{{"a":1,"a":2}}'),
+)
+WORDS = (
+    b"NaN",
+    b"inf",
+    b"-1",
+    b"0",
+    b"1e999",
+    b"1e-320",
+    b"99999999999999999999",
+    b"[]",
+    b"{}",
+    b'""',
+    b"\xff",
+    b"true",
+)
+_WORD = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]*"|[A-Za-z_]+')
+_RAW = re.compile(rf'"{RAW}((?:[^"\\]|\\.)*)"')
+
+
+def mutant(data: bytes, random: Random, document: Document | None) -> bytes:
+    """A damaged file.
+
+    Args:
+        data: The whole one.
+        random: Decides how.
+        document: Where it has JSON; None if it has none.
+    """
+    if document is not None and random.random() < 0.7:
+        values = copy.deepcopy(document.get(data))
+        for _ in range(random.choice((1, 1, 1, 2, 4))):
+            values = _changed(values, random)
+        return document.put(data, text_of(values))
+    change = random.choice((_flipped, _flipped, _cut, _spliced, _numbered, _reworded, _reworded))
+    return change(data, random)
+
+
+def text_of(values: Any) -> str:
+    """JSON of values, some of which are put into it as they are."""
+    return _RAW.sub(lambda found: json.loads(f'"{found[1]}"'), json.dumps(values))
+
+
+def _changed(values: Any, random: Random) -> Any:
+    """The values with one of them changed: taken out, doubled, moved, or replaced."""
+    places = list(_places(values))
+    if not places:
+        return random.choice(VALUES)
+    holder, key = random.choice(places)
+    match random.randrange(5):
+        case 0:
+            del holder[key]
+        case 1 if isinstance(holder, list):
+            holder.insert(key, copy.deepcopy(holder[key]))
+        case 2:
+            other, place = random.choice(places)
+            holder[key] = copy.deepcopy(other[place])
+        case 3 if isinstance(holder, dict):
+            holder["more"] = holder.pop(key)
+        case _:
+            holder[key] = copy.deepcopy(random.choice(VALUES))
+    return values
+
+
+def _places(values: Any) -> Any:
+    """Every object or list with each of its keys; of long lists the first few."""
+    keys = list(values) if isinstance(values, dict) else range(min(len(values), 6)) if isinstance(values, list) else ()
+    for key in keys:
+        yield values, key
+        yield from _places(values[key])
+
+
+def _flipped(data: bytes, random: Random) -> bytes:
+    found = bytearray(data)
+    for _ in range(random.choice((1, 1, 2, 8))):
+        found[random.randrange(len(found))] ^= 1 << random.randrange(8)
+    return bytes(found)
+
+
+def _cut(data: bytes, random: Random) -> bytes:
+    return data[: random.randrange(len(data))]
+
+
+def _spliced(data: bytes, random: Random) -> bytes:
+    start, other, length = random.randrange(len(data)), random.randrange(len(data)), random.randrange(1, 64)
+    return data[:start] + data[other : other + length] + data[start + random.choice((0, length)) :]
+
+
+def _numbered(data: bytes, random: Random) -> bytes:
+    form, value = random.choice(
+        (("<I", 0), ("<I", 0xFFFFFFFF), ("<I", 1 << 30), ("<f", float("nan")), ("<f", float("inf")), ("<Q", 1 << 40))
+    )
+    place, part = random.randrange(len(data)), struct.pack(form, value)
+    return data[:place] + part + data[place + len(part) :]
+
+
+def _reworded(data: bytes, random: Random) -> bytes:
+    """A number, a name or a quoted text in the first bytes replaced."""
+    words = list(_WORD.finditer(data[:20_000]))
+    if not words:
+        return _flipped(data, random)
+    found, word = random.choice(words), random.choice(WORDS)
+    if found[0].startswith(b'"') and random.random() < 0.7:
+        word = b'"' + word.strip(b'"') + b'"'
+    return data[: found.start()] + word + data[found.end() :]

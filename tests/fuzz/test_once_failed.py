@@ -1,0 +1,134 @@
+"""Files that were once answered by a traceback, made again by recipes: each is refused in words."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mi_splat.errors import MiSplatError
+from tests.fuzz.campaign import mutated
+from tests.fuzz.kinds import EVERY
+from tests.fuzz.mutations import RAW, text_of
+
+Change = Callable[[Any], Any]
+"""From the JSON of a valid file to that of a broken one; what is None was changed in place."""
+
+
+def put(*path: str | int, value: Any) -> Change:
+    """Another value at a place."""
+
+    def change(document: Any) -> Any:
+        for key in path[:-1]:
+            document = document[key]
+        document[path[-1]] = value
+
+    return change
+
+
+def drop(*path: str | int) -> Change:
+    """Nothing at a place."""
+
+    def change(document: Any) -> Any:
+        for key in path[:-1]:
+            document = document[key]
+        del document[path[-1]]
+
+    return change
+
+
+DEEP = f"{RAW}{'[' * 100_000}"
+LONG = f"{RAW}{'9' * 10_000}"
+CAMERA = "cameras cameras.json"
+NODE = ("modelTopology", "node")
+
+DOCUMENTS: list[tuple[str, Change]] = [
+    (CAMERA, put(0, "to_world", value=DEEP)),
+    (CAMERA, lambda values: [7]),
+    (CAMERA, lambda values: [None]),
+    (CAMERA, put(0, "focal", value=[[1], [2]])),
+    (CAMERA, put(0, "size", value=[1e300, 4])),
+    (CAMERA, put(0, "size", value=[LONG, 4])),
+    (CAMERA, put(0, "name", value={})),
+    (CAMERA, lambda values: [{"rotation": "x", "position": {}, "fx": 1, "fy": 1, "width": 2, "height": 2}]),
+    (CAMERA, lambda values: {"views": [{"camera": 7}]}),
+    (CAMERA, lambda values: {"views": [{"camera": values[0]}], "cameras": 7}),
+    (CAMERA, lambda values: {"reference": []}),
+    ("cameras transforms.json", put("frames", 0, "transform_matrix", value={"a": 1})),
+    ("cameras transforms.json", put("w", value=LONG)),
+    ("cameras transforms.json", put("world_offset", value=[f"{RAW}NaN", 0, 0])),
+    ("record of a capture", put("inputs", value=7)),
+    ("record of a capture", put("inputs", "scene", value=[])),
+    ("record of a capture", put("format", value=f"{RAW}1e999")),
+    ("record of a capture", drop("scene")),
+    ("record of a capture", lambda values: {**values, "version": {}, "scene": "other", "inputs": {}}),
+    ("detector card", put("sha256", value=[])),
+    ("detector card", put("sha256", "graph.json", value=None)),
+    ("detector card", put("sha256_published", value=DEEP)),
+    ("graph", put(*NODE, value={})),
+    ("graph", put(*NODE, 0, value="x")),
+    ("graph", drop(*NODE, -1, "op")),
+    ("graph", put(*NODE, -1, "input", value=["z"])),
+    ("graph", put(*NODE, -1, "input", value=[None])),
+    ("graph", put(*NODE, -1, "input", value=["s:9", "m"])),
+    ("graph", put(*NODE, -1, "input", value=[])),
+    ("graph", put(*NODE, -8, "attr", "strides", value=[])),
+    ("graph", put(*NODE, -8, "attr", "strides", "list", "i", value=["x"])),
+    ("graph", put(*NODE, -9, "attr", "shape", "shape", "dim", 0, "size", value=str(10**12))),
+    ("graph", put("signature", value=[])),
+    ("model", put("weightsManifest", value=7)),
+    ("model", put("weightsManifest", 0, "weights", 0, "shape", value=[-1, "2"])),
+    ("model", put("weightsManifest", 0, "weights", 0, "quantization", value=3)),
+    ("training", put("view_queue", value=["x"])),
+    ("training", put("history", value={})),
+    ("training", put("config", value=[])),
+    ("training", put("scene_extent", value=DEEP)),
+    ("search", put("trace", value=[7])),
+    ("search", put("price", value=[])),
+    ("training of a detector", put("epoch", value=None)),
+    ("training of a detector", put("history", value=DEEP)),
+    ("result dagger", put("views", value=7)),
+    ("result dagger", put("views", value=DEEP)),
+    ("result evaluate", put("detectors", value={})),
+    ("result cloak-experiment perfect-splat", put("found", 0, "trigger_miss_rate", "total", value=1e300)),
+    ("figures", put("held_out", value=[])),
+    ("artifact.json", put("files", value=LONG)),
+    ("mesh a.gltf", put("accessors", 0, "componentType", value={})),
+    ("mesh a.gltf", put("bufferViews", 0, "byteOffset", value="x")),
+    ("mesh a.gltf", put("meshes", value=None)),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), DOCUMENTS, ids=[f"{n} {kind}" for n, (kind, _) in enumerate(DOCUMENTS)])
+def test_broken_documents_are_refused_in_words(name: str, change: Change, tmp_path: Path) -> None:
+    kind = EVERY[name]
+    assert kind.document is not None
+    path = kind.make(tmp_path)
+    kind.read(path)  # the whole one is read
+    values = kind.document.get(path.read_bytes())
+    changed = change(values)
+    path.write_bytes(kind.document.put(path.read_bytes(), text_of(values if changed is None else changed)))
+    with pytest.raises(MiSplatError, match=r": expected .*; \w"):
+        kind.read(path)
+
+
+@pytest.mark.parametrize("name", ["study", "rendering study"])
+@pytest.mark.parametrize(
+    "text", ["x = " + "[" * 5000, "x." * 2000 + "y = 1", "seeds = " + "9" * 10_000, "\xff", "a = nan"]
+)
+def test_broken_tables_are_refused_in_words(name: str, text: str, tmp_path: Path) -> None:
+    path = EVERY[name].make(tmp_path)
+    path.write_bytes(text.encode("latin-1") + b"\n" + path.read_bytes())
+    with pytest.raises(MiSplatError, match=r": expected .*; \w"):
+        EVERY[name].read(path)
+
+
+@pytest.mark.parametrize(("name", "number"), [("weights w.pth", 1625), ("record of a capture", 1376)])
+def test_mutants_of_the_campaign_are_read_or_refused(name: str, number: int, tmp_path: Path) -> None:
+    path = EVERY[name].make(tmp_path)
+    path.write_bytes(mutated(name, number, path.read_bytes()))
+    with contextlib.suppress(MiSplatError):
+        EVERY[name].read(path)

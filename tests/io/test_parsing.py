@@ -1,0 +1,116 @@
+"""JSON and TOML within bounds: a value, or an error that names the file, the place in it and what to do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.fields import Fields
+from mi_splat.io.parsing import MOST_DEPTH, DocumentReader, read_json
+
+READER = DocumentReader(expected="a record", do="write it again", most=100_000)
+
+BROKEN_JSON = {
+    "empty": (b"", "a record, got Expecting value"),
+    "cut": (b'{"a": [1, 2', "a record, got Expecting"),
+    "a list": (b"[1]", "a record, got a list"),
+    "null": (b"null", "a record, got null"),
+    "NaN": (b'{"a": [0, NaN]}', "a/1: expected a finite number, got nan"),
+    "infinity": (b'{"a": {"b": -Infinity}}', "a/b: expected a finite number, got -inf"),
+    "overflow": (b'{"a": 1e999}', "a: expected a finite number, got inf"),
+    "65 bits": (b'{"a": 9223372036854775808}', "a: expected a whole number of 64 bits, got a larger one"),
+    "many digits": (b'{"a": ' + b"9" * 10_000 + b"}", "a whole number of 10,000 characters"),
+    "twice": (b'{"a": {"b": 1, "c": 2, "b": 1}}', "the key 'b' twice"),
+    "deep": (b'{"a": ' + b"[" * 100 + b"]" * 100 + b"}", "expected at most 64 levels, got more"),
+    "deeper": (b"[" * 40_000 + b"]" * 40_000, "expected at most 64 levels, got more"),
+    "Latin-1": (b'{"a": "\xe9"}', "a record, got 'utf-8' codec"),
+    "UTF-16": ('{"a": 1}'.encode("utf-16"), "a record, got 'utf-8' codec"),
+    "a NUL": (b'{"a": "x\\u0000y"}', "a: expected Unicode without NUL"),
+    "half a pair": (b'{"a": ["\\ud800"]}', "a/0: expected Unicode without NUL"),
+    "half a key": (b'{"\\ud800": 1}', "expected keys of Unicode without NUL"),
+    "long": (b'{"a": "' + b"x" * 100_000 + b'"}', "a record of at most 100,000 bytes"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_JSON)
+def test_broken_json_is_refused_in_words(name: str, tmp_path: Path) -> None:
+    data, words = BROKEN_JSON[name]
+    (tmp_path / "record.json").write_bytes(data)
+    with pytest.raises(InvalidValueError) as caught:
+        READER.read_json(tmp_path / "record.json")
+    said = str(caught.value)
+    assert said.startswith(f"{tmp_path / 'record.json'}: ")
+    assert words in said
+    assert said.endswith("; write it again")
+    assert len(said) < 400
+
+
+@pytest.mark.parametrize("text", ["a = nan", "a = [1, -inf]", f"a = {'9' * 10_000}", "a = 0x8000000000000000", "a = "])
+def test_broken_toml_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(InvalidValueError, match=r"study\.toml.*; write it again"):
+        READER.read_toml(tmp_path / "study.toml")
+
+
+@pytest.mark.parametrize("text", [f"a = {'[' * 5000}{']' * 5000}", f"{'a.' * 100}b = 1", f"a = {'{b = ' * 900}1"])
+def test_deep_toml_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(InvalidValueError, match=r"at most 64 levels|a record, got"):
+        READER.read_toml(tmp_path / "study.toml")
+
+
+def test_what_is_within_the_bounds_is_read(tmp_path: Path) -> None:
+    deep: object = 1
+    for _ in range(MOST_DEPTH - 1):
+        deep = [deep]
+    values = {"a": deep, "b": [-(2**63), 2**63 - 1, 1.5, True, None], "ü": "\U0001f600 \\u0000", "c": {"b": 1}}
+    for text in (json.dumps(values), json.dumps(values, ensure_ascii=False)):
+        for mark in ("utf-8", "utf-8-sig"):
+            (tmp_path / "a.json").write_text(text, mark)
+            assert read_json(tmp_path / "a.json") == values
+    assert DocumentReader().json_value(b"[1, [2]]", "x") == [1, [2]]
+    (tmp_path / "a.toml").write_text("a = 1\n[b]\nc = [1.5]\n", "utf-8-sig")
+    assert DocumentReader().read_toml(tmp_path / "a.toml") == {"a": 1, "b": {"c": [1.5]}}
+
+
+def test_files_that_cannot_be_read_raise_the_error_of_their_reader(tmp_path: Path) -> None:
+    class OwnError(MiSplatError):
+        pass
+
+    for path in (tmp_path, tmp_path / "none.json", Path("a\0b")):
+        with pytest.raises(OwnError, match=r"; write it again$"):
+            DocumentReader(error=OwnError, do="write it again").read_json(path)
+
+
+FIELDS = Fields({"n": 1, "m": [[1, 2], [3, 4.5]], "w": [3, 0], "t": [1, True], "s": "x"}, "f.json", InvalidValueError)
+
+
+def test_fields_of_the_right_kind() -> None:
+    assert FIELDS.number("n") == 1.0
+    assert FIELDS.rows("m", 2, 2) == [[1, 2], [3, 4.5]]
+    assert FIELDS.wholes("w", 0, 3, 2) == [3, 0] == FIELDS.places("w", 4)
+    assert FIELDS.places("none", 4) == []
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda: FIELDS.number("s"),
+        lambda: FIELDS.number("none"),
+        lambda: FIELDS.rows("m", 3, 2),
+        lambda: FIELDS.rows("m", 2, 3),
+        lambda: FIELDS.rows("w", 2, 1),
+        lambda: FIELDS.wholes("w", 0, 2),
+        lambda: FIELDS.wholes("w", 0, 3, 3),
+        lambda: FIELDS.wholes("t", 0, 3),
+        lambda: FIELDS.wholes("none", 0, 3),
+        lambda: FIELDS.places("w", 3),
+        lambda: Fields({"w": [1, 1]}, "f.json", InvalidValueError).places("w", 3),
+    ],
+)
+def test_fields_of_another_kind_are_refused(read: object) -> None:
+    with pytest.raises(InvalidValueError, match=r"^f\.json: \w"):
+        read()  # type: ignore[operator]
