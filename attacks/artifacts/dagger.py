@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Column, Row, Table
 from attacks.dagger.problem import joint_verdict, reached_by
 from attacks.dagger.report import confidences
+from attacks.dagger.result import STILL_REPORTED
 from attacks.detectors.base import Detections
 from attacks.objectives import Target, Verdict, confidence
 from attacks.reporting.repeating import repeat_dagger
@@ -56,6 +57,12 @@ class _View:
     clean: Detections
     attacked: Detections
     verdict: Verdict
+
+    @property
+    def strict(self) -> bool:
+        """Whether the aim is reached, and the object's own class is gone."""
+        own = self.target.original
+        return self.verdict.success and (own is None or self.confidence(own, attacked=True) < STILL_REPORTED)
 
     def confidence(self, label: str | None, *, attacked: bool) -> float:
         found = self.attacked if attacked else self.clean
@@ -108,7 +115,7 @@ def figures_of(result: Mapping[str, Any], tables: Mapping[str, Table]) -> dict[s
         result: Its result.json.
         tables: From `tables_of`.
     """
-    figures = {key: result[key] for key in ("success", "unambiguous", "score", "target_confidence")}
+    figures = {key: result[key] for key in ("success", "unambiguous", "strict", "score", "target_confidence")}
     figures["views"] = [{key: view[key] for key in _OF_VIEW} for view in result["views"]]
     return {**figures, "noise": result["noise"]} if NOISE in tables else figures
 
@@ -141,6 +148,7 @@ def derive(contents: Contents) -> Mapping[str, Any]:
         figures = {
             "success": whole.success,
             "unambiguous": whole.unambiguous,
+            "strict": _strict(by_detector, config),
             "score": whole.score,
             "target_confidence": None if objective.label is None else reached_by(reached, config["required_detectors"]),
             "views": [_of_view(view, label) for view in views],
@@ -148,6 +156,15 @@ def derive(contents: Contents) -> Mapping[str, Any]:
         return {**figures, "noise": _noise_of(contents)} if NOISE in contents.tables else figures
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise broken("rows", error) from error
+
+
+def _strict(by_detector: Mapping[str, Sequence[_View]], config: Mapping[str, Any]) -> bool:
+    """As `attacks.dagger.result.Result.strict`."""
+    joint = [
+        joint_verdict([replace(view.verdict, success=view.strict) for view in own], config["required_views"])
+        for own in by_detector.values()
+    ]
+    return joint_verdict(joint, config["required_detectors"]).success
 
 
 def _noise_of(contents: Contents) -> dict[str, Any]:

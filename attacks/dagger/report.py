@@ -68,6 +68,7 @@ def summary(result: Result) -> dict[str, Any]:
         "objective": result.objective.name,
         "success": result.success,
         "unambiguous": result.verdict.unambiguous,
+        "strict": result.strict,
         "target": result.objective.label,
         "target_confidence": result.target_confidence,
         "score": result.score,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.ensemble import DetectorResult
-from attacks.dagger.problem import ViewResult, reached_by
+from attacks.dagger.problem import ViewResult, joint_verdict, reached_by
 from attacks.evaluation.visibility import ImageChange
 from attacks.objectives import Objective, Verdict
 from attacks.pgd import Step
@@ -18,6 +19,9 @@ _ZERO_GRADIENT_LIMIT = 0.9
 
 _CLAMPED_LIMIT = 0.25
 """Fraction of clamped colour channels that raises a warning."""
+
+STILL_REPORTED = 0.5
+"""Confidence from which the object's own class counts as reported beside the one that was wanted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +94,15 @@ class Result:
         return self.verdict.success
 
     @property
+    def strict(self) -> bool:
+        """Whether so where the object's own class has to be gone, too: reported with less than `STILL_REPORTED`."""
+        config = self.config
+        by_detector = [
+            joint_verdict([strictly(view) for view in one.views], config.required_views) for one in self.detectors
+        ]
+        return joint_verdict(by_detector, config.required_detectors).success
+
+    @property
     def score(self) -> float:
         """Score that enough views reach, in [0, 1]."""
         return self.verdict.score
@@ -105,6 +118,13 @@ class Result:
         """Confidence of one of `detectors` in the wanted class, or in any class, that enough views reach."""
         scores = [view.confidence(self.objective.label, attacked=True) for view in one.views]
         return reached_by(scores, self.config.required_views)
+
+
+def strictly(view: ViewResult) -> Verdict:
+    """The verdict of a view in which the object's own class has to be gone, too, for a success."""
+    original = view.before.target.original
+    gone = original is None or view.confidence(original, attacked=True) < STILL_REPORTED
+    return dataclasses.replace(view.verdict, success=view.verdict.success and gone)
 
 
 def find_warnings(result: Result) -> tuple[str, ...]:
@@ -131,6 +151,9 @@ def find_warnings(result: Result) -> tuple[str, ...]:
         found.append("success in the search did not survive the saved file and 8-bit pictures")
     if result.success and not result.verdict.unambiguous:
         found.append("another class is still detected on the object with more confidence")
+    if result.success and not result.strict:
+        left = max(view.confidence(view.before.target.original, attacked=True) for view in result.views)
+        found.append(f"the object's own class is still reported on it, at up to {left:.0%}")
     if result.noise.scores and (
         (result.success and result.noise.successes) or max(result.noise.scores) >= result.score > 0
     ):

@@ -35,6 +35,7 @@ _COLUMNS = (
     "norm",
     "eps",
     "success",
+    "strictly",
     "confidence",
     "original after",
     "steps",
@@ -69,6 +70,7 @@ def _row(results: Sequence[Record]) -> dict[str, Any]:
     originals = [max(view["original_confidence"] for view in result["views"]) for result in results]
     return {
         "successes": successes,
+        "strict": sum(result["strict"] for result in results),
         "runs": len(results),
         "interval": rate.interval,
         "score": statistics.median(scores),
@@ -150,7 +152,7 @@ def _preamble(records: Sequence[Record]) -> list[str]:
     return [
         f"Detector {first['detector']}; {steps} steps of eps x {factor:g} / {steps}, stopped at the first unambiguous "
         "success. Success: see `config.objective` in the JSONs; every run is judged on the saved file and an 8-bit "
-        "PNG. Medians over seeds; noise is random noise of the size of the attack in the same norm.",
+        "PNG. Strictly: the object's own class is not reported on it any more, at 0.5 or more. Medians over seeds; noise is random noise of the size of the attack in the same norm.",
         "",
         f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.",
         "",
@@ -163,6 +165,7 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         row["norm"],
         f"{row['eps']:g}",
         f"{row['successes']}/{row['runs']}",
+        f"{row['strict']}/{row['runs']}",
         f"{row['score']:.2f} (least {row['score_least']:.2f})",
         f"{row['original_after']:.2f}",
         f"{row['steps']:g}",
