@@ -151,8 +151,9 @@ def _preamble(records: Sequence[Record]) -> list[str]:
     versions = ", ".join(f"{name} {version}" for name, version in first["versions"].items())
     return [
         f"Detector {first['detector']}; {steps} steps of eps x {factor:g} / {steps}, stopped at the first unambiguous "
-        "success. Success: see `config.objective` in the JSONs; every run is judged on the saved file and an 8-bit "
-        "PNG. Strictly: the object's own class is not reported on it any more, at 0.5 or more. Medians over seeds; noise is random noise of the size of the attack in the same norm.",
+        "success. Success: see `config.objective` in the JSONs; strictly: the object's own class is gone, too (below "
+        "0.5). Every run is judged on the saved file and an 8-bit PNG. Medians over seeds; noise is random noise of "
+        "the size of the attack in the same norm.",
         "",
         f"Versions: {versions}; variant {first['variant']}; commit {first['commit']}.",
         "",

