@@ -8,21 +8,21 @@ from collections.abc import Callable
 from mi_splat.assets.mesh import Asset, Mesh
 from mi_splat.errors import InvalidValueError, message
 
-_MODULES = {
-    "car": "car",
-    "person": "person",
-    "stop sign": "stop_sign",
-    "elephant": "elephant",
-    "bird": "bird",
-    "tv": "tv",
-    "train": "train",
-    "suitcase": "suitcase",
+_MODULES = {  # whole names, which `mi_splat.import_closure` follows
+    "car": "mi_splat.assets.car",
+    "person": "mi_splat.assets.person",
+    "stop sign": "mi_splat.assets.stop_sign",
+    "elephant": "mi_splat.assets.elephant",
+    "bird": "mi_splat.assets.bird",
+    "tv": "mi_splat.assets.tv",
+    "train": "mi_splat.assets.train",
+    "suitcase": "mi_splat.assets.suitcase",
 }
 
 
 def _builder(module: str) -> Callable[[int], Asset]:
     def build_one(seed: int = 0) -> Asset:
-        asset: Asset = importlib.import_module(f"mi_splat.assets.{module}").build(seed)
+        asset: Asset = importlib.import_module(module).build(seed)
         return asset
 
     return build_one

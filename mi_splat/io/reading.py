@@ -18,14 +18,14 @@ from mi_splat.io.ply.header import read_header
 from mi_splat.io.ply.splat import read_ply
 
 _READERS = {
-    ".glb": ("gltf", "read_glb"),
-    ".spz": ("spz", "read_spz"),
-    ".sog": ("sog", "read_sog"),
-    META: ("sog", "read_sog_folder"),
-    ".splat": ("splat32", "read_splat"),
-    ".ksplat": ("ksplat", "read_ksplat"),
+    ".glb": ("mi_splat.io.formats.gltf", "read_glb"),
+    ".spz": ("mi_splat.io.formats.spz", "read_spz"),
+    ".sog": ("mi_splat.io.formats.sog", "read_sog"),
+    META: ("mi_splat.io.formats.sog", "read_sog_folder"),
+    ".splat": ("mi_splat.io.formats.splat32", "read_splat"),
+    ".ksplat": ("mi_splat.io.formats.ksplat", "read_ksplat"),
 }
-"""Module of `mi_splat.io.formats` and its function for each format but the PLY."""
+"""Module and its function for each format but the PLY."""
 
 
 def load_arrays(
@@ -59,9 +59,7 @@ def _reader(kind: str) -> Callable[[io.FileIO, str], Loaded]:
     if kind == ".ply":
         return _read_any_ply
     module, function = _READERS[kind]
-    found: Callable[[io.FileIO, str], Loaded] = getattr(
-        importlib.import_module(f"mi_splat.io.formats.{module}"), function
-    )
+    found: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
     return found
 
 

@@ -17,8 +17,10 @@ from attacks.cloak.layered.config import LayerConfig, LayersConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.study import dependencies, setup
 from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
-from attacks.cloak.study.cache import STAGE_VERSIONS, StageCache, content_of
+from attacks.cloak.study.cache import STAGE_CODE, StageCache, content_of
 from attacks.cloak.study.config import CameraConfig, SceneConfig, StudyConfig, TrainingConfig
+from mi_splat.errors import InvalidValueError
+from mi_splat.import_closure import closure
 from mi_splat.io.atomic import LOCK
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
@@ -240,7 +242,7 @@ def test_defaults_are_part_of_what_a_stage_depends_on() -> None:
     assert poisoned["attack"][0]["emphasis_depth"] == 20.0
 
 
-def test_a_stage_is_done_once_and_again_when_its_code_has_a_new_version(
+def test_a_stage_is_done_once_and_again_when_its_code_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Path] = []
@@ -254,10 +256,32 @@ def test_a_stage_is_done_once_and_again_when_its_code_has_a_new_version(
     assert cache.finished("splat", {"seed": 0}, make) == first
     assert len(made) == 1
     assert cache.finished("splat", {"seed": 1}, make).content != first.content
-    monkeypatch.setitem(STAGE_VERSIONS, "splat", STAGE_VERSIONS["splat"] + 1)
+    monkeypatch.setattr("attacks.cloak.study.cache.code_digest", lambda *modules, alone: "other code")
     again = cache.finished("splat", {"seed": 0}, make)
     assert again.folder != first.folder
     assert len(made) == 3
+
+
+def test_a_stage_whose_output_was_edited_is_refused(tmp_path: Path) -> None:
+    def make(path: Path) -> None:
+        (path / "out.txt").write_text("a")
+        (path / "log.txt").write_text("x")
+
+    cache = StageCache(tmp_path)
+    stage = cache.finished("splat", {}, make, outputs=("out.txt",))
+    (stage.folder / "log.txt").write_text("y")  # which nobody reads
+    assert cache.finished("splat", {}, make, outputs=("out.txt",)) == stage
+    (stage.folder / "out.txt").write_text("b")
+    with pytest.raises(InvalidValueError, match="expected the files that it wrote, got others; delete its folder"):
+        cache.finished("splat", {}, make, outputs=("out.txt",))
+
+
+@pytest.mark.parametrize("stage", STAGE_CODE)
+def test_the_code_of_a_stage_is_all_that_it_may_run(stage: str) -> None:
+    code = closure(*STAGE_CODE[stage])
+    assert "mi_splat.scene" in code
+    if stage in ("splat", "layers", "observations", "view_reports"):
+        assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= set(code)
 
 
 def test_content_is_that_of_the_files_that_count(tmp_path: Path) -> None:

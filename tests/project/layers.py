@@ -24,6 +24,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "attributes",
             "_lazy",
             "provenance",
+            "import_closure",
             "sh",
             "rotation",
             "metrics",

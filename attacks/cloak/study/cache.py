@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat import provenance
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.import_closure import code_digest
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
 from mi_splat.io.fields import Fields
@@ -24,16 +25,26 @@ from mi_splat.io.parsing import read_json
 
 DONE = "done.json"
 
-STAGE_VERSIONS = {
-    **{"pictures": 1, "poisoned": 1, "appearance": 1, "splat": 2, "true_pictures": 1, "observations": 2},
-    "view_reports": 1,
-    "layers": 4,
-    "cleaned": 1,
+_STUDY = "attacks.cloak.study"
+_PICTURES = (f"{_STUDY}.setup", f"{_STUDY}.kept_pictures")
+_SPLAT = ("mi_splat.training.resume", "mi_splat.training.initialization", "mi_splat.datasets.dataset")
+_DETECTORS = "attacks.detectors.registry"
+STAGE_CODE: dict[str, tuple[str, ...]] = {
+    "pictures": (f"{_STUDY}.setup", "mi_splat.capture.writer"),
+    "appearance": _PICTURES,
+    "true_pictures": _PICTURES,
+    "poisoned": (*_PICTURES, "attacks.cloak.poisoning", "mi_splat.datasets.writing"),
+    "splat": (f"{_STUDY}.setup", f"{_STUDY}.trained_splats", "mi_splat.rendering", *_SPLAT),
+    "layers": (f"{_STUDY}.setup", f"{_STUDY}.layering", "mi_splat.rendering", *_SPLAT),
+    "cleaned": (f"{_STUDY}.trained_splats",),
+    "observations": (f"{_STUDY}.observations", _DETECTORS),
+    "view_reports": ("attacks.cloak.experiments.view_reports", _DETECTORS),
 }
-"""Version of the code behind each stage: raise it when the code makes something else of the same input.
+"""Modules whose code makes each stage, with all that they import (`mi_splat.import_closure`).
 
-A test compares the source of each stage with the one that its version was given to (`tests/cloak/stage_sources.json`).
+`attacks.cloak.study.pipeline`, which calls them, counts without its imports: it has those of all stages.
 """
+_CALLER = f"{_STUDY}.pipeline"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +83,7 @@ class StageCache:
         """A stage, which is done now if it is not there.
 
         Args:
-            name: One of `STAGE_VERSIONS`.
+            name: One of `STAGE_CODE`.
             depends_on: Everything that the stage depends on besides its code, as JSON can hold it; inputs that other
                 stages made by their content.
             make: Does it, in the folder, and goes on with what an interrupted call left.
@@ -80,6 +91,7 @@ class StageCache:
 
         Raises:
             SplatFileError: Another process does this stage now.
+            InvalidValueError: The stage is there, and a file of it is not what it wrote.
         """
         path = self.folder(name, depends_on)
         if not (path / DONE).is_file():
@@ -91,8 +103,10 @@ class StageCache:
                 save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
         do = "delete its folder, so that it is made again"
         done = Fields(read_json(path / DONE), str(path / DONE), InvalidValueError, do)
-        commit = done.object("made_by").values.get("commit")
-        return Stage(folder=path, content=done.text("content"), commit=None if commit is None else str(commit))
+        commit, content = done.object("made_by").values.get("commit"), done.text("content")
+        if content_of(path, outputs) != content:
+            raise InvalidValueError(message(f"stage {path}", "the files that it wrote", "others", do))
+        return Stage(folder=path, content=content, commit=None if commit is None else str(commit))
 
 
 def digest(values: Mapping[str, Any]) -> str:
@@ -111,4 +125,5 @@ def content_of(folder: Path, patterns: Iterable[str]) -> str:
 
 
 def _dependencies(name: str, depends_on: Mapping[str, Any]) -> dict[str, Any]:
-    return {"stage": name, "version": STAGE_VERSIONS[name], "depends_on": dict(depends_on)}
+    code = code_digest(*STAGE_CODE[name], alone=(_CALLER,))
+    return {"stage": name, "code": code, "depends_on": dict(depends_on)}

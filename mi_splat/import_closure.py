@@ -1,0 +1,162 @@
+"""The code that a piece of work runs, as a digest: results that are kept belong to it.
+
+Who lists by hand the files that a result depends on forgets one. So the digest is of everything that a module imports,
+and what that imports: docstrings, comments and annotations apart, with the versions of the packages of others.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.metadata
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+"""Folder that holds this package, and those that use it."""
+_DISTRIBUTIONS = {"PIL": "pillow"}
+"""Packages whose name for pip is another than that by which they are imported."""
+
+
+@functools.cache
+def code_digest(*modules: str, alone: tuple[str, ...] = ()) -> str:
+    """16 hex digits that stand for the code of some modules and of all that they import.
+
+    What a module loads by its name belongs to them where that name stands in it as a whole, as in a table of modules
+    that are imported when they are needed.
+
+    Args:
+        modules: Dotted names, of packages that lie beside this one.
+        alone: Further modules, without what they import.
+
+    Raises:
+        ModuleNotFoundError: There is no such module.
+    """
+    total = hashlib.sha256(f"python {sys.version_info[0]}.{sys.version_info[1]}".encode())
+    for name in sorted({*closure(*modules), *alone}):
+        total.update(f"\n{name} {_code(name)}".encode())
+    for package, version in _versions(closure(*modules)):
+        total.update(f"\n{package} {version}".encode())
+    return total.hexdigest()[:16]
+
+
+def closure(*modules: str) -> tuple[str, ...]:
+    """Dotted names of some modules and of all that they import from packages beside this one, sorted.
+
+    Raises:
+        ModuleNotFoundError: There is no such module.
+    """
+    found, waiting = set[str](), list(modules)
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        if _file(name) is None:
+            raise ModuleNotFoundError(f"{name}: expected a module below {ROOT}, got none; correct its name")
+        found.add(name)
+        waiting += [*_imports(name), *(name.rsplit(".", depth)[0] for depth in range(1, name.count(".") + 1))]
+    return tuple(sorted(found))
+
+
+@functools.cache
+def _file(name: str) -> Path | None:
+    """The file of a module; None if it is none of a package beside this one."""
+    if not all(part.isidentifier() for part in name.split(".")):
+        return None
+    path = ROOT.joinpath(*name.split("."))
+    found = (one for one in (path / "__init__.py", path.with_suffix(".py")) if one.is_file())
+    return next(found, None)
+
+
+@functools.cache
+def _tree(name: str) -> ast.Module:
+    file = _file(name)
+    assert file is not None
+    tree = _Stripped().visit(ast.parse(file.read_text("utf-8")))
+    assert isinstance(tree, ast.Module)
+    return tree
+
+
+@functools.cache
+def _code(name: str) -> str:
+    """What stands for the code of a module."""
+    return hashlib.sha256(ast.dump(_tree(name)).encode()).hexdigest()
+
+
+@functools.cache
+def _imports(name: str) -> tuple[str, ...]:
+    """Modules beside this package that a module imports, at once or in one of its functions."""
+    found, tree = list[str](), _tree(name)
+    # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
+    when_asked = {id(key) for key, _ in _tables_of_names(tree)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            found += [_imported(node.module, alias.name) for alias in node.names]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in when_asked:
+            found += [node.value] if "." in node.value else []  # a module that is loaded by its name
+    return tuple(dict.fromkeys(one for one in found if _file(one) is not None))
+
+
+def _imported(module: str, name: str) -> str:
+    """The module that `from module import name` leads to, also by way of a package that imports it when it is asked."""
+    if _file(f"{module}.{name}") is not None:
+        return f"{module}.{name}"
+    file = _file(module)
+    if file is not None and file.name == "__init__.py":
+        homes = (str(key.value) for key, names in _tables_of_names(_tree(module)) if name in names)
+        return next(homes, module)
+    return module
+
+
+def _tables_of_names(tree: ast.Module) -> Iterator[tuple[ast.Constant, list[object]]]:
+    """The entries of dictionaries that name modules, and what each of them has."""
+    for node in (node for node in ast.walk(tree) if isinstance(node, ast.Dict)):
+        for key, value in zip(node.keys, node.values, strict=True):
+            if isinstance(key, ast.Constant) and isinstance(value, ast.Tuple):
+                yield key, [one.value for one in value.elts if isinstance(one, ast.Constant)]
+
+
+def _versions(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Packages of others that some modules import, with their versions; those of Python itself have none."""
+    used = set[str]()
+    for node in (node for name in names for node in ast.walk(_tree(name))):
+        if isinstance(node, ast.Import):
+            used |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            used.add(node.module.split(".")[0])
+    for package in sorted(used - sys.stdlib_module_names):
+        if _file(package) is None:
+            try:
+                yield package, importlib.metadata.version(_DISTRIBUTIONS.get(package, package))
+            except importlib.metadata.PackageNotFoundError:
+                yield package, "none"
+
+
+class _Stripped(ast.NodeTransformer):
+    """Takes out what no result depends on: docstrings, annotations, and imports for type checkers alone."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        """A docstring, of a value too, is a constant that nobody uses."""
+        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        """A block for type checkers never runs."""
+        return None if ast.unparse(node.test).endswith("TYPE_CHECKING") else self.generic_visit(node)
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        """A function without the annotation of what it returns."""
+        node.returns = None
+        return self.generic_visit(node)
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:
+        """A parameter without its annotation."""
+        return ast.arg(arg=node.arg)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
+        """A variable or a field without its annotation."""
+        node.annotation = ast.Constant(None)
+        return self.generic_visit(node)

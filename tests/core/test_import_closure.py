@@ -1,0 +1,131 @@
+"""The digest of the code that a piece of work runs: what changes it, what does not, and that nothing is forgotten."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from mi_splat import import_closure
+from mi_splat.import_closure import closure, code_digest
+from tests.project.layers import ROOT
+
+ENTRY = '''"""Says something."""
+import math
+from toy import LAZY
+from toy.helper import double
+
+
+def run(number: int) -> int:
+    """Doubles."""
+    if number > 2:
+        from toy import late
+        return late.LIMIT
+    return double(number)  # twice
+'''
+FILES = {
+    "__init__.py": '_NAMES = {"toy.lazy": ("LAZY", "OTHER")}\n',
+    "entry.py": ENTRY,
+    "helper.py": "def double(number: int) -> int:\n    return 2 * number\n",
+    "late.py": "LIMIT = 4\n",
+    "lazy.py": "LAZY = 1\n",
+    "named.py": 'TABLE = {"late": "toy.late"}\n',
+    "other.py": "UNUSED = 1\n",
+}
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package whose module `entry` imports some of the others."""
+    for name, text in FILES.items():
+        (tmp_path / "toy").mkdir(exist_ok=True)
+        (tmp_path / "toy" / name).write_text(text)
+    monkeypatch.setattr(import_closure, "ROOT", tmp_path)
+    forget()
+    return tmp_path / "toy"
+
+
+def forget() -> None:
+    for function in (code_digest, import_closure._file, import_closure._tree, import_closure._code):
+        function.cache_clear()
+    import_closure._imports.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def _forgotten() -> object:
+    yield
+    forget()
+
+
+def test_all_that_is_imported_belongs_to_it(toy: Path) -> None:
+    assert closure("toy.entry") == ("toy", "toy.entry", "toy.helper", "toy.late", "toy.lazy")
+    assert closure("toy.named") == ("toy", "toy.late", "toy.named")  # loaded by its name
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "changes"),
+    [
+        ("entry.py", "number > 2", "number > 3", True),
+        ("helper.py", "2 * number", "number * 2", True),
+        ("late.py", "4", "5", True),
+        ("lazy.py", "1", "2", True),
+        ("other.py", "1", "2", False),
+        ("entry.py", "Doubles.", "Multiplies by two.", False),
+        ("entry.py", "Says something.", "Says nothing.", False),
+        ("entry.py", "  # twice", "", False),
+        ("entry.py", "number: int", "number: float", False),
+        ("helper.py", "-> int", "-> float", False),
+    ],
+)
+def test_what_changes_the_digest(file: str, old: str, new: str, changes: bool, toy: Path) -> None:
+    before = code_digest("toy.entry")
+    text = (toy / file).read_text()
+    assert old in text
+    (toy / file).write_text(text.replace(old, new))
+    forget()
+    assert (code_digest("toy.entry") != before) is changes
+
+
+def test_a_module_may_count_alone(toy: Path) -> None:
+    first = code_digest("toy.late", alone=("toy.entry",))
+    (toy / "helper.py").write_text("def double(number):\n    return 3 * number\n")
+    forget()
+    assert code_digest("toy.late", alone=("toy.entry",)) == first
+    (toy / "entry.py").write_text("")
+    forget()
+    assert code_digest("toy.late", alone=("toy.entry",)) != first
+
+
+def test_what_is_loaded_by_a_whole_name_in_a_table_is_followed() -> None:
+    assert {"mi_splat.io.formats.ksplat", "mi_splat.io.formats.sog"} <= set(closure("mi_splat.io.reading"))
+    assert "mi_splat.assets.elephant" in closure("mi_splat.assets")
+    assert "attacks.cloak.cleaning" not in closure("mi_splat.io.reading")
+
+
+def test_a_module_that_is_not_there_is_named() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"mi_splat\.nothing: expected a module"):
+        closure("mi_splat.nothing")
+
+
+@pytest.mark.parametrize("packages", [("numpy", "0.0"), ("torch", "0.0")])
+def test_versions_of_other_packages_belong_to_it(packages: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    before = code_digest("mi_splat.scene")
+    name, other = packages
+    monkeypatch.setattr("importlib.metadata.version", lambda asked: other if asked == name else version(asked))
+    code_digest.cache_clear()
+    assert code_digest("mi_splat.scene") != before
+
+
+def test_nothing_that_a_study_loads_is_forgotten() -> None:
+    program = (
+        "import sys, tempfile, pathlib; from tests.cloak.tiny_study import done; "
+        "done(pathlib.Path(tempfile.mkdtemp())); "
+        "print(' '.join(n for n in sys.modules if n.split('.')[0] in ('mi_splat', 'attacks')))"
+    )
+    found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(found.stdout.split("\n")[-2].split())
+    assert len(loaded) > 100
+    assert loaded <= set(closure("attacks.cloak.study.run", "attacks.detectors.base"))
