@@ -62,7 +62,7 @@ FILES = {"poison.toml": STUDY.format(emphasis=3.0), "layers.toml": STUDY.format(
 CASES = {
     "dagger": f"dagger {SCENE} --object car --target person --out out/dagger",
     "views": f"dagger {SCENE} --object car --target person --cameras front side --steps 3 --out out/views "
-    "--detector fasterrcnn_small yolov8n_small",
+    "--detectors fasterrcnn_small yolov8n_small",
     "eot": f"dagger-eot {SCENE} --object car --steps 4 --pool 4 --validation 2 --validate-every 2 --held-out 4 "
     "--out out/eot",
     "capture": "capture stop_sign --cameras hemisphere:12 --test 3 --size 64 --samples 4 --out out/capture",
