@@ -48,7 +48,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """File name, unique within a study."""
+        """File name, unique within a study: what is said of the attack, and a hash of all of it."""
         words = (
             self.group,
             self.object,
@@ -58,6 +58,7 @@ class Job:
             *(f"{eps:g}" for eps in self.config.eps),
             *([f"camera{self.camera}"] if self.camera else []),
             str(self.config.seed),
+            hashlib.sha256(repr(self).encode()).hexdigest()[:8],
         )
         return "-".join(word.replace(" ", "_") for word in words)
 
@@ -77,6 +78,14 @@ class AttackScene:
     objects: Mapping[str, slice]
     cameras: tuple[Camera, ...]
     render: RenderFn
+
+    def digest(self) -> str:
+        """SHA-256 of all that an attack sees: Gaussians, rows, cameras to the last bit, settings of the renderer."""
+        words = [scene_hash(self.scene), repr(sorted((name, str(rows)) for name, rows in self.objects.items()))]
+        for one in self.cameras:
+            words.append(repr((one.to_world.tolist(), one.focal, one.principal, one.width, one.height)))
+        words.append(repr(getattr(self.render, "settings", None)))
+        return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
 class JobRunner:
@@ -98,10 +107,9 @@ class JobRunner:
         self._fingerprints: dict[str, str] = {}
 
     def fingerprint(self, job: Job) -> str:
-        """Hash of what a result depends on besides the job: the scene, its cameras, and the detector's weights."""
+        """Hash of what a result depends on besides the job: the scene, see `AttackScene.digest`, and the detector."""
         if job.scene not in self._fingerprints:
-            place = self._scene(job)
-            words = [scene_hash(place.scene), str(place.cameras), self._detector.name, self._detector.fingerprint]
+            words = [self._scene(job).digest(), self._detector.name, self._detector.fingerprint]
             words += [f"{name} {value:g}" for name, value in self._settings.items()]
             self._fingerprints[job.scene] = hashlib.sha256("\n".join(words).encode()).hexdigest()
         return self._fingerprints[job.scene]

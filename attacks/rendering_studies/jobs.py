@@ -199,8 +199,9 @@ class StudyRunner:
         return _hash_of(words)
 
     def look_fingerprint(self, look: StudyLook) -> str:
-        """The same, with what a condition is made of."""
-        return _hash_of((self.fingerprint(look.attack), self._street))
+        """The same, with the attacked object, and what a condition is made of."""
+        seen = self._objects.look_fingerprint(look.attack, [look.attack.detector])
+        return _hash_of((self.fingerprint(look.attack), seen, self._street))
 
     @functools.cached_property
     def _street(self) -> str:

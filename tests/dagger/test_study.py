@@ -14,13 +14,16 @@ import torch
 from attacks import cli
 from attacks.cli import dagger_study
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.eot.jobs import EotJob, EotJobRunner
 from attacks.dagger.jobs import AttackScene, Job, JobRunner, jittered
 from attacks.dagger.study import CAMERAS, PAIRS, as_json, run_jobs, study_jobs
 from attacks.dagger.tables import TITLES, by_radius, markdown, rows, write_tables
+from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.limits import NORM_NAMES
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import project_points
+from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError
+from mi_splat.rendering import Renderer, RenderSettings
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 RANDOM = DaggerConfig(eps=(12.0,), seed=1, random_start=True)
@@ -57,6 +60,50 @@ def runner() -> JobRunner:
 def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     one = runner()
     return run_jobs(JOBS, tmp_path_factory.mktemp("study"), one.run, fingerprint=one.fingerprint)
+
+
+def nudged(by: float) -> tuple[Camera, ...]:
+    pose = camera().to_world.clone()
+    pose[0, 3] += by
+    return (dataclasses.replace(camera(), to_world=pose), camera(offset=0.4))
+
+
+SETTINGS = RenderSettings()
+CHANGES: dict[str, dict[str, Any]] = {
+    "a camera that moved by less than is printed": {"cameras": nudged(4e-5)},
+    "a camera less": {"cameras": (camera(),)},
+    "other rows": {"objects": {"rest": slice(0, 11), "thing": slice(11, 40)}},
+    "another background": {"render": Renderer(dataclasses.replace(SETTINGS, background=(1.0, 0.0, 0.0)))},
+    "another near plane": {"render": Renderer(dataclasses.replace(SETTINGS, near=0.5))},
+    "another method": {"render": Renderer(dataclasses.replace(SETTINGS, method="ray"))},
+    "other Gaussians": {"scene": toy().scene.replace(opacities=toy().scene.opacities * 0.99)},
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_result_belongs_to_all_that_the_attack_saw(change: str) -> None:
+    before = dataclasses.replace(toy(), render=Renderer(SETTINGS))
+    after = dataclasses.replace(before, **CHANGES[change])
+    eot = EotJob(group="pairs", scene="toy", object="thing", target="person", detectors=("fake_colour",))
+
+    def keys(place: AttackScene) -> list[str]:
+        colour = ColourDetector()
+        scenes = AttackScenes(lambda name: place)
+        return [
+            JobRunner(lambda name: place, colour).fingerprint(JOBS[0]),
+            EotJobRunner(lambda name: place, lambda name: colour).fingerprint(eot),
+            scenes.fingerprint("toy", "thing", colour),
+        ]
+
+    assert keys(before) == keys(dataclasses.replace(before, render=Renderer(SETTINGS)))
+    assert all(one != other for one, other in zip(keys(before), keys(after), strict=True))
+
+
+def test_attacks_that_differ_in_anything_have_files_of_their_own() -> None:
+    first = JOBS[0]
+    others = [dataclasses.replace(first, config=dataclasses.replace(first.config, steps=steps)) for steps in (11, 40)]
+    others += [dataclasses.replace(first, views=2), dataclasses.replace(first, scene="other")]
+    assert len({job.name for job in others}) == 4
 
 
 def test_the_study_holds_what_the_paper_leaves_open() -> None:
@@ -115,8 +162,8 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [{"steps": 12}, {"step_factor": 1.0}, {"sh_degree": None}, {"early_stop": False}])
-def test_a_job_with_another_setting_is_done_again(change: dict[str, Any], tmp_path: Path) -> None:
-    """Settings that are in no file's name count too, so that a changed default reuses nothing."""
+def test_a_job_with_another_setting_is_done_beside_the_first(change: dict[str, Any], tmp_path: Path) -> None:
+    """Settings that nobody would put into a name count too, and neither result overwrites the other."""
     done: list[DaggerConfig] = []
 
     def run(job: Job) -> dict[str, Any]:
@@ -124,8 +171,7 @@ def test_a_job_with_another_setting_is_done_again(change: dict[str, Any], tmp_pa
         return {}
 
     other = dataclasses.replace(JOBS[0], config=dataclasses.replace(JOBS[0].config, **change))
-    assert other.name == JOBS[0].name
-    for job in (JOBS[0], other, other):
+    for job in (JOBS[0], other, other, JOBS[0]):
         run_jobs([job], tmp_path, run, fingerprint=lambda job: "a")
     assert done == [JOBS[0].config, other.config]
 

@@ -25,7 +25,7 @@ from attacks.dagger.transfer.tables import markdown, write_tables
 from attacks.detectors.base import Detector
 from attacks.transformations.config import CameraRegion, Transformations
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import load_splat
+from mi_splat.io import load_splat, save_splat
 from tests.dagger.test_study import toy
 from tests.fakes import CoarseDetector, ColourDetector, register
 
@@ -127,6 +127,26 @@ def test_fingerprints_follow_the_detectors_that_play_a_part(tmp_path: Path) -> N
     assert before.attack_fingerprint(alone) == after.attack_fingerprint(alone)
     assert before.attack_fingerprint(JOBS[1]) != after.attack_fingerprint(JOBS[1])
     assert before.judge_fingerprint(by_other) != after.judge_fingerprint(by_other)
+
+
+def test_a_splat_that_was_made_anew_is_judged_anew(tmp_path: Path) -> None:
+    one = runner(tmp_path)
+    run_transfer(JOBS[:1], ["fake_colour"], tmp_path, one)
+    judged: list[str] = []
+
+    class Counting(TransferRunner):
+        def judge(self, job: JudgeJob) -> dict[str, Any]:
+            judged.append(job.name)
+            return super().judge(job)
+
+    again = Counting(lambda name: renamed(), DETECTORS.__getitem__, tmp_path)
+    run_transfer(JOBS[:1], ["fake_colour"], tmp_path, again)
+    assert judged == []
+    path = again.path(JOBS[0])
+    part = load_splat(path)
+    save_splat(part.replace(opacities=part.opacities * 0.5), path)
+    run_transfer(JOBS[:1], ["fake_colour"], tmp_path, again)
+    assert len(judged) == 1
 
 
 def test_the_matrix_counts_runs_whose_clean_object_is_found(study: tuple[Path, list[dict[str, Any]]]) -> None:

@@ -95,6 +95,7 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/attacked.spz": "mi-splat convert scenes/car_street_car.ply out/attacked.spz",
     "out/person": DAGGER,
     "out/cloak": "mi-splat cloak scenes/cloak_car_colour.toml --out {path}",
+    "out/layers": "mi-splat cloak scenes/cloak_car_layers.toml --out {path}",
     "docs/artifacts/cloak_car_layers": shipped_artifact,
 }
 """What pages take as given: a command that makes it, or a function."""
@@ -117,7 +118,10 @@ def small_scenes(folder: Path) -> None:
         if "\npoints = " not in text:
             text = text.replace("[cameras]\n", "[cameras]\npoints = 1500\n")
         for key, value in fewer.items():
-            text = re.sub(rf"^{key} = [\d.]+", f"{key} = {value}", text, flags=re.MULTILINE)
+            head, layers, rest = text.partition("\n[layers]")  # which need room for as many Gaussians as they make
+            parts = [head, layers, rest] if key == "max_gaussians" else [text]
+            parts[0] = re.sub(rf"^{key} = [\d.]+", f"{key} = {value}", parts[0], flags=re.MULTILINE)
+            text = "".join(parts)
         text = re.sub(r"^seeds = \[.*?\]", "seeds = [0]", text, flags=re.MULTILINE)
         path.write_text(re.sub(r"^detectors = .*$", 'detectors = ["fasterrcnn_small"]', text, flags=re.MULTILINE))
 

@@ -23,7 +23,6 @@ from attacks.objectives import Objective, hide, relabel
 from attacks.pgd import Step
 from attacks.transformations.config import Transformations
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.scene import scene_hash
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,13 +90,8 @@ class EotJobRunner:
         self._views: dict[tuple[str, str, Transformations], ViewDistribution] = {}
 
     def fingerprint(self, job: EotJob) -> str:
-        """Hash of what a result depends on besides the job: the scene, the reference camera, the detectors' weights."""
-        place = self._scene(job)
-        camera = place.cameras[0]
-        words = [
-            scene_hash(place.scene),
-            str((camera.to_world.tolist(), camera.fx, camera.fy, camera.width, camera.height)),
-        ]
+        """Hash of what a result depends on besides the job: the scene, see `AttackScene.digest`, and the detectors."""
+        words = [self._scene(job).digest()]
         words += [f"{detector.name} {detector.fingerprint}" for detector in self._of(job)]
         return hashlib.sha256("\n".join(words).encode()).hexdigest()
 

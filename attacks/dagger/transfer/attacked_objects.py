@@ -22,6 +22,7 @@ from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat
+from mi_splat.io.documents import sha256
 from mi_splat.scene import GaussianScene
 
 ATTACKED = "attacked"
@@ -95,6 +96,12 @@ class AttackedObjects:
     def fingerprint(self, job: ObjectAttack, detectors: Sequence[str]) -> str:
         """Hash of the scene, its cameras and the weights of the detectors."""
         return self._scenes.fingerprint(job.scene, job.object, *map(self.detector, detectors))
+
+    def look_fingerprint(self, job: ObjectAttack, detectors: Sequence[str]) -> str:
+        """The same, with the attacked object as its file has it: what is made anew is looked at anew."""
+        path = self.path(job)
+        content = sha256(path) if path.is_file() else "not there"
+        return f"{self.fingerprint(job, detectors)} {content}"
 
     def attack(
         self, job: ObjectAttack, detectors: Sequence[str], objective: Objective, *, render: RenderFn

@@ -134,8 +134,8 @@ class TransferRunner:
         return self._objects.attack(job, job.sources, objective, render=self._objects.place(job).render)
 
     def judge_fingerprint(self, job: JudgeJob) -> str:
-        """Hash of the scene, its cameras, and the weights of all detectors that play a part."""
-        return self._objects.fingerprint(job.source, (*job.source.sources, job.detector))
+        """Hash of the scene, of the attacked object, and of the weights of all detectors that play a part."""
+        return self._objects.look_fingerprint(job.source, (*job.source.sources, job.detector))
 
     def judge(self, job: JudgeJob) -> dict[str, Any]:
         """What the detector reports on the object, as `AttackedObjects.seen` returns it."""

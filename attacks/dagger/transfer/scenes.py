@@ -9,7 +9,6 @@ from attacks.dagger.jobs import AttackScene, jittered
 from attacks.detectors.base import Detector
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.scene import scene_hash
 
 
 class AttackScenes:
@@ -32,7 +31,7 @@ class AttackScenes:
         """
         if scene not in self._scenes:
             self._scenes[scene] = self._read(scene)
-            self._hashes[scene] = scene_hash(self._scenes[scene].scene)
+            self._hashes[scene] = self._scenes[scene].digest()
         place = self._scenes[scene]
         if name not in place.objects:
             expected = f"one of {', '.join(place.objects)}"
@@ -40,10 +39,10 @@ class AttackScenes:
         return place
 
     def fingerprint(self, scene: str, name: str, *detectors: Detector) -> str:
-        """Hash of what an attack depends on besides its settings: the Gaussians, the cameras, detectors' weights."""
-        place = self.of(scene, name)
+        """Hash of what an attack depends on besides its settings: the scene, and the weights of detectors."""
+        self.of(scene, name)
         weights = [word for detector in detectors for word in (detector.name, detector.fingerprint)]
-        words = (self._hashes[scene], str(place.cameras), *weights)
+        words = (self._hashes[scene], *weights)
         return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
     def view(self, scene: str, name: str, seed: int, camera: int = 0) -> Camera:
