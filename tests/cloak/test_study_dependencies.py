@@ -234,10 +234,10 @@ def test_defaults_are_part_of_what_a_stage_depends_on() -> None:
     splat = json.loads(keys(STUDY)["splat"])
     assert splat["fit"]["lr_sh"] == 2.5e-3
     assert splat["outliers"] == 0
-    assert "point_deviations" not in splat  # as stages of before there was one
+    assert splat["point_deviations"] is None
     layers = json.loads(keys(STUDY)["layers"])["layers"]
     assert layers["making"]["gap"] == 5.0
-    assert "apart" not in layers["making"]  # the same
+    assert layers["making"]["apart"] is False
     poisoned = json.loads(keys(STUDY)["poisoned"])
     assert poisoned["attack"][0]["emphasis_depth"] == 20.0
 

@@ -11,7 +11,6 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from attacks.cloak.cleaning import CleaningConfig
-from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study.attack_config import AttackConfig
 from attacks.cloak.study.config import StudyConfig, TrainingConfig
 from mi_splat.attributes import ATTRIBUTES
@@ -62,25 +61,6 @@ def layered_fit_config(study: StudyConfig) -> FitConfig:
     return replace(colours, trainable=ATTRIBUTES, strategy=strategy)
 
 
-def _given(attack: AttackConfig) -> dict[str, Any]:
-    """The settings of an attack; without a reach or a margin, which stages of before there were some did not have."""
-    absent = {"reach": None, "poison_margin": 0.0}
-    return {key: value for key, value in asdict(attack).items() if key not in absent or value != absent[key]}
-
-
-def _layers(config: LayersConfig) -> dict[str, Any]:
-    """How layers are made; without `apart` unless it is wanted, for stages of before there was one did not have it."""
-    values = asdict(config)
-    if not config.making.apart:
-        del values["making"]["apart"]
-    return values
-
-
-def _fit(config: FitConfig) -> dict[str, Any]:
-    """How a splat is trained; without a last rate of SH, which stages of before there was one did not have."""
-    return {key: value for key, value in to_json(config).items() if key != "lr_sh_final" or value is not None}
-
-
 def of_pictures(study: StudyConfig, source: str) -> dict[str, Any]:
     """The victim's pictures; they are transparent where nothing is, so that the background has no part in them.
 
@@ -99,7 +79,7 @@ def of_appearance(study: StudyConfig, source: str, attack: AttackConfig) -> dict
         source: Digest of the scene.
         attack: Whose appearance it is.
     """
-    shown = {key: value for key, value in _given(attack).items() if key not in _POISONING_ONLY}
+    shown = {key: value for key, value in asdict(attack).items() if key not in _POISONING_ONLY}
     # The distance of the cameras and their height place an occluder.
     return {**of_pictures(study, source), "background": study.scene.background, "appearance": shown}
 
@@ -120,7 +100,7 @@ def of_poisoned(
     if surrogates:
         assert study.surrogate is not None
         corrected = {"surrogates": list(surrogates), "gain": study.surrogate.gain}
-    attacks = [{key: value for key, value in _given(one).items() if key != "target_class"} for one in study.attack]
+    attacks = [{key: value for key, value in asdict(one).items() if key != "target_class"} for one in study.attack]
     drawn = seed if min(one.poison_fraction for one in study.attack) < 1 else None
     return {
         "source": source,
@@ -136,22 +116,21 @@ def of_poisoned(
 
 
 def of_splat(study: StudyConfig, pictures: str, seed: int) -> dict[str, Any]:
-    """A trained splat; a cleaning of its points has no part in it where there is none.
+    """A trained splat.
 
     Args:
         study: The study.
         pictures: Content of the set that it is trained on.
         seed: Of the training.
     """
-    deviations = study.training.point_deviations
     return {
         "pictures": pictures,
         "background": study.scene.background,
-        "fit": _fit(fit_config(study.training)),
+        "fit": to_json(fit_config(study.training)),
         "outliers": study.training.outliers,
         "near": study.training.near,
         "seed": seed,
-        **({} if deviations is None else {"point_deviations": deviations}),
+        "point_deviations": study.training.point_deviations,
     }
 
 
@@ -173,8 +152,8 @@ def of_layers(study: StudyConfig, source: str, clean: str, pictures: str, seed: 
         "background": study.scene.background,
         "near": study.training.near,
         "cameras": asdict(study.cameras),
-        "layers": _layers(study.layers),
-        "fit": _fit(layered_fit_config(study)),
+        "layers": asdict(study.layers),
+        "fit": to_json(layered_fit_config(study)),
         "cones": [
             [attack.name, attack.elevation, attack.azimuth]
             for attack in study.attack
@@ -210,7 +189,7 @@ def of_true_pictures(
         "source": source,
         "background": study.scene.background,
         "samples": study.cameras.samples,
-        "poses": [[round(value, 6) for value in camera.to_world.flatten().tolist()] for camera in cameras],
+        "poses": [camera.to_world.flatten().tolist() for camera in cameras],
         "lenses": lens,
         "appearance": None if attack is None else of_appearance(study, source, attack),
         "mitsuba": importlib.metadata.version("mitsuba"),
