@@ -152,7 +152,8 @@ def find_warnings(result: Result) -> tuple[str, ...]:
     if result.success and not result.verdict.unambiguous:
         found.append("another class is still detected on the object with more confidence")
     if result.success and not result.strict:
-        left = max(view.confidence(view.before.target.original, attacked=True) for view in result.views)
+        known = [view for view in result.views if view.before.target.original is not None]
+        left = max(view.confidence(view.before.target.original, attacked=True) for view in known)
         found.append(f"the object's own class is still reported on it, at up to {left:.0%}")
     if result.noise.scores and (
         (result.success and result.noise.successes) or max(result.noise.scores) >= result.score > 0

@@ -92,7 +92,8 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
     Args:
         sums: (2, blocks, seeds) successes and totals.
     """
-    blocks = int((sums[1].sum(1) > 0).sum())
+    sums = sums[:, sums[1].sum(1) > 0]
+    blocks = sums.shape[1]
     fraction = float(sums[0].sum() / sums[1].sum())
     if blocks < FEWEST_BLOCKS or fraction in (0.0, 1.0):
         return wilson(fraction, blocks)

@@ -193,8 +193,8 @@ def take_max_pixels(words: list[str]) -> int | None:
         place = words.index(word)
         values = [word.partition("=")[2]] if "=" in word else words[place + 1 : place + 2]
         del words[place : place + (1 if "=" in word else 2)]
-        if not values or not values[0].isdecimal() or int(values[0]) < 1:
-            got = values[0] if values else "nothing"
+        if not values or not values[0].isdecimal() or len(values[0]) > 18 or int(values[0]) < 1:
+            got = values[0][:40] if values else "nothing"
             raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
         found = int(values[0])
     return found

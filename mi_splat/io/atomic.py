@@ -17,7 +17,17 @@ from typing import BinaryIO, Literal
 from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, from_os_error
 
-_HOST = re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "host"
+
+def _where_processes_have_numbers() -> str:
+    """A name for this machine, and for its container where it has one: each counts processes by itself."""
+    name = re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "host"
+    try:
+        return f"{name}-{os.stat('/proc/self/ns/pid').st_ino}"
+    except OSError:
+        return name
+
+
+_HOST = _where_processes_have_numbers()
 _TEMPORARY = re.compile(r"\.(?:(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.)?[0-9a-f]{16}\.(?:tmp|old)")
 LOCK = ".mi-splat.lock"
 """Name of the file in a folder that a process has for itself; see `mi_splat.io.locks`."""

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.scene_xml import MOST_BYTES, MOST_ELEMENTS, scene_elements
-from mi_splat.io.texture_files import check_texture
+from mi_splat.io.texture_files import check_texture, is_texture
 
 MOST_INCLUSIONS, _MOST_PLACES = 1000, 64
 """How many files a scene may include, and in how many folders it may have them looked for."""
@@ -66,7 +66,7 @@ def check_scene_file(path: Path, parameters: Mapping[str, object] | None = None)
         PictureFileError: A picture has too many pixels.
     """
     for file in dict.fromkeys(scene_parts(path, parameters).files):
-        if file.suffix.lower() in _PICTURES:
+        if file.suffix.lower() in _PICTURES or is_texture(file):
             check_texture(file)
 
 
@@ -120,10 +120,12 @@ class _Reader:
         if self._size > MOST_BYTES:
             expected = f"at most {MOST_BYTES:,} characters, with the values of parameters"
             raise self._refused(expected, "more", "write less into <default>")
-        found = {}
-        for key, text in element.items():
-            found[key] = re.sub(r"\$(\w+)", lambda part: self._values.get(part[1], part[0]), text)
-        return found
+        # As Mitsuba does it: the longest name that fits, whatever stands behind it.
+        names = sorted(filter(None, self._values), key=len, reverse=True)
+        if not names:
+            return dict(element.items())
+        known = re.compile(r"\$(" + "|".join(map(re.escape, names)) + ")")
+        return {key: known.sub(lambda part: self._values[part[1]], text) for key, text in element.items()}
 
     def _refused(self, expected: str, got: str, do: str) -> InvalidValueError:
         """The error for a scene that no one needs."""

@@ -14,8 +14,30 @@ _EXR = b"\x76\x2f\x31\x01"
 _HEADER = 1 << 20
 """Bytes of a file in which its header has to end; that of an OpenEXR picture may hold a small preview."""
 _USUAL_CHANNELS, _CHANNEL_BYTES = 4, 16
-_RESOLUTION = re.compile(rb"\n\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
+_RADIANCE = (b"#?RADIANCE", b"#?RGBE")
+_RESOLUTION = re.compile(rb"^[-+][XY][ \t]+(\d{1,9})[ \t]+[-+][XY][ \t]+(\d{1,9})", re.MULTILINE)
+"""The first such line is the one that counts, wherever the header ends."""
 _PFM = re.compile(rb"P[Ff]\s+(\d{1,9})\s+(\d{1,9})\s")
+
+
+_BEGINNINGS = (
+    *(_EXR, *_RADIANCE, b"\x89PNG", b"\xff\xd8", b"BM", b"II*\0", b"MM\0*", b"RIFF"),
+    *(b"PF", b"Pf", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"),
+)
+"""First bytes of pictures, by which Mitsuba knows them whatever the names of their files."""
+
+
+def is_texture(path: Path) -> bool:
+    """Whether a file begins as a picture does.
+
+    Raises:
+        SplatFileError: The file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(16).startswith(_BEGINNINGS)
+    except OSError as error:
+        raise from_os_error(str(path), "a file that can be read", error) from error
 
 
 def check_texture(path: Path, what: str = "") -> None:
@@ -39,7 +61,7 @@ def check_texture(path: Path, what: str = "") -> None:
         raise from_os_error(what, "a picture", error) from error
     if head.startswith(_EXR):
         return _check_exr(head, what)
-    radiance = head.startswith((b"#?RADIANCE", b"#?RGBE"))
+    radiance = head.startswith(_RADIANCE)
     found = _RESOLUTION.search(head) if radiance else _PFM.match(head)
     if found is not None:
         return check_pixels(what, int(found[1]), int(found[2]))

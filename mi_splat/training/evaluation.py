@@ -11,13 +11,16 @@ from mi_splat.cameras import RenderFn, View
 from mi_splat.metrics import Perceptual, psnr, ssim
 from mi_splat.scene import GaussianScene
 
+MOST_PSNR = 120.0
+"""dB, far above what pictures of 8 bits can tell apart."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
     """Means over views, of pictures clipped to [0, 1].
 
     Attributes:
-        psnr: dB.
+        psnr: dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none.
         ssim: At most 1.
         lpips: At least 0, less is better; None if it was not asked for.
     """
@@ -42,7 +45,7 @@ def score(
     with torch.no_grad():
         for view in views:
             image = render(scene, view.camera)[..., :3].clamp(0, 1)  # a fourth channel is alpha
-            row = [psnr(image, view.image), ssim(image, view.image)]
+            row = [psnr(image, view.image).clamp(max=MOST_PSNR), ssim(image, view.image)]
             rows.append([float(value) for value in (*row, *([lpips(image, view.image)] if lpips else []))])
     if not rows:
         return None

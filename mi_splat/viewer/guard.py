@@ -86,7 +86,10 @@ class Guard:
         origin = headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
             return "another page may not use this one"
-        tokens = parse_qs(urlsplit(path).query).get("token", ())
+        try:
+            tokens = parse_qs(urlsplit(path).query).get("token", ())
+        except ValueError:
+            return "this is no address"
         cookies = _cookies(headers.get("Cookie", ""), f"{COOKIE}-{port}")
         if not (_any_is(tokens, self.token) or _any_is(cookies, self.cookie)):
             return "open the address that mi-splat view has printed, with its token"
@@ -148,7 +151,7 @@ def _cookies(header: str, name: str) -> list[str]:
 
 def _any_is(given: Iterable[str], secret: str) -> bool:
     """Whether a secret is among what was given, without telling by the time how much of it is right."""
-    return any(hmac.compare_digest(one.encode(), secret.encode()) for one in given)
+    return any(hmac.compare_digest(one.encode("utf-8", "replace"), secret.encode()) for one in given)
 
 
 @contextmanager

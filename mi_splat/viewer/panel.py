@@ -41,7 +41,7 @@ class Panel:
             self._show = gui.add_dropdown("Show", ways_of_showing(exhibit.names), initial_value=state.show)
             self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
             self._wish(self._show, lambda s, value: replace(s, show=self._known(value, s.show)))
-            self._wish(self._split, lambda s, value: replace(s, split=min(max(float(value), 0.0), 1.0)))
+            self._wish(self._split, lambda s, value: replace(s, split=_fraction(value, s.split)))
         self._free = FREE
         while self._free in exhibit.cameras:
             self._free = f"({self._free})"
@@ -130,6 +130,15 @@ def as_html(remarks: Iterable[Remark]) -> str:
     style = "padding: 0 0.75rem 0.5rem; font-size: 0.875rem; white-space: pre-wrap; overflow-wrap: anywhere"
     text = "\n".join(shown).encode("utf-8", "replace").decode()  # JSON may hold what is no Unicode
     return f'<div style="{style}">{text}</div>'
+
+
+def _fraction(value: Any, otherwise: float) -> float:
+    """A number in [0, 1], if it is one: what comes from a browser may be anything."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return otherwise
+    return number if 0 <= number <= 1 else otherwise
 
 
 def _turned(orbit: Orbit, attribute: str, value: Any) -> Orbit:

@@ -107,3 +107,11 @@ def test_blocks_are_as_wide_near_the_pole_as_at_the_horizon() -> None:
     assert [blocks(0.0), blocks(60.0), blocks(85.0)] == [18, 9, 3]
     below_and_above = pl.DataFrame({"azimuth": [5.0, 5.0], "elevation": [-5.0, 65.0]})
     assert below_and_above.select(blocks_of("azimuth", "elevation")).n_unique() == 2
+
+
+def test_blocks_in_which_nothing_counts_have_no_part_in_an_interval() -> None:
+    rows = many(agree=True).with_columns(inside=pl.col("block") < 8)
+    measure = Measure(holds=pl.col("holds"), given=pl.col("inside"))
+    among = count(rows, {"rate": measure}, alike=("block", "seed"))[()]["rate"]
+    alone = count(rows.filter("inside"), {"rate": measure}, alike=("block", "seed"))[()]["rate"]
+    assert among == alone

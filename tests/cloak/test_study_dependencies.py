@@ -280,8 +280,11 @@ def test_a_stage_whose_output_was_edited_is_refused(tmp_path: Path) -> None:
 def test_the_code_of_a_stage_is_all_that_it_may_run(stage: str) -> None:
     code = closure(*STAGE_CODE[stage])
     assert "mi_splat.scene" in code
-    if stage in ("splat", "layers", "observations", "view_reports"):
+    if stage in ("poisoned", "splat", "layers", "observations", "view_reports"):
         assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= set(code)
+    judged = stage in ("observations", "view_reports")
+    assert ("attacks.detectors.registry" in code) is judged
+    assert judged or not {"attacks.cloak.study.plots", "attacks.cloak.study.report"} & set(code)
 
 
 def test_content_is_that_of_the_files_that_count(tmp_path: Path) -> None:

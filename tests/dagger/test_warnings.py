@@ -85,6 +85,12 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Resul
     result = dataclasses.replace(sound, detectors=(dataclasses.replace(sound.detectors[0], views=(seen,)),))
     assert result.success
     assert result.strict is strict
+    # What a view shows in which nothing was reported before is not the object's own class.
+    unknown = dataclasses.replace(
+        view, before=dataclasses.replace(view.before, target=dataclasses.replace(view.before.target, original=None))
+    )
+    two = dataclasses.replace(result, detectors=(dataclasses.replace(result.detectors[0], views=(seen, unknown)),))
+    assert strict or f"the object's own class is still reported on it, at up to {left:.0%}" in find_warnings(two)
     expected = () if strict else (f"the object's own class is still reported on it, at up to {left:.0%}",)
     assert find_warnings(result) == expected
 

@@ -16,7 +16,7 @@ import torch
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, load_splat, save_splat
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.atomic import atomic_write, sweep_temporary, temporary_name, write_all
 from mi_splat.scene import GaussianScene, scene_hash
 from tests.gaussians import random_scene
 
@@ -186,3 +186,16 @@ def test_partial_writes_are_completed(tmp_path: Path) -> None:
     slow = Slow()
     write_all(slow, memoryview(b"0123456789"))  # type: ignore[arg-type]
     assert slow.data == b"0123456789"
+
+
+def test_what_another_container_writes_is_not_swept(tmp_path: Path) -> None:
+    """Its processes have numbers of their own, so that one which runs may look ended from here."""
+    name = temporary_name()
+    host, number = name[1:].split(".")[:2]
+    elsewhere = tmp_path / name.replace(host, f"{host}0").replace(number, "999999999")
+    here = tmp_path / name.replace(number, "999999999")
+    for path in (elsewhere, here):
+        path.mkdir()
+    assert sweep_temporary(tmp_path) == 1
+    assert elsewhere.is_dir()
+    assert not here.exists()

@@ -138,7 +138,13 @@ def test_commands_refuse_and_take_the_flag(
         Path("a.png").write_bytes(saved("PNG"))
         assert cli.main([*words, "--out", "found"]) == 1
         assert "at most 100 pixels" in capsys.readouterr().err
-    for words in (["--max-pixels", "none"], ["--max-pixels"], ["--max-pixels=0"], ["--max-pixels=-3"]):
+    for words in (
+        ["--max-pixels", "none"],
+        ["--max-pixels"],
+        ["--max-pixels=0"],
+        ["--max-pixels=-3"],
+        ["--max-pixels", "9" * 5000],
+    ):
         assert cli.main(["detect", "a.png", *words]) == 2
         assert "detect: --max-pixels: expected a number of pixels" in capsys.readouterr().err
     assert picture_header(Path("a.png"))[0] == (256, 256)

@@ -106,14 +106,32 @@ def test_commands_say_it_in_one_line(
     assert not Path("out").exists()
 
 
-def test_pictures_that_a_scene_names_are_counted(tmp_path: Path) -> None:
-    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "wood.png")
-    texture = '<texture type="bitmap" name="reflectance"><string name="filename" value="wood.png"/></texture>'
+@pytest.mark.parametrize(
+    ("file", "given", "written"),
+    [
+        ("wood.png", "", "wood.png"),
+        ("wood.dat", "", "wood.dat"),  # Mitsuba knows pictures by their first bytes
+        ("wood", "", "wood"),
+        ("woodbar.png", '<default name="foo" value="wood"/>', "$foobar.png"),  # as Mitsuba reads parameters
+        ("oakbar.png", '<default name="f" value="x"/><default name="foo" value="oak"/>', "$foobar.png"),
+    ],
+)
+def test_pictures_that_a_scene_names_are_counted(file: str, given: str, written: str, tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / file, format="PNG")
+    texture = f'<texture type="bitmap" name="reflectance"><string name="filename" value="{written}"/></texture>'
     path = tmp_path / "a.xml"
-    path.write_bytes(scene(f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>'))
+    path.write_bytes(scene(f'{given}<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>'))
     with pixel_limit(1200):
         assert open_source(str(path)).radius > 0
-    with pixel_limit(1199), pytest.raises(MiSplatError, match=r"wood\.png: expected at most 1,199 pixels"):
+    with pixel_limit(1199), pytest.raises(MiSplatError, match=rf"{file}: expected at most 1,199 pixels"):
+        open_source(str(path))
+
+
+def test_an_inclusion_behind_a_parameter_is_read_as_mitsuba_reads_it(tmp_path: Path) -> None:
+    (tmp_path / "deepinc.xml").write_bytes(nested(200))
+    path = tmp_path / "a.xml"
+    path.write_bytes(scene('<default name="foo" value="deep"/><include filename="$fooinc.xml"/>'))
+    with pytest.raises(MiSplatError, match="in each other"):
         open_source(str(path))
 
 

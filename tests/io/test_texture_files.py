@@ -75,3 +75,14 @@ def test_headers_that_are_cut_off_are_refused(tmp_path: Path) -> None:
         check_texture(path)
     with pytest.raises(MiSplatError, match="No such file"):
         check_texture(tmp_path / "none.exr")
+
+
+def test_the_first_size_of_a_radiance_picture_counts(tmp_path: Path) -> None:
+    path = tmp_path / "a.hdr"
+    mi.Bitmap(np.zeros((30, 40, 3), np.float32)).write(str(path))
+    data = path.read_bytes()
+    line = b"-Y 30 +X 40\n"
+    assert line in data
+    path.write_bytes(data.replace(line, line + b"\n-Y 1 +X 1\n"))
+    with pixel_limit(1199), pytest.raises(PictureFileError, match="expected at most 1,199 pixels, got 1,200"):
+        check_texture(path)

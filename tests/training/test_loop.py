@@ -12,6 +12,7 @@ from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
+from mi_splat.training.evaluation import MOST_PSNR, score
 from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit
 from mi_splat.training.losses import photometric_loss
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, Step, Strategy
@@ -124,3 +125,13 @@ def test_the_hooks_are_called_with_what_they_are_told() -> None:
     assert [step.lr_means for step in steps] == pytest.approx([2 * 1.6e-4 * 0.01 ** (i / 7) for i in range(1, 7)])
     assert {(step.iterations, step.scene_extent) for step in steps} == {(7, 2.0)}
     assert all(step.screen_gradients is not None for step in steps)
+
+
+def test_pictures_that_are_equal_have_a_score_that_can_be_written() -> None:
+    scene, views, *_ = scene_and_views()
+    render = Renderer()
+    equal = [View(view.camera, render(scene, view.camera).detach().clamp(0, 1)) for view in views[:2]]
+    found = score(scene, equal, render)
+    assert found is not None
+    assert found.psnr == MOST_PSNR
+    assert found.ssim == pytest.approx(1.0)

@@ -46,6 +46,8 @@ def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> Non
         ("/?token=wrong", HERE, "token"),
         ("/?token=", HERE, "token"),
         ("/?token=s\u00e9cret", HERE, "token"),
+        ("/?token=s%ED%A0%80cret", HERE, "token"),
+        ("//[x", HERE, "no address"),
         ("/", {**HERE, "Cookie": f"{COOKIE}-8080=wrong"}, "token"),
         ("/", {**HERE, "Cookie": f"{COOKIE}-8080=secret"}, "token"),  # it is for the address alone
         ("/", {**HERE, "Cookie": f"{COOKIE}-8080=cr\u00fcmb"}, "token"),

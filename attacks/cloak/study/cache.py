@@ -25,20 +25,25 @@ from mi_splat.io.parsing import read_json
 
 DONE = "done.json"
 
-_STUDY = "attacks.cloak.study"
+# Not written as whole names: who imports this module would be taken to load all of them (`mi_splat.import_closure`).
+_CLOAK = ".".join(("attacks", "cloak"))
+_STUDY = f"{_CLOAK}.study"
 _PICTURES = (f"{_STUDY}.setup", f"{_STUDY}.kept_pictures")
-_SPLAT = ("mi_splat.training.resume", "mi_splat.training.initialization", "mi_splat.datasets.dataset")
-_DETECTORS = "attacks.detectors.registry"
+_LIBRARY = "mi_splat"
+_SPLAT = tuple(
+    f"{_LIBRARY}.{name}" for name in ("training.resume", "training.initialization", "datasets.dataset", "rendering")
+)
+_DETECTORS = ".".join(("attacks", "detectors", "registry"))
 STAGE_CODE: dict[str, tuple[str, ...]] = {
-    "pictures": (f"{_STUDY}.setup", "mi_splat.capture.writer"),
+    "pictures": (f"{_STUDY}.setup", f"{_LIBRARY}.capture.writer"),
     "appearance": _PICTURES,
     "true_pictures": _PICTURES,
-    "poisoned": (*_PICTURES, "attacks.cloak.poisoning", "mi_splat.datasets.writing"),
-    "splat": (f"{_STUDY}.setup", f"{_STUDY}.trained_splats", "mi_splat.rendering", *_SPLAT),
-    "layers": (f"{_STUDY}.setup", f"{_STUDY}.layering", "mi_splat.rendering", *_SPLAT),
+    "poisoned": (*_PICTURES, f"{_CLOAK}.poisoning", f"{_LIBRARY}.datasets.writing", f"{_LIBRARY}.rendering"),
+    "splat": (f"{_STUDY}.setup", f"{_STUDY}.trained_splats", *_SPLAT),
+    "layers": (f"{_STUDY}.setup", f"{_STUDY}.layering", *_SPLAT),
     "cleaned": (f"{_STUDY}.trained_splats",),
     "observations": (f"{_STUDY}.observations", _DETECTORS),
-    "view_reports": ("attacks.cloak.experiments.view_reports", _DETECTORS),
+    "view_reports": (f"{_CLOAK}.experiments.view_reports", _DETECTORS),
 }
 """Modules whose code makes each stage, with all that they import (`mi_splat.import_closure`).
 
@@ -96,11 +101,12 @@ class StageCache:
         path = self.folder(name, depends_on)
         if not (path / DONE).is_file():
             with locked_folder(path):
-                sweep_temporary(path)
-                make(path)
-                made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
-                content = content_of(path, outputs)
-                save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
+                if not (path / DONE).is_file():  # nobody has done it while this process came to the lock
+                    sweep_temporary(path)
+                    make(path)
+                    made_by = {"commit": provenance.commit(), "versions": provenance.versions()}
+                    content = content_of(path, outputs)
+                    save_json({**_dependencies(name, depends_on), "content": content, "made_by": made_by}, path / DONE)
         do = "delete its folder, so that it is made again"
         done = Fields(read_json(path / DONE), str(path / DONE), InvalidValueError, do)
         commit, content = done.object("made_by").values.get("commit"), done.text("content")

@@ -9,7 +9,6 @@ import contextlib
 import json
 import math
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -17,14 +16,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import sha256
+from mi_splat.io.documents import save_png, save_text, sha256
 from mi_splat.io.fields import Fields
 from mi_splat.io.noted_tensors import read_line
 from mi_splat.io.parsing import DocumentReader
@@ -42,9 +40,8 @@ def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]
 
 
 def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
-    temporary = folder / f".{number:05d}.{os.getpid()}.png"
-    Image.fromarray(picture.image.numpy()).save(temporary)
-    path = temporary.replace(folder / f"{number:05d}.png")
+    path = folder / f"{number:05d}.png"
+    save_png(picture.image.numpy(), path)
     return {
         "sha256": sha256(path),
         "boxes": picture.boxes.tolist(),
@@ -124,9 +121,7 @@ def _write(folder: Path, note: dict[str, object], records: dict[int, Record]) ->
 
 
 def _replace_labels(folder: Path, content: dict[str, Any]) -> None:
-    temporary = folder / "labels.json.partial"
-    temporary.write_text(json.dumps(content))
-    temporary.replace(folder / "labels.json")
+    save_text(json.dumps(content), folder / "labels.json")
 
 
 def _labels(folder: Path) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save, save_file
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
@@ -21,6 +21,7 @@ from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.weights import apply_weights, read_weights
 from mi_splat.errors import message
+from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.noted_tensors import NOTES, check_like, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
 
@@ -214,9 +215,8 @@ class Training:
             "history": self.history,
             "data": self.data,
         }
-        temporary = folder / "checkpoint.partial"
-        save_file(tensors, temporary, metadata={NOTES: json.dumps(notes)})
-        temporary.replace(folder / "checkpoint.safetensors")
+        with atomic_write(folder / "checkpoint.safetensors") as file:
+            write_all(file, memoryview(save(tensors, metadata={NOTES: json.dumps(notes)})))
 
     @classmethod
     def resume(cls, folder: Path, config: TrainConfig, trainer: DetectorTrainer) -> Training:
