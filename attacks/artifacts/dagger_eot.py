@@ -97,11 +97,8 @@ def _frame(contents: Contents) -> pl.DataFrame:
     """The rows as rates are counted from them: the draws of noise in one column."""
     rows = pl.DataFrame(contents.tables[ROWS].rows, infer_schema_length=None)
     draws = [name for name in rows.columns if name.startswith(_NOISE_SUCCESS)]
-    return (
-        rows.with_columns(pl.col("original").cast(pl.String), pl.concat_list(draws).alias(NOISE))
-        if draws
-        else (rows.with_columns(pl.col("original").cast(pl.String), pl.lit([], dtype=pl.List(pl.Boolean)).alias(NOISE)))
-    )
+    noise = pl.concat_list(draws) if draws else pl.lit([], dtype=pl.List(pl.Boolean))
+    return rows.with_columns(pl.col("original").cast(pl.String), noise.alias(NOISE))
 
 
 def columns(contents: Contents) -> Mapping[str, Sequence[Column]]:

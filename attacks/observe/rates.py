@@ -40,7 +40,11 @@ class Measure:
 
 
 def count(
-    rows: pl.DataFrame, measures: Mapping[str, Measure], by: Sequence[str] = (), *, alike: tuple[str, str] | None = None
+    rows: pl.DataFrame,
+    measures: Mapping[str, Measure],
+    by: Sequence[str] = (),
+    *,
+    clusters: tuple[str, str] | None = None,
 ) -> dict[Group, dict[str, Rate]]:
     """Count measures over groups of rows.
 
@@ -48,7 +52,7 @@ def count(
         rows: With the columns that the measures name.
         measures: By name.
         by: Columns whose values make the groups; none makes one group, (), of all rows.
-        alike: Two columns (block of cameras, seed): rows with the same value of either are not independent, and
+        clusters: Two columns (block of cameras, seed): rows with the same value of either are not independent, and
             intervals are resampled. None takes all rows for independent.
 
     Returns:
@@ -61,21 +65,21 @@ def count(
         holds = measure.holds if measure.given is None else measure.holds & measure.given
         total = pl.len() if measure.given is None else measure.given.sum()
         sums += [holds.sum().alias(f"{name}/successes"), total.alias(f"{name}/total")]
-    columns = list(dict.fromkeys((*by, *(alike or ()))))
+    columns = list(dict.fromkeys((*by, *(clusters or ()))))
     table = rows.group_by(columns, maintain_order=True).agg(sums) if columns else rows.select(sums)
     groups = table.partition_by(by, maintain_order=True) if by else [table]
     return {
-        tuple(group[column][0] for column in by): {name: _rate(group, name, alike) for name in measures}
+        tuple(group[column][0] for column in by): {name: _rate(group, name, clusters) for name in measures}
         for group in groups
     }
 
 
-def _rate(group: pl.DataFrame, name: str, alike: tuple[str, str] | None) -> Rate:
+def _rate(group: pl.DataFrame, name: str, clusters: tuple[str, str] | None) -> Rate:
     """The rate of a measure over a group, of which each line has the sums of a part."""
     successes, total = (int(group[f"{name}/{what}"].sum()) for what in ("successes", "total"))
-    if alike is None or not total:
+    if clusters is None or not total:
         return Rate(successes=successes, total=total)
-    places = [np.unique(group[column].to_numpy(), return_inverse=True)[1] for column in alike]
+    places = [np.unique(group[column].to_numpy(), return_inverse=True)[1] for column in clusters]
     shape = tuple(int(place.max()) + 1 for place in places)
     sums = np.zeros((2, *shape))
     for number, what in enumerate(("successes", "total")):

@@ -74,7 +74,7 @@ def many(agree: bool) -> pl.DataFrame:
 def test_views_that_agree_make_a_wide_interval() -> None:
     widths = {}
     for agree in (True, False):
-        (rate,) = count(many(agree), {"rate": Measure(holds=pl.col("holds"))}, alike=("block", "seed"))[()].values()
+        (rate,) = count(many(agree), {"rate": Measure(holds=pl.col("holds"))}, clusters=("block", "seed"))[()].values()
         low, high = rate.interval
         assert low < rate.fraction < high
         widths[agree] = high - low
@@ -84,7 +84,9 @@ def test_views_that_agree_make_a_wide_interval() -> None:
 
 def test_a_resampled_interval_is_the_same_every_time() -> None:
     first, second = (
-        count(many(agree=True), {"rate": Measure(holds=pl.col("holds"))}, alike=("block", "seed"))[()]["rate"].interval
+        count(many(agree=True), {"rate": Measure(holds=pl.col("holds"))}, clusters=("block", "seed"))[()][
+            "rate"
+        ].interval
         for _ in range(2)
     )
     assert first == second
@@ -95,7 +97,7 @@ def test_where_blocks_say_nothing_each_counts_once(blocks: int, holds: bool | No
     rows = many(agree=True).filter(pl.col("block") < blocks)
     if holds is not None:
         rows = rows.with_columns(holds=pl.lit(holds))
-    rate = count(rows, {"rate": Measure(holds=pl.col("holds"))}, alike=("block", "seed"))[()]["rate"]
+    rate = count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=("block", "seed"))[()]["rate"]
     assert rate.interval == Rate(successes=round(rate.fraction * blocks), total=blocks).interval
 
 
@@ -112,6 +114,6 @@ def test_blocks_are_as_wide_near_the_pole_as_at_the_horizon() -> None:
 def test_blocks_in_which_nothing_counts_have_no_part_in_an_interval() -> None:
     rows = many(agree=True).with_columns(inside=pl.col("block") < 8)
     measure = Measure(holds=pl.col("holds"), given=pl.col("inside"))
-    among = count(rows, {"rate": measure}, alike=("block", "seed"))[()]["rate"]
-    alone = count(rows.filter("inside"), {"rate": measure}, alike=("block", "seed"))[()]["rate"]
+    among = count(rows, {"rate": measure}, clusters=("block", "seed"))[()]["rate"]
+    alone = count(rows.filter("inside"), {"rate": measure}, clusters=("block", "seed"))[()]["rate"]
     assert among == alone

@@ -23,7 +23,7 @@ STEALTHY = 1.5
 BIN = 5.0
 """Degrees of elevation over which rates are taken."""
 
-ALIKE = ("block", "seed")
+CLUSTERS = ("block", "seed")
 """Columns of `pairs`: rows of one block of cameras, or of one seed, are not independent."""
 
 Rates = dict[str, Rate | None]
@@ -32,7 +32,7 @@ Rates = dict[str, Rate | None]
 def pairs(rows: pl.DataFrame) -> pl.DataFrame:
     """What was seen of both splats of each seed, by detector and camera, and the `block` it stands in."""
     table = paired(rows, (CLEAN, CLOAKED), scene="splat", on=("seed", "detector", "view"))
-    return table.with_columns(blocks_of(f"{CLEAN}.azimuth", f"{CLEAN}.elevation").alias(ALIKE[0]))
+    return table.with_columns(blocks_of(f"{CLEAN}.azimuth", f"{CLEAN}.elevation").alias(CLUSTERS[0]))
 
 
 def measures(study: StudyConfig, attack: str | None = None) -> dict[str, Measure]:
@@ -97,7 +97,7 @@ def rates(
         by: Columns that make the groups; of those of `pairs`.
         attack: As in `measures`.
     """
-    counted = count(pairs(rows), measures(study, attack), by, alike=ALIKE)
+    counted = count(pairs(rows), measures(study, attack), by, clusters=CLUSTERS)
     return {group: {name: found.get(name) for name in ROWS} for group, found in counted.items()}
 
 
@@ -115,7 +115,7 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
         here.with_columns(band=(elevation / BIN).floor() * BIN).sort("band", maintain_order=True),
         {which: Measure(holds=pl.col(f"{which}.{own}") >= study.evaluation.confidence) for which in (CLEAN, CLOAKED)},
         ("detector", "band"),
-        alike=ALIKE,
+        clusters=CLUSTERS,
     )
     found: dict[str, list[tuple[float, Rate, Rate]]] = {name: [] for name in study.evaluation.detectors}
     for (detector, low), both in counted.items():
