@@ -71,7 +71,12 @@ assert picture.std() > 0.05
 
 
 def test_the_readme_is_short() -> None:
+    prose = re.sub(r"^```.*?^```$", "", README, flags=re.MULTILINE | re.DOTALL)
     assert len(README.splitlines()) <= 150
+    assert len(prose.split()) <= 900
+    results = re.findall(r"^\| \[.*$", README, flags=re.MULTILINE)
+    assert len(results) == 6
+    assert max(len(cell.split()) for row in results for cell in row.split("|")) <= 30
 
 
 @pytest.mark.parametrize("path", pages(), ids=lambda path: str(path.name))
