@@ -85,7 +85,7 @@ def test_tables_by_hand_have_no_other_fractions() -> None:
 
 
 def surrogate(derived: Mapping[str, Any]) -> list[str]:
-    """What docs/cloak.md tells of a poison that a surrogate has corrected."""
+    """What docs/research-log.md tells of a poison that a surrogate has corrected."""
     by = derived["by_detector"]
 
     def each(key: str) -> str:
@@ -99,7 +99,7 @@ def surrogate(derived: Mapping[str, Any]) -> list[str]:
 
 
 def tried(derived: Mapping[str, Any]) -> list[str]:
-    """What docs/dagger-eot.md tells of the searches before the last one."""
+    """What docs/research-log.md tells of the searches before the last one."""
     found = {name: one["rate"]["successes"] for name, one in derived["attacks"].items()}
 
     def of(*beginnings: str) -> list[int]:
@@ -231,8 +231,8 @@ def others(derived: Mapping[str, Any]) -> list[str]:
 
 
 SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...] = (
-    ("cloak_car_surrogate", "docs/cloak.md", surrogate),
-    ("dagger_eot_tried", "docs/dagger-eot.md", tried),
+    ("cloak_car_surrogate", "docs/research-log.md", surrogate),
+    ("dagger_eot_tried", "docs/research-log.md", tried),
     ("cloak_car_stealthy", "README.md", stealthy_in_readme),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
     ("cloak_car_stealthy_margin", "docs/cloak.md", margin),
