@@ -114,7 +114,7 @@ def test_rows_that_are_not_the_study_s_are_refused(
     change: Callable[[list[dict[str, str]]], Any], said: str, artifact: Path
 ) -> None:
     edit_rows(artifact, change)
-    with pytest.raises(InvalidValueError, match="get the artifact again") as error:
+    with pytest.raises(InvalidValueError, match="again") as error:
         check_artifact(artifact)
     assert said in str(error.value)
 

@@ -1,0 +1,329 @@
+"""What was seen, row by row: one schema for all attacks, one writer and one bounded reader.
+
+A row says what one detector reports on the object of one splat (clean, attacked, with random noise) in one view, under
+one condition. Every figure is counted from such rows (`attacks.observe.rates`). A result holds them as rows.csv.gz, and
+beside it detections.csv.gz, with a row for each single detection. Pictures that no detector looked at are rows without
+a detector, in tables of their own (fidelity.csv.gz, transition.csv.gz). All tables take their columns from `COLUMNS`;
+what a kind of result does not have is left out.
+
+Tables are compressed CSV: equal rows have equal bytes, every program opens them, and text of strangers is read safely.
+Parquet takes a third of the space, but its bytes change with the version that writes it.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import math
+import re
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import polars as pl
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import atomic_write
+
+Cell = str | int | float | bool | None
+Row = Mapping[str, Cell]
+
+ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
+"""Names of the tables of a result; their files end in `SUFFIX`."""
+SUFFIX = ".csv.gz"
+TRUE, CLEAN, ATTACKED, NOISE = "true", "clean", "attacked", "noise"
+"""Names of splats in the column `splat`; of the first there are true pictures of the scene, and no splat."""
+
+MOST_BYTES = 1 << 28
+"""Most that a table may be, unpacked: one that is larger is not read."""
+MOST_ROWS, MOST_COLUMNS = 4_000_000, 200
+
+_WHOLE = re.compile(r"-?[0-9]{1,18}")
+_NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e[+-]?[0-9]{1,3})?")
+_TYPES = {"text": pl.String, "whole": pl.Int64, "number": pl.Float64, "truth": pl.Boolean}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: At its head; one that ends in ": " stands for a column of each attack, whose name follows.
+        kind: What its cells hold; a truth is true or false.
+        unit: Of a number; empty for none.
+        meaning: In words.
+        optional: Whether a cell may be empty, which stands for None.
+    """
+
+    name: str
+    kind: Literal["text", "whole", "number", "truth"]
+    meaning: str
+    unit: str = ""
+    optional: bool = False
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON can hold it."""
+        return asdict(self)
+
+
+def _text(name: str, meaning: str, *, optional: bool = False) -> Column:
+    return Column(name=name, kind="text", meaning=meaning, optional=optional)
+
+
+def _whole(name: str, meaning: str, *, optional: bool = False) -> Column:
+    return Column(name=name, kind="whole", meaning=meaning, optional=optional)
+
+
+def _number(name: str, meaning: str, unit: str = "", *, optional: bool = False) -> Column:
+    return Column(name=name, kind="number", meaning=meaning, unit=unit, optional=optional)
+
+
+def _truth(name: str, meaning: str) -> Column:
+    return Column(name=name, kind="truth", meaning=meaning, optional=True)
+
+
+BOX = ("x0", "y0", "x1", "y1")
+"""Columns with the box of the object."""
+DETECTION_BOX = tuple(f"box_{corner}" for corner in BOX)
+"""Columns with the box of a detection."""
+DEPTH, POISON_DEPTH, TARGET_SCORE = "depth: ", "poison_depth: ", "target_score: "
+"""Heads of the columns that each attack of a study of CLOAK has; its name follows."""
+
+COLUMNS = (
+    _text("attack", "name of the attack in its study"),
+    _text("sources", "the detectors that were attacked, with + between them"),
+    _whole("seed", "of the attack or of the training; empty for true pictures", optional=True),
+    _text("condition", "how the splat was looked at: a renderer, a file format, an hour; empty: as it was attacked"),
+    _text("splat", "clean (the control), attacked, noise (random, of the attack's size), or true (of the scene)"),
+    _whole("draw", "number of the draw of random noise, from 0; empty for other splats", optional=True),
+    _text("detector", "name of the detector"),
+    _whole("view", "number of the camera in cameras.json, from 0"),
+    _text("camera", "name of the camera"),
+    _whole("meridian", "number of the meridian of a transition"),
+    _number("azimuth", "of the camera, from +x towards +y", "degrees"),
+    _number("elevation", "of the camera above the ground", "degrees"),
+    _number("distance", "of the camera from the centre", "world units"),
+    *(_number(axis, "of the camera", "world units") for axis in "xyz"),
+    _number(DEPTH, "of the camera inside the trigger of attack NAME; outside below 0", "degrees"),
+    _number(POISON_DEPTH, "of the camera inside the edge of the pictures that attack NAME poisons", "degrees"),
+    *(_number(name, f"{name} of the object's box; empty: it does not show", "pixels", optional=True) for name in BOX),
+    _text("original", "class of the object: what it is, or what the detector calls the clean one", optional=True),
+    _text("target", "class that the attack wants", optional=True),
+    _text("label", "class of the detection: in rows the best of any class on the object; empty: none", optional=True),
+    _number("score", "its confidence; in rows 0 where nothing is reported on the object", optional=True),
+    *(_number(name, "of its box", "pixels", optional=True) for name in DETECTION_BOX),
+    _number("iou", "of its box with the object's", optional=True),
+    _number("original_score", "highest confidence of the original class with an IoU of 0.5; 0: none", optional=True),
+    _number("target_score", "the same of the class that is wanted; empty where none is", optional=True),
+    _number(TARGET_SCORE, "the same of the class that attack NAME wants"),
+    _number("any_overlap", "the same of the original class with an IoU of 0.1", optional=True),
+    _truth("success", "whether the aim is reached in this picture"),
+    _truth("unambiguous", "whether so, and no other class has more confidence on the object"),
+    _number("aim", "how near the aim is, in [0, 1]", optional=True),
+    _number("psnr", "of the whole picture, against the clean or the true one", "dB", optional=True),
+    _number("ssim", "the same", optional=True),
+    _number("surroundings_psnr", "beside the object, against the true scene", "dB", optional=True),
+    _number("appearance_psnr", "on the object, against what is wanted there", "dB", optional=True),
+    _number("fraction", "of the way from the benign to the hidden appearance"),
+)
+"""Every column that a table may have, in the order of the file."""
+
+_PLACES = {column.name: place for place, column in enumerate(COLUMNS)}
+_EACH = tuple(column.name for column in COLUMNS if column.name.endswith(": "))
+
+
+def column_of(name: str) -> Column:
+    """The column of this name.
+
+    Raises:
+        InvalidValueError: The schema has none.
+    """
+    head = next((head for head in _EACH if name.startswith(head) and len(name) > len(head)), name)
+    if head not in _PLACES or (head == name and head in _EACH):
+        raise InvalidValueError(message("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it"))
+    column = COLUMNS[_PLACES[head]]
+    if head == name:
+        return column
+    named = column.meaning.replace("NAME", name.removeprefix(head))
+    return Column(name=name, kind=column.kind, meaning=named, unit=column.unit, optional=column.optional)
+
+
+def columns_of(names: Iterable[str]) -> tuple[Column, ...]:
+    """The columns of these names in the order of the file; those of several attacks in the order given."""
+    known = [column_of(name) for name in names]
+    heads = {column.name: next(filter(column.name.startswith, _EACH), column.name) for column in known}
+    return tuple(sorted(known, key=lambda column: _PLACES[heads[column.name]]))
+
+
+def frame_of(rows: Iterable[Row]) -> pl.DataFrame:
+    """Rows as a table; a cell that a row does not have is empty.
+
+    Raises:
+        InvalidValueError: A column is none of the schema, or a cell is not of its kind.
+    """
+    held = list(rows)
+    columns = columns_of(dict.fromkeys(name for row in held for name in row))
+    try:
+        return pl.DataFrame(
+            {column.name: pl.Series([row.get(column.name) for row in held], dtype=_type(column)) for column in columns}
+        )
+    except (TypeError, pl.exceptions.PolarsError) as error:
+        raise InvalidValueError(message("rows", "cells of the kinds of their columns", error, "mend them")) from error
+
+
+def rows_bytes(rows: pl.DataFrame) -> bytes:
+    """A table as the text of a CSV file; equal tables have equal bytes.
+
+    Raises:
+        InvalidValueError: A column is none of the schema, or a cell is not of its kind.
+    """
+    columns = columns_of(rows.columns)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([column.name for column in columns])
+    cells = [
+        [written(column, value, f"row {number}") for number, value in enumerate(rows[column.name], start=2)]
+        for column in columns
+    ]
+    writer.writerows(zip(*cells, strict=True))
+    return text.getvalue().encode()
+
+
+def write_rows(rows: pl.DataFrame, path: Path) -> Path:
+    """Write a table; equal tables have equal bytes.
+
+    Args:
+        rows: The table; columns in any order.
+        path: File to write, NAME.csv.gz.
+
+    Returns:
+        The file.
+
+    Raises:
+        InvalidValueError: A column is none of the schema, or a cell is not of its kind.
+        SplatFileError: The file cannot be written.
+    """
+    data = packed(rows_bytes(rows))
+    with atomic_write(path) as file:
+        file.write(data)
+    return path
+
+
+def packed(data: bytes) -> bytes:
+    """Data compressed, without the time of day."""
+    file = io.BytesIO()
+    with gzip.GzipFile(filename="", mode="wb", compresslevel=9, fileobj=file, mtime=0) as out:
+        out.write(data)
+    return file.getvalue()
+
+
+def read_rows(path: Path, *, needs: Sequence[str] = ()) -> pl.DataFrame:
+    """A table from its file, which may come from anybody.
+
+    Args:
+        path: NAME.csv.gz, or NAME.csv of a table that was unpacked.
+        needs: Columns that it must have.
+
+    Raises:
+        InvalidValueError: The file is missing, too large or no CSV, a column is none of the schema or there twice, one
+            that is needed is missing, or a cell is not of the kind of its column.
+    """
+    head, lines = read_cells(path)
+    columns = [column_of(name) for name in head]
+    if len(set(head)) < len(head) or len(head) > MOST_COLUMNS:
+        raise broken(path, f"at most {MOST_COLUMNS} columns, each once", "others")
+    if missing := [name for name in needs if name not in head]:
+        raise broken(path, f"the columns {', '.join(needs)}", f"none called {missing[0]}")
+    return pl.DataFrame(
+        {
+            column.name: pl.Series(
+                [read_cell(column, line[place], f"{path}, row {row}") for row, line in enumerate(lines, start=2)],
+                dtype=_type(column),
+            )
+            for place, column in enumerate(columns)
+        }
+    )
+
+
+def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
+    """The head of a table and the texts of its cells; never more than `MOST_BYTES` and `MOST_ROWS`."""
+    try:
+        lines = csv.reader(io.StringIO(_text_of(path), newline=""), strict=True)
+        head, cells = next(lines, []), list[list[str]]()
+        for number, line in enumerate(lines, start=2):
+            if len(line) != len(head):
+                raise broken(path, f"{len(head)} cells in row {number}", len(line))
+            if number > MOST_ROWS:
+                raise broken(path, f"at most {MOST_ROWS:,} rows", "more")
+            cells.append(line)
+    except csv.Error as error:
+        raise broken(path, "a CSV file", error) from error
+    return head, cells
+
+
+def _text_of(path: Path) -> str:
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
+            raise broken(path, f"at most {MOST_BYTES:,} bytes", "more")
+        return data.decode()
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        raise broken(path, "a table of rows", error) from error
+
+
+def _type(column: Column) -> type[pl.DataType]:
+    return _TYPES[column.kind]
+
+
+def written(column: Column, value: Cell, where: str) -> str:
+    """A cell as it stands in the file.
+
+    Raises:
+        InvalidValueError: It is not of the kind of its column.
+    """
+    kinds = {"text": str, "whole": int, "number": float, "truth": bool}
+    if value is None and column.optional:
+        return ""
+    if column.kind == "number" and type(value) is int:
+        value = float(value)
+    fits = type(value) is kinds[column.kind] and (column.kind != "text" or value != "")
+    if not fits or (isinstance(value, float) and not math.isfinite(value)):
+        expected = f"a {column.kind} in column {column.name}"
+        raise InvalidValueError(message(where, expected, repr(value), "make the result again"))
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+_READ: Mapping[str, tuple[Callable[[str], Any], str]] = {
+    "text": (lambda text: text or None, "a text"),
+    "whole": (lambda text: int(text) if _WHOLE.fullmatch(text) else None, "a whole number"),
+    "number": (lambda text: float(text) if _NUMBER.fullmatch(text) else None, "a finite number"),
+    "truth": ({"true": True, "false": False}.get, "true or false"),
+}
+"""For each kind the value of a text, None if it is none, and what it has to be."""
+
+
+def read_cell(column: Column, text: str, where: str) -> Cell:
+    """The value of a cell.
+
+    Raises:
+        InvalidValueError: It is not of the kind of its column.
+    """
+    if text == "" and column.optional:
+        return None
+    value_of, expected = _READ[column.kind]
+    value: Cell = value_of(text)
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        got = f"{text[:40]!r} in column {column.name}"
+        raise InvalidValueError(message(where, expected, got, "get the result again"))
+    return value
+
+
+def broken(path: Path, expected: object, got: object) -> InvalidValueError:
+    """The error for a file that is no table."""
+    return InvalidValueError(message(str(path), expected, got, "get the result again"))

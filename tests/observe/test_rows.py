@@ -1,0 +1,147 @@
+"""Rows go through files unchanged, and what is no table of the schema is refused in words."""
+
+from __future__ import annotations
+
+import gzip
+import re
+from pathlib import Path
+
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from attacks.observe import rows
+from attacks.observe.rows import COLUMNS, Cell, column_of, columns_of, frame_of, read_rows, rows_bytes, write_rows
+from mi_splat.errors import InvalidValueError
+
+ROW: dict[str, Cell] = {"splat": "a, b", "view": 3, "iou": 0.1, "success": True}
+HEAD = "splat,view,iou,success\n"
+
+ROWS = st.lists(
+    st.fixed_dictionaries(
+        {
+            "splat": st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\r"), min_size=1),
+            "view": st.integers(-(10**17), 10**17),
+            "iou": st.none() | st.floats(allow_nan=False, allow_infinity=False),
+            "success": st.booleans(),
+        }
+    ),
+    max_size=4,
+)
+
+
+@given(found=ROWS)
+def test_rows_come_back_as_they_were(found: list[dict[str, Cell]], tmp_path_factory: pytest.TempPathFactory) -> None:
+    table = frame_of(found)
+    path = write_rows(table, tmp_path_factory.getbasetemp() / "table.csv.gz")
+    assert read_rows(path).to_dicts() == found
+    assert not found or read_rows(path).schema == table.schema
+
+
+def test_the_bytes_are_always_the_same_whatever_the_order_of_columns(tmp_path: Path) -> None:
+    table = frame_of([ROW] * 10_000)
+    first = write_rows(table, tmp_path / "a.csv.gz").read_bytes()
+    assert write_rows(table.select(reversed(table.columns)), tmp_path / "b.csv.gz").read_bytes() == first
+    assert first[4:8] == bytes(4)  # no time of day
+    assert gzip.decompress(first) == rows_bytes(table)
+
+
+def test_a_cell_that_a_row_lacks_is_empty() -> None:
+    table = frame_of([ROW, {"splat": "clean", "view": 1}])
+    assert table["success"].to_list() == [True, None]
+    assert rows_bytes(table).decode().splitlines() == [HEAD.strip(), '"a, b",3,0.1,true', "clean,1,,"]
+
+
+def test_each_attack_has_columns_of_its_own(tmp_path: Path) -> None:
+    table = frame_of([{"view": 0, "depth: above": 1.5, "target_score: side": 0.25, "depth: side": -2.0, "seed": 0}])
+    assert table.columns == ["seed", "view", "depth: above", "depth: side", "target_score: side"]
+    assert read_rows(write_rows(table, tmp_path / "rows.csv.gz")).equals(table)
+    assert column_of("depth: above").meaning == "of the camera inside the trigger of attack above; outside below 0"
+
+
+def test_every_column_says_what_it_means_and_each_is_there_once() -> None:
+    assert all(column.meaning for column in COLUMNS)
+    assert len({column.name for column in COLUMNS}) == len(COLUMNS)
+    assert [column.name for column in columns_of(["view", "attack"])] == ["attack", "view"]
+
+
+@pytest.mark.parametrize("name", ["depth", "depth: ", "", "colour", "score: car"])
+def test_a_column_that_the_schema_lacks_is_refused(name: str) -> None:
+    with pytest.raises(InvalidValueError, match=r"attacks\.observe\.rows\.COLUMNS"):
+        frame_of([{name: 1.0}])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "expected the columns view, got none called view"),
+        ("splat\nclean\n", "expected the columns view, got none called view"),
+        ("view,view\n1,1\n", "expected at most 200 columns, each once, got others"),
+        (f"{HEAD}a,1,0.5\n", "expected 4 cells in row 2, got 3"),
+        (f"{HEAD}a,1,nan,true\n", "row 2: expected a finite number, got 'nan' in column iou"),
+        (f"{HEAD}a,1,1e999,true\n", "expected a finite number, got '1e999'"),
+        (f"{HEAD}a,1.5,0.5,true\n", "expected a whole number, got '1.5' in column view"),
+        (f"{HEAD}a,{'9' * 50},0.5,true\n", "expected a whole number"),
+        (f"{HEAD}a,1,0.5,True\n", "expected true or false, got 'True'"),
+        (f"{HEAD},1,0.5,true\n", "expected a text, got '' in column splat"),
+        (f'{HEAD}"a"b,1,0.5,true\n', "expected a CSV file"),
+        (f"{HEAD}{'a' * 200_000},1,0.5,true\n", "expected a CSV file"),
+    ],
+)
+def test_what_means_nothing_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(InvalidValueError, match="get the result again") as error:
+        read_rows(path, needs=["view"])
+    assert said in str(error.value)
+
+
+CUT = gzip.compress(bytes(range(32, 120)), mtime=0)[:60]
+
+
+@pytest.mark.parametrize(
+    "data", [b"no gzip", CUT, gzip.compress(b"\xff", mtime=0)], ids=["no gzip", "a part", "no text"]
+)
+def test_broken_files_are_refused(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / "t.csv.gz").write_bytes(data)
+    with pytest.raises(InvalidValueError, match="expected a table of rows"):
+        read_rows(tmp_path / "t.csv.gz")
+    with pytest.raises(InvalidValueError, match="No such file"):
+        read_rows(tmp_path / "u.csv")
+
+
+def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rows, "MOST_BYTES", 1000)
+    (tmp_path / "t.csv.gz").write_bytes(gzip.compress(bytes(100_000)))
+    with pytest.raises(InvalidValueError, match="expected at most 1,000 bytes, got more"):
+        read_rows(tmp_path / "t.csv.gz")
+
+
+def test_more_rows_than_anyone_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_rows(frame_of([ROW] * 5), tmp_path / "t.csv.gz")
+    monkeypatch.setattr(rows, "MOST_ROWS", 4)
+    with pytest.raises(InvalidValueError, match="expected at most 4 rows, got more"):
+        read_rows(path)
+
+
+def test_more_columns_than_anyone_has_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(",".join(f"depth: {number}" for number in range(201)))
+    with pytest.raises(InvalidValueError, match="expected at most 200 columns"):
+        read_rows(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    "cell", [{"splat": ""}, {"iou": float("inf")}, {"iou": float("nan")}, {"view": None}, {"splat": None}]
+)
+def test_cells_of_another_kind_are_not_written(cell: dict[str, Cell]) -> None:
+    name = next(iter(cell))
+    with pytest.raises(InvalidValueError, match=f"row 2: expected a .* in column {name}"):
+        rows_bytes(frame_of([{**ROW, **cell}]))
+    with pytest.raises(InvalidValueError, match=re.escape("cells of the kinds of their columns")):
+        frame_of([{**ROW, "view": 0.5}])
+
+
+def test_a_table_of_another_type_is_not_written() -> None:
+    with pytest.raises(InvalidValueError, match="expected a whole in column view"):
+        rows_bytes(pl.DataFrame({"view": [1.0]}))
