@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from attacks.dagger.config import DaggerConfig
     from attacks.dagger.report import write_report
     from attacks.detectors import load_detector
-    from attacks.evaluation.comparison import compare
-    from attacks.evaluation.rates import rates
-    from attacks.evaluation.views import detect_views, evaluate
     from attacks.objectives import hide, relabel, untargeted
+    from attacks.observe.comparison import compare, rates
+    from attacks.observe.views import detect_views, evaluate
 
 __all__ = [
     "Azimuth",
@@ -49,9 +48,8 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.dagger.config": ("DaggerConfig",),
         "attacks.dagger.report": ("write_report",),
         "attacks.detectors": ("load_detector",),
-        "attacks.evaluation.comparison": ("compare",),
-        "attacks.evaluation.rates": ("rates",),
-        "attacks.evaluation.views": ("detect_views", "evaluate"),
+        "attacks.observe.comparison": ("compare", "rates"),
+        "attacks.observe.views": ("detect_views", "evaluate"),
         "attacks.objectives": ("hide", "relabel", "untargeted"),
     },
 )

@@ -27,9 +27,9 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import jittered
 from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
-from attacks.evaluation.drawing import annotated
-from attacks.evaluation.views import ViewDetections, detect_views, object_boxes
 from attacks.objectives import REPORTED, relabel
+from attacks.observe.drawing import annotated
+from attacks.observe.views import ViewDetections, detect_views, object_boxes
 from mi_splat.io import load_splat
 from mi_splat.io.formats.table import FORMATS
 from mi_splat.io.splat_files import write_splat_file

@@ -28,7 +28,7 @@ def detection_cells(found: Mapping[str, Any] | None, box: Sequence[float] | None
     """The cells of one detection.
 
     Args:
-        found: As `attacks.evaluation.drawing.listed` gives it; None where nothing is reported.
+        found: As `attacks.observe.drawing.listed` gives it; None where nothing is reported.
         box: (4,) of the object; None where it does not show.
     """
     if found is None:

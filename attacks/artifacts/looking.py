@@ -18,9 +18,9 @@ from attacks.cloak.study.observations import scored
 from attacks.cloak.study.rates import Rates, rates
 from attacks.cloak.study.rows import frame, score_cells
 from attacks.detectors.base import Detector
-from attacks.evaluation.drawing import listed
-from attacks.evaluation.views import ViewDetections
 from attacks.objectives import confidence
+from attacks.observe.drawing import listed
+from attacks.observe.views import ViewDetections
 from mi_splat.errors import InvalidValueError, message
 
 RATE_TOLERANCE = 0.02

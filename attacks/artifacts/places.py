@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import BATCH, ViewDetections, detect_views
+from attacks.observe.views import BATCH, ViewDetections, detect_views
 from attacks.transformations.pictures import PictureChange, changing
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message

@@ -13,9 +13,9 @@ from attacks.artifacts.figures import Line, moved
 from attacks.artifacts.packed import OnView, Outcome
 from attacks.artifacts.places import Places, checked_splat, places_of
 from attacks.detectors.base import Detector
-from attacks.evaluation.rates import Rate
-from attacks.evaluation.views import ViewDetections
 from attacks.objectives import Target
+from attacks.observe.views import ViewDetections
+from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 

@@ -16,8 +16,8 @@ from attacks.dagger.eot.report import CONTACT, eot_summary, write_eot_files
 from attacks.dagger.eot.result import EotResult
 from attacks.dagger.eot.search import NOT_JUDGED, Checkpoint
 from attacks.dagger.eot.views import ViewDistribution
-from attacks.evaluation.rates import Rate
 from attacks.pgd import Step
+from attacks.rate import Rate
 from attacks.transformations.config import Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose

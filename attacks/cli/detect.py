@@ -15,8 +15,8 @@ from torch import Tensor
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import DetectOptions
 from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.drawing import annotated, listed
-from attacks.evaluation.views import detect_views
+from attacks.observe.drawing import annotated, listed
+from attacks.observe.views import detect_views
 from mi_splat import provenance
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.cameras import find_cameras, renderer_of

@@ -12,8 +12,8 @@ from attacks.cli.loading import load_detectors
 from attacks.cli.names import check_class
 from attacks.cli.options import EvaluateOptions
 from attacks.detectors import Detector
-from attacks.evaluation.comparison import Comparison, changed_mask, compare, side_by_side
-from attacks.evaluation.views import CLEAN, ViewDetections, evaluate
+from attacks.observe.comparison import Comparison, changed_mask, compare, side_by_side
+from attacks.observe.views import CLEAN, ViewDetections, evaluate
 from mi_splat import provenance
 from mi_splat.cameras import Camera
 from mi_splat.cli.console import progress, show, show_json, show_table, warn

@@ -26,8 +26,8 @@ from attacks.detectors.evaluation.tables import detector_tables, rate
 from attacks.detectors.training.conditions import viewing_conditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture
-from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
+from attacks.observe.views import visible_box, visible_weight
 from mi_splat import provenance
 from mi_splat.cli.console import progress, show, show_json, show_table
 from mi_splat.errors import InvalidValueError, install, message

@@ -19,10 +19,9 @@ from attacks.dagger.ensemble import Ensemble
 from attacks.dagger.result import NoiseControl, Result, find_warnings
 from attacks.detectors.base import Detector
 from attacks.detectors.given import as_detectors
-from attacks.evaluation.views import as_saved
-from attacks.evaluation.visibility import clamped_fraction, image_change
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective, check_objective
+from attacks.observe.views import as_saved, clamped_fraction, image_change
 from attacks.optimisers import momentum
 from attacks.pgd import Outcome, Parameters, Step, pgd
 from mi_splat import provenance

@@ -15,10 +15,9 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.views import ViewDetections, detect_views
-from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Target, Verdict, confidence, overlap
+from attacks.observe.views import ViewDetections, detect_views, visible_box, visible_weight
 from attacks.pgd import Evaluation, Parameters
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from attacks.dagger.ensemble import DetectorResult
 from attacks.dagger.problem import ViewResult
 from attacks.dagger.result import Result
-from attacks.evaluation.drawing import annotated, difference, listed, stacked
+from attacks.observe.drawing import annotated, difference, listed, stacked
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import values_of
 from mi_splat.io.documents import save_json, save_png

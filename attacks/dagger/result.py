@@ -9,8 +9,8 @@ from typing import Any
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.ensemble import DetectorResult
 from attacks.dagger.problem import ViewResult, joint_verdict, reached_by
-from attacks.evaluation.visibility import ImageChange
 from attacks.objectives import Objective, Verdict
+from attacks.observe.views import ImageChange
 from attacks.pgd import Step
 from mi_splat.scene import GaussianScene
 

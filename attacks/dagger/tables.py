@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attacks.evaluation.figures import draw_figure
-from attacks.evaluation.rates import Rate
+from attacks.observe.drawing import draw_figure
+from attacks.rate import Rate
 from mi_splat.io.documents import save_json, save_text
 
 if TYPE_CHECKING:

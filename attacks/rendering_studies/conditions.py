@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from attacks.dagger.jobs import AttackScene
-from attacks.evaluation.file_forms import fewer_bands, half_precision, through_file
-from attacks.evaluation.street import SunTable, street_at
+from attacks.observe.conditions import SunTable, fewer_bands, half_precision, street_at, through_file
 from attacks.rendering_studies.config import JudgeTable
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import load_method

@@ -8,9 +8,8 @@ from pathlib import Path
 from attacks.cloak.study.study_file import read_table
 from attacks.cloak.study.value_checks import one_of
 from attacks.dagger.config import check_share
-from attacks.evaluation.file_forms import FORMATS
-from attacks.evaluation.street import SunTable
 from attacks.limits import NormName, SearchName
+from attacks.observe.conditions import FORMATS, SunTable
 from mi_splat.attributes import Attribute
 from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message

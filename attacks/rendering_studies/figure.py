@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.evaluation.figures import draw_figure
+from attacks.observe.drawing import draw_figure
 from attacks.rendering_studies.rates import Outcome
 
 if TYPE_CHECKING:

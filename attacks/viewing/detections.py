@@ -8,7 +8,7 @@ from PIL import ImageDraw
 from torch import Tensor
 
 from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.drawing import draw_detections
+from attacks.observe.drawing import draw_detections
 from mi_splat.viewer.exhibit import Inspector
 
 MIN_CONFIDENCE = 0.3

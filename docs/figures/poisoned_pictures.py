@@ -22,8 +22,8 @@ from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
-from attacks.evaluation.drawing import annotated
 from attacks.objectives import confidence
+from attacks.observe.drawing import annotated
 from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.cli.console import show

@@ -18,7 +18,7 @@ from attacks.cloak.study.rates import figures
 from attacks.cloak.study.rows import StudyRows
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.trained_splats import TrainedSplat
-from attacks.evaluation.views import detect_views
+from attacks.observe.views import detect_views
 from mi_splat import provenance
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer, RenderSettings

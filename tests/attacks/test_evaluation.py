@@ -14,11 +14,12 @@ from torch import Tensor
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections
-from attacks.evaluation import drawing
-from attacks.evaluation.drawing import annotated, difference, stacked
-from attacks.evaluation.rates import Rate, rates
-from attacks.evaluation.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
 from attacks.objectives import relabel
+from attacks.observe import drawing
+from attacks.observe.comparison import rates
+from attacks.observe.drawing import annotated, difference, stacked
+from attacks.observe.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
+from attacks.rate import Rate
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import through_png

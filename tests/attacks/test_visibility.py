@@ -7,8 +7,8 @@ import math
 import pytest
 import torch
 
-from attacks.evaluation.visibility import clamped_fraction, image_change, visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset
+from attacks.observe.views import clamped_fraction, image_change, visible_box, visible_weight
 from mi_splat.io.images import quantise, through_png
 from mi_splat.scene import merge
 from mi_splat.sh import sh_basis

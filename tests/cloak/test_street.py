@@ -12,8 +12,8 @@ from torch import Tensor
 
 from attacks.cloak.experiments.street import HOUSES, STREET, measure_street
 from attacks.cloak.layered.config import LayersConfig
-from attacks.evaluation import street
-from attacks.evaluation.street import SunTable
+from attacks.observe import conditions as street
+from attacks.observe.conditions import SunTable
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat

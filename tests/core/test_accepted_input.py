@@ -16,8 +16,8 @@ from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector, register_detector
 from attacks.detectors.base import check_images
 from attacks.detectors.registry import _REGISTRY, DetectorSpec
-from attacks.evaluation.views import detect_views
 from attacks.gaussian_subset import GaussianSubset
+from attacks.observe.views import detect_views
 from mi_splat import variant
 from mi_splat.cameras import Camera, look_at, orbit_pose
 from mi_splat.errors import MiSplatError

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.evaluation.comparison import changed_mask
+from attacks.observe.comparison import changed_mask
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.errors import SplatFileWarning

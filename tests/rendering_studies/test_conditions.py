@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from attacks.cli.attack_scenes import read_attack_scene
-from attacks.evaluation.file_forms import fewer_bands, half_precision, through_file
-from attacks.evaluation.street import SunTable
+from attacks.observe.conditions import SunTable, fewer_bands, half_precision, through_file
 from attacks.rendering_studies.conditions import condition_names, conditions_of
 from attacks.rendering_studies.config import JudgeTable, RenderingStudy, read_rendering_study
 from attacks.rendering_studies.jobs import attacks_of

@@ -17,7 +17,7 @@ from attacks.cli import rendering_study
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES
 from attacks.detectors.base import Detector
-from attacks.evaluation.street import SunTable
+from attacks.observe.conditions import SunTable
 from attacks.rate import Rate
 from attacks.rendering_studies import jobs as study_jobs
 from attacks.rendering_studies.config import AttackTable, JudgeTable, Pair, RenderingStudy

@@ -9,7 +9,7 @@ from typing import Any
 from attacks.cloak.experiments.view_reports import ViewReport, ViewReports
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
-from attacks.evaluation.rates import Rate
+from attacks.rate import Rate
 
 CONFIDENCES = (0.1, 0.3, 0.5)
 """From which a detection counts: 0.5 is the study's, 0.3 what many programs take, 0.1 shows what is nearly seen."""

@@ -27,8 +27,8 @@ from attacks.cloak.study.markdown import words_of
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
-from attacks.evaluation.drawing import annotated
-from attacks.evaluation.rates import Rate
+from attacks.observe.drawing import annotated
+from attacks.rate import Rate
 from mi_splat.directions import direction_of
 from mi_splat.io.documents import save_json, save_png, save_text
 from mi_splat.io.images import through_png

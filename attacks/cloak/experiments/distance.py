@@ -16,7 +16,7 @@ import torch
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import detect_views
+from attacks.observe.views import detect_views
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message

@@ -17,7 +17,7 @@ from attacks.cloak.experiments.distance import camera_groups, count_found
 from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
-from attacks.evaluation.file_forms import FORMATS, fewer_bands, half_precision, through_file
+from attacks.observe.conditions import FORMATS, fewer_bands, half_precision, through_file
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.scene import GaussianScene

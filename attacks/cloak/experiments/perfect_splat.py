@@ -16,7 +16,7 @@ from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
 from attacks.cloak.study.rates import rates
 from attacks.cloak.study.rows import frame, row_of
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import detect_pictures
+from attacks.observe.views import detect_pictures
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 

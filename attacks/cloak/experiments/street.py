@@ -16,7 +16,7 @@ from attacks.cloak.study import setup
 from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.layering import object_rows
 from attacks.detectors.base import Detector
-from attacks.evaluation.street import SunTable, street_at
+from attacks.observe.conditions import SunTable, street_at
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.scene import GaussianScene

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
-from attacks.evaluation.rates import Rate
+from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError, install, message
 from mi_splat.io.atomic import atomic_write
 

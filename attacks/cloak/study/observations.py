@@ -18,7 +18,7 @@ from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import ViewDetections, detect_views
+from attacks.observe.views import ViewDetections, detect_views
 from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
@@ -235,7 +235,7 @@ def scored(study: StudyConfig, confidence: Callable[..., float]) -> dict[str, An
 
     Args:
         study: The study.
-        confidence: As `attacks.evaluation.views.ViewDetections.confidence`.
+        confidence: As `attacks.observe.views.ViewDetections.confidence`.
     """
     own = study.scene.class_name
     return {

@@ -18,7 +18,7 @@ from attacks.cloak.study.rates import BIN, by_elevation, place_of, transition
 from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
-from attacks.evaluation.drawing import annotated
+from attacks.observe.drawing import annotated
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
 from mi_splat.io.documents import save_png

@@ -26,10 +26,10 @@ from attacks.dagger.eot.search import VALIDATION_SEED_OFFSET, Checkpoint, search
 from attacks.dagger.eot.views import DrawnView, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.detectors.given import as_detectors
-from attacks.evaluation.comparison import usual_label
-from attacks.evaluation.views import as_saved
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, check_objective
+from attacks.observe.comparison import usual_label
+from attacks.observe.views import as_saved
 from attacks.pgd import Step
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message, nearest

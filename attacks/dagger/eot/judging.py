@@ -14,9 +14,8 @@ from torch import Tensor
 from attacks.dagger.eot.problem import EotProblem
 from attacks.dagger.eot.views import DrawnView, ViewDistribution
 from attacks.detectors.base import Detections, Detector
-from attacks.evaluation.views import ViewDetections, as_saved, detect_views
-from attacks.evaluation.visibility import ImageChange, image_change
 from attacks.objectives import Verdict, confidence
+from attacks.observe.views import ImageChange, ViewDetections, as_saved, detect_views, image_change
 from attacks.transformations.pictures import PictureChange, changing
 from mi_splat.cameras import RenderFn
 from mi_splat.io.camera_records import values_of

@@ -14,7 +14,7 @@ from attacks.dagger.eot.judging import JudgedView
 from attacks.dagger.eot.rates import eot_figures
 from attacks.dagger.eot.result import EotResult
 from attacks.dagger.eot.search import NOT_JUDGED
-from attacks.evaluation.drawing import annotated, stacked
+from attacks.observe.drawing import annotated, stacked
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder

@@ -8,7 +8,7 @@ from typing import Any
 
 from attacks.dagger.eot.study import PSNRS
 from attacks.dagger.tables import grid, number
-from attacks.evaluation.rates import Rate
+from attacks.rate import Rate
 from mi_splat.io.documents import save_json, save_text
 
 Record = Mapping[str, Any]

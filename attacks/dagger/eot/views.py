@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.evaluation.visibility import visible_box, visible_weight
 from attacks.gaussian_subset import GaussianSubset, Mask
+from attacks.observe.views import visible_box, visible_weight
 from attacks.transformations.cameras import draw_camera
 from attacks.transformations.config import Transformations
 from attacks.transformations.pictures import PictureChange, change_picture, draw_change

@@ -15,9 +15,9 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.ensemble import Ensemble
 from attacks.dagger.result import Result
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import as_saved
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Relabel, Verdict
+from attacks.observe.views import as_saved
 from attacks.pgd import Evaluation, Step
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene

@@ -15,9 +15,9 @@ from attacks.dagger.jobs import AttackScene
 from attacks.dagger.report import summary
 from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import detect_views, object_boxes
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective
+from attacks.observe.views import detect_views, object_boxes
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.dagger.transfer.matrix import Cell, attacked, noise, title
-from attacks.evaluation.figures import draw_figure
+from attacks.observe.drawing import draw_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

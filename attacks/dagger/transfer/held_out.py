@@ -20,9 +20,9 @@ from attacks.dagger.jobs import AttackScene
 from attacks.dagger.study import JOBS, run_jobs
 from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.detectors.base import Detector
-from attacks.evaluation.views import detect_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
+from attacks.observe.views import detect_views
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from attacks.transformations.pictures import changing
 from mi_splat.attributes import Attribute

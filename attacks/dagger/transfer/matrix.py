@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from attacks.dagger.transfer.jobs import SUCCESS
-from attacks.evaluation.rates import Rate
+from attacks.rate import Rate
 
 Record = Mapping[str, Any]
 

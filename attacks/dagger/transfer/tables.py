@@ -10,7 +10,7 @@ from attacks.dagger.tables import grid
 from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.jobs import SUCCESS
 from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, attacked, cells, left_out, noise, title, weights
-from attacks.evaluation.rates import Rate
+from attacks.rate import Rate
 from mi_splat.io.documents import save_json, save_text
 
 

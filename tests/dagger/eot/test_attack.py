@@ -15,10 +15,10 @@ from attacks.dagger.eot.attack import attack_views
 from attacks.dagger.eot.config import EotConfig
 from attacks.dagger.eot.problem import joined
 from attacks.dagger.eot.rates import aim_rates
-from attacks.evaluation.views import as_saved
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Verdict, hide, relabel, untargeted
 from attacks.observe.rates import Measure, banded
+from attacks.observe.views import as_saved
 from attacks.pgd import Parameters
 from attacks.transformations.config import PictureChanges
 from mi_splat.attributes import Attribute

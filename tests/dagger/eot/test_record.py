@@ -16,7 +16,7 @@ from attacks.artifacts.contents import RECORD as ARTIFACT
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.rescoring import rescore
 from attacks.cli import dagger_eot
-from attacks.evaluation.views import object_boxes
+from attacks.observe.views import object_boxes
 from attacks.reporting.results import read_section
 from attacks.viewing.results import open_exhibit
 from mi_splat.errors import InvalidValueError

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from attacks.dagger.eot.views import batch_indices
-from attacks.evaluation.visibility import visible_box
+from attacks.observe.views import visible_box
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.errors import InvalidValueError
 from tests.dagger.eot.toy import REGION, toy_views

@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.evaluation.drawing import annotated, stacked
-from attacks.evaluation.rates import Rate, rates
-from attacks.evaluation.views import ViewDetections
+from attacks.observe.drawing import annotated, stacked
+from attacks.observe.views import ViewDetections
+from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.metrics import psnr
 from mi_splat.scene import ATTRIBUTES, GaussianScene
@@ -168,3 +168,43 @@ def side_by_side(
             for row in rows
         ]
     )
+
+
+def rates(
+    clean: Sequence[ViewDetections],
+    attacked: Sequence[ViewDetections],
+    *,
+    original: str | None,
+    wanted: str | None,
+    min_confidence: float = 0.5,
+    detector: str | None = None,
+) -> dict[str, Rate]:
+    """How often an attack reaches its aim.
+
+    Args:
+        clean: The clean scene, from `evaluate` or `detect_views`.
+        attacked: The attacked scene, from the same cameras by the same detectors.
+        original: What the object is; None counts any class.
+        wanted: What the attacker wants it to be; None counts a view as a success when `original` is gone.
+        min_confidence: Confidence from which a detection counts, in [0, 1].
+        detector: Name of the detector whose views count; None counts those of all.
+
+    Returns:
+        `all`: over all views in which the object shows; `given_found`: over those where the clean object is found.
+    """
+    benign = {(view.detector, view.view): view for view in clean}
+    pairs = [
+        (benign[view.detector, view.view], view)
+        for view in attacked
+        if view.box is not None and detector in (None, view.detector)
+    ]
+
+    def reached(pair: tuple[ViewDetections, ViewDetections]) -> bool:
+        if wanted is None:
+            return pair[1].confidence(original) < min_confidence
+        return pair[1].confidence(wanted) >= min_confidence
+
+    def found(pair: tuple[ViewDetections, ViewDetections]) -> bool:
+        return pair[0].confidence(original) >= min_confidence
+
+    return {"all": Rate.of(pairs, reached), "given_found": Rate.of(pairs, reached, given=found)}
