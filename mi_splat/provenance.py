@@ -4,17 +4,43 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 _PACKAGES = ("mi-splat", "mitsuba", "drjit", "torch", "torchvision", "numpy", "pillow")
 
+_COMMAND: ContextVar[str | None] = ContextVar("command", default=None)
+
 
 def origin() -> dict[str, Any]:
-    """What every result says of its origin: `versions`, `variant`, `commit` and `torch`."""
-    return {"versions": versions(), "variant": variant(), "commit": commit(), "torch": torch_arithmetic()}
+    """What every result says of its origin: `command`, `versions`, `variant`, `commit` and `torch`."""
+    made_by = {"command": command(), "versions": versions(), "variant": variant(), "commit": commit()}
+    return {**made_by, "torch": torch_arithmetic()}
+
+
+def command() -> str | None:
+    """The command line that is running, as a line for a shell; None where no command is."""
+    return _COMMAND.get()
+
+
+@contextmanager
+def running_command(words: Sequence[str]) -> Iterator[None]:
+    """Results that are made within name this command line.
+
+    Args:
+        words: The program and what the user typed after it.
+    """
+    before = _COMMAND.set(shlex.join(words))
+    try:
+        yield
+    finally:
+        _COMMAND.reset(before)
 
 
 def torch_arithmetic() -> dict[str, Any] | None:

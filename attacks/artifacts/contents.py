@@ -31,7 +31,7 @@ class Contents:
     Attributes:
         kind: Name of the command that made the result.
         name: Of the result.
-        command: That makes it again, run in the artifact's folder.
+        command: That made it, as it was given; empty if none did.
         pages: Pages of the documentation that show its figures, relative to the checkout.
         configuration: All settings.
         seeds: Of the result.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.artifacts.contents import CAMERAS, Contents, read_object
+from attacks.artifacts.contents import Contents, read_object
 from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, mask_of, objective_of, splat_of
 from attacks.artifacts.detection_rows import DETECTION, OBJECT, detection_cells, detections_of, object_box
 from attacks.artifacts.packed import Kind, Outcome, Packed
@@ -17,7 +17,6 @@ from attacks.dagger.report import confidences
 from attacks.dagger.result import STILL_REPORTED
 from attacks.detectors.base import Detections
 from attacks.objectives import Target, Verdict, confidence
-from attacks.reporting.repeating import repeat_dagger
 from mi_splat.io.folders import RECORD as RESULT
 
 ROWS, NOISE = "rows", "noise"
@@ -85,8 +84,6 @@ def pack(folder: Path, stages: Path | None) -> Packed:
             fingerprints,
             _STATED if NOISE in tables else (*_STATED, "noise"),
             folder=folder,
-            repeat=repeat_dagger,
-            cameras=[CAMERAS],
         )
         cameras = cameras_of(result, dict(_numbered(result)[: len(result["views"]) // len(fingerprints)]))
         figures = figures_of(result, tables)

@@ -16,7 +16,6 @@ from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Cell, Column, Row, Table
 from attacks.dagger.eot.rates import NOISE, eot_figures
 from attacks.objectives import Relabel
-from attacks.reporting.repeating import repeat_views
 from mi_splat.io.folders import RECORD as RESULT
 
 ROWS = "rows"
@@ -49,8 +48,6 @@ def pack(folder: Path, stages: Path | None) -> Packed:
             result["detectors"],
             _STATED,
             folder=folder,
-            repeat=repeat_views,
-            cameras=(result.get("cameras") or []) if reference is None else [REFERENCE],
         )
         cameras = cameras_of(result, {int(view["index"]): view for view in result["views"]})
         figures = {key: result[key] for key in FIGURES}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -11,12 +11,13 @@ from attacks.artifacts.contents import SPLATS, Contents
 from attacks.artifacts.places import places_record
 from attacks.artifacts.rows import Table
 from attacks.objectives import Hide, Objective, Relabel, Untargeted
-from attacks.reporting.repeating import MASK, mask_beside
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.scene import scene_hash
 
 ATTACKED = "attacked.ply"
+MASK = "mask.npy"
+"""File beside a result that says which Gaussians were attacked."""
 _RENDERED = ("background", "near")
 _AIMS: dict[str, type[Any]] = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 _ABSOLUTE = re.compile(r"/|~|[A-Za-z]:[\\/]|\\\\")
@@ -40,8 +41,6 @@ def contents_of(
     stated: Sequence[str],
     *,
     folder: Path,
-    repeat: Callable[..., str | None],
-    cameras: Sequence[object],
 ) -> Contents:
     """The contents of an artifact of one attack.
 
@@ -51,18 +50,14 @@ def contents_of(
         detectors: Fingerprint of the weights of each.
         stated: Keys of the figures that do not follow from the rows.
         folder: Of the result.
-        repeat: Makes the command that repeats it, as in `attacks.reporting.repeating`.
-        cameras: What --cameras of that command shall name, in the artifact's folder.
     """
     origin = {key: result.get(key) for key in ("objective", "target", "scene", "scene_hash", "selection", "cameras")}
     origin |= {key: result[key] for key in ("reference", *_RENDERED) if key in result}
     name = f"{result['objective']}_{result['target'] or 'nothing'}".replace(" ", "_")
-    out, mask = ["--out", f"out/{name}"], Path(MASK) if MASK in mask_of(result, folder) else None
-    command = repeat(portable(result), cameras=cameras, mask=mask, out=out)
     return Contents(
         kind=str(result["attack"]),
         name=name,
-        command=command or f"mi-splat {result['attack']}, with the settings in configuration",
+        command=str(result.get("command") or ""),
         configuration=portable({**origin, "config": result["config"]}),
         seeds=(int(result["seed"]),),
         versions=result["versions"],
@@ -108,9 +103,9 @@ def cameras_of(result: Mapping[str, Any], views: Mapping[int, Mapping[str, Any]]
 
 def mask_of(result: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     """The object's mask by its name in an artifact; nothing where the object has a name in its scene."""
-    selection, mask = result.get("selection"), mask_beside(folder)
+    selection, mask = result.get("selection"), folder / MASK
     by_name = isinstance(selection, Mapping) and set(selection) == {"object"}
-    return {} if by_name or mask is None else {MASK: mask}
+    return {} if by_name or not mask.is_file() else {MASK: mask}
 
 
 def _splats(folder: Path, seed: int) -> tuple[dict[str, Any], ...]:

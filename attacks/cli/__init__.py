@@ -244,6 +244,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
+    given = [PROGRAM, *words]
     most = take_max_pixels(words)
     if words[:1] == ["help"] and len(words) > 1:
         words = [words[1], "--help"]
@@ -268,12 +269,15 @@ def _dispatch(words: list[str]) -> int:
     check_names(options)
     with progress("starting"):
         module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
-    if most is None:
-        return int(module.run(options))
-    from mi_splat.io.picture_files import pixel_limit
+    from mi_splat.provenance import running_command
 
-    with pixel_limit(most):
-        return int(module.run(options))
+    with running_command(given):
+        if most is None:
+            return int(module.run(options))
+        from mi_splat.io.picture_files import pixel_limit
+
+        with pixel_limit(most):
+            return int(module.run(options))
 
 
 def _help() -> str:

@@ -1,6 +1,6 @@
 """`mi-splat compare`: several renderers on one splat, with a page of what came of it.
 
-It stands here and not among the commands of mi_splat, since its page is made by `attacks.reporting`.
+It stands here and not among the commands of mi_splat, since its page is made by `attacks.report`.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from attacks.cli.compare_options import CompareOptions
-from attacks.reporting.charts import missing_packages
-from attacks.reporting.kinds import renderers
-from attacks.reporting.page import write_page
-from attacks.reporting.wording import number
+from attacks.report.charts import missing_packages
+from attacks.report.page import write_page
+from attacks.report.results import with_origin
+from attacks.report.stories import renderers
+from attacks.report.wording import number
 from mi_splat import provenance
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cli.cameras import find_cameras, renderer_of
@@ -92,7 +93,7 @@ def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
     if missing:
         warn(f"no page: {' and '.join(missing)} not installed; {install('report')}, then mi-splat report")
         return False
-    write_page([renderers.read(out, document, files=folder)], folder / PAGE)
+    write_page([with_origin(renderers.read(out, document, files=folder), document)], folder / PAGE)
     return True
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from attacks.cli.report_options import ReportOptions
-from attacks.reporting.charts import need_packages
-from attacks.reporting.page import ENDINGS, write_page
-from attacks.reporting.results import read_section
-from attacks.reporting.wording import FIXED, plural
+from attacks.report.charts import need_packages
+from attacks.report.page import ENDINGS, write_page
+from attacks.report.results import read_section
+from attacks.report.wording import FIXED, plural
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import check_new_file

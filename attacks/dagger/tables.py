@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.observe.drawing import draw_figure
 from attacks.rate import Rate
+from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
     """
     paths = [out / "table.md", out / "table.json"]
     save_text(markdown(records), paths[0])
-    save_json({"rows": rows(records), "by_radius": by_radius(records)}, paths[1])
+    save_json({"rows": rows(records), "by_radius": by_radius(records), **provenance.origin()}, paths[1])
     if _draw_curve([line for line in by_radius(records) if line["group"] == "pairs"], out / "curve.png"):
         paths.append(out / "curve.png")
     return paths

@@ -14,6 +14,7 @@ from attacks.rate import Rate
 from attacks.rendering_studies.config import RenderingStudy
 from attacks.rendering_studies.figure import draw_rates
 from attacks.rendering_studies.rates import Group, Outcome, Record, image_psnr, outcomes
+from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 
 KINDS = {
@@ -37,7 +38,6 @@ def write_study(study: RenderingStudy, records: Sequence[Record], out: Path, *, 
     """
     found = outcomes(records, confidence=study.confidence)
     save_text(markdown(study, records), out / PAGE)
-    versions = records[0]["attack"]
     document = {
         "study": study.name,
         "question": study.question,
@@ -47,7 +47,7 @@ def write_study(study: RenderingStudy, records: Sequence[Record], out: Path, *, 
         "outcomes": [outcome.as_dict() for outcome in found],
         "image_psnr": [{**dataclasses.asdict(group), "psnr": psnr} for group, psnr in image_psnr(records).items()],
         "weights": _weights(records),
-        **{name: versions[name] for name in ("versions", "variant", "commit")},
+        **provenance.origin(),
     }
     save_json(document, out / SUMMARY)
     paths = [out / PAGE, out / SUMMARY]

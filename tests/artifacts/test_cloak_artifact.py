@@ -15,7 +15,6 @@ from attacks.artifacts.checking import check_artifact
 from attacks.artifacts.cloak_rows import held_out, study_rows, tables_of
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.study_results import observed_splats
-from attacks.artifacts.study_toml import study_toml
 from attacks.cloak.layered.config import LayersConfig
 from attacks.cloak.study import setup
 from attacks.cloak.study.cache import content_of
@@ -23,6 +22,7 @@ from attacks.cloak.study.rows import StudyRows
 from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
+from attacks.report.study_toml import study_toml
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.camera_records import recorded_cameras
 from tests.artifacts.conftest import PAGE, STUDY

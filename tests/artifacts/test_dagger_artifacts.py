@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,6 @@ from attacks.artifacts.checking import check_artifact
 from attacks.artifacts.dagger_results import portable
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.rescoring import rescore
-from attacks.cli import COMMANDS
-from attacks.cli.parsing import parse
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.eot.report import eot_summary, write_eot_report
@@ -73,19 +70,12 @@ def test_an_older_attack_states_its_control(tmp_path: Path) -> None:
 @pytest.mark.parametrize("objective", [relabel("person"), hide(), untargeted()], ids=lambda one: str(one.name))
 def test_an_attack_is_scored_again(objective: Objective, tmp_path: Path, variant: str) -> None:
     render = Renderer(RenderSettings(near=0.3, background=(0.1, 0.1, 0.12)))
-    contents = pack_artifact(dagger(tmp_path / "result", objective, render), tmp_path / "artifact", splats=True)
+    pack_artifact(dagger(tmp_path / "result", objective, render), tmp_path / "artifact", splats=True)
     checked = check_artifact(tmp_path / "artifact")
     assert red(checked) == []
     lines = rescore(checked, [ColourDetector(), CoarseDetector()])
     assert [line.colour for line in lines] == ["green"] * 2 + ["grey"] * 2
     assert all("moved by 0.0%" in line.words for line in lines[:2])
-    program, *words = shlex.split(contents.command)
-    assert program == "mi-splat"
-    given: Any = parse(words[0], COMMANDS[words[0]], words[1:])
-    assert (given.scene, given.view.cameras) == (Path("toy.xml"), ("cameras.json",))
-    assert (given.view.near, given.view.background) == (0.3, (0.1, 0.1, 0.12))
-    assert (given.objective, given.selection.mask) == (objective.name, Path("m.npy"))
-    assert given.config == DaggerConfig(eps=(12.0,), noise_draws=1, required_views=0.5)
 
 
 def test_all_detectors_at_once_are_a_line_of_their_own(tmp_path: Path, variant: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,6 @@ from attacks.artifacts.kinds import KINDS, kind_of
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.rescoring import rescore
 from attacks.artifacts.studies.settings import configuration_of, settings_of
-from attacks.cli import COMMANDS
-from attacks.cli.parsing import parse
 from attacks.dagger.jobs import AttackScene, JobRunner
 from attacks.dagger.pairs import ledger, run_pairs, write_summary
 from attacks.dagger.study import OBJECTS
@@ -29,7 +26,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json
 from tests.artifacts.test_checking import edit_record, edit_rows, red
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
-from tests.reporting.makers import write_eot_study, write_study, write_transfer
+from tests.report.makers import write_eot_study, write_study, write_transfer
 
 PAGE = "docs/page.md"
 
@@ -136,14 +133,8 @@ def test_every_figure_follows_and_the_tables_stand_on_the_page(
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_the_command_is_understood_and_no_file_names_a_machine(name: str, packed: dict[str, Path]) -> None:
-    values = json.loads((packed[name] / "artifact.json").read_text())
-    for line in values["command"].split(" && "):
-        program, command, *words = shlex.split(line)
-        assert program == "mi-splat"
-        parse(command, COMMANDS[command], words)
-        assert command == name.split()[0]
-    assert "/home/" not in json.dumps(values)
+def test_no_file_names_a_machine(name: str, packed: dict[str, Path]) -> None:
+    assert "/home/" not in (packed[name] / "artifact.json").read_text()
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from attacks.cloak.study.plots import write_variation
 from attacks.cloak.study.study_file import from_table
 from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, Redness
-from tests.reporting.results import STUDIED, cloak_summary, rate
+from tests.report.results import STUDIED, cloak_summary, rate
 
 SEEDS = replace(STUDY, seeds=(0, 1, 2))
 

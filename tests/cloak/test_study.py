@@ -18,7 +18,7 @@ from attacks.cloak.study.kept_pictures import CachedAppearance
 from attacks.cloak.study.markdown import ROWS
 from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.reporting.results import read_section
+from attacks.report.results import read_section
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
 from tests.cloak.tiny_study import STUDY, Redness, done, summary

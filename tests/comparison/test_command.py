@@ -13,12 +13,12 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 
 from attacks import cli
 from attacks.cli import compare as command
-from attacks.reporting.results import read_section
+from attacks.report.results import read_section
 from mi_splat.errors import MiSplatError
 from mi_splat.io import save_splat
 from tests.fakes import toy_scene
 from tests.project.layers import ROOT
-from tests.reporting.test_page import Reader
+from tests.report.test_page import Reader
 
 SCENE = str(ROOT / "scenes" / "car_street.xml")
 SMALL = ["--cameras", "front", "--size", "40x32"]

@@ -30,7 +30,7 @@ from attacks.detectors.weights import apply_weights, read_weights
 from attacks.optimisers import START
 from attacks.pgd import Step
 from attacks.rendering_studies.config import read_rendering_study
-from attacks.reporting.results import KINDS, read_section
+from attacks.report.results import STORIES, read_section
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder
 from mi_splat.datasets.pictures import read_mask, read_picture
@@ -52,7 +52,7 @@ from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
 from tests.io.closeness import tame_scene
 from tests.io.format_files import valid
-from tests.reporting.makers import MAKERS
+from tests.report.makers import MAKERS
 from tests.training.sets import SHORT, scene_and_views
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -200,7 +200,7 @@ def _resume(path: Path) -> None:
 
 def _result(name: str) -> Kind:
     """A result that a page can show."""
-    kind = next(kind for kind in KINDS if kind.command == name)
+    kind = next(kind for kind in STORIES if kind.command == name)
 
     def make(folder: Path) -> Path:
         place = MAKERS[name](folder / "result")

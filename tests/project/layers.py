@@ -72,7 +72,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rendering studies": ("attacks.rendering_studies",),
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),
-    "reports": ("attacks.reporting",),
+    "reports": ("attacks.report",),
     "artifacts": ("attacks.artifacts",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }

@@ -210,7 +210,7 @@ def test_wheel_holds_the_two_packages_and_nothing_else(wheel: Path) -> None:
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
     assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
-    assert {"attacks/reporting/page.html", "mi_splat/viewer/export.html"} <= set(names)
+    assert {"attacks/report/page.html", "mi_splat/viewer/export.html"} <= set(names)
     assert not [name for name in names if name.endswith((".pyc", ".pth", ".ply"))]
     for package in PACKAGES:
         ours = {str(path.relative_to(ROOT)) for path in modules(package).values()}

@@ -36,9 +36,9 @@ class Study:
         stated: Keys of a result that do not follow from the rows.
         ledger: The records in a folder.
         summary: Figures of the whole study, of its records and of what it says of itself.
-        stored: What a study says of itself, and the same figures as it has written them, of its folder.
+        stored: The command that made it, what a study says of itself, and the same figures as it has written them, of
+            its folder.
         page: The tables of the documentation, of its records and of what it says of itself.
-        command: The command that makes it again, of its folder and records.
         kept: Keys of the figures of an attack that the artifact keeps; none keeps all.
     """
 
@@ -49,9 +49,8 @@ class Study:
     stated: tuple[str, ...]
     ledger: Callable[[Path], Records]
     summary: Callable[[Sequence[Mapping[str, Any]], Mapping[str, Any]], Mapping[str, Any]]
-    stored: Callable[[Path], tuple[Mapping[str, Any], Mapping[str, Any]]]
+    stored: Callable[[Path], tuple[str, Mapping[str, Any], Mapping[str, Any]]]
     page: Callable[[Sequence[Mapping[str, Any]], Mapping[str, Any]], str]
-    command: Callable[[Path, Sequence[Mapping[str, Any]]], str]
     kept: tuple[str, ...] = ()
 
 
@@ -74,13 +73,13 @@ def _pack(study: Study, folder: Path, stages: Path | None) -> Packed:
         results = {name: record["result"] for name, record in records.items()}
         tables = {name: study.tables(result) for name, result in results.items()}
         figures = {name: _some(study, study.figures(result, tables[name])) for name, result in results.items()}
-        own, summary = study.stored(folder)
+        command, own, summary = study.stored(folder)
         made = {name: {"job": one["job"], "result": _settings(one["result"])} for name, one in records.items()}
         every = list(results.values())
         contents = Contents(
             kind=study.kind,
             name=study.kind.replace("-", "_"),
-            command=study.command(folder, list(records.values())),
+            command=command,
             configuration={**configuration_of(made), STUDY: portable(own)},
             seeds=tuple(sorted({int(result["seed"]) for result in every})),
             versions=every[0]["versions"],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,11 @@ from attacks.dagger.eot import tables as eot_tables
 from attacks.dagger.jobs import Job
 from attacks.dagger.pairs import pair_row, pairs_table, smallest_radius
 from attacks.dagger.study import JOBS, PAIRS
-from attacks.reporting.kinds import eot_study, pairs, study
 
 Record = Mapping[str, Any]
 Own = Mapping[str, Any]
 
 TABLE, SUMMARY = "table.json", "summary.json"
-_OUT = ("--out", "out/study")
 _STATED = ("image_psnr", "image", "steps", "used", "used_in_file", "changed_gaussians", "warnings", "seconds")
 _OF_PAIRS = ("radii", "seeds", "search", "steps_allowed", "norm", "attributes")
 _NAMED = ("detector", "object", "target")
@@ -73,9 +71,8 @@ EOT_STUDY = kind(
         stated=(*_STATED, "noise_psnr", "redraws"),
         ledger=_jobs,
         summary=lambda records, own: _smallest(eot_tables.smallest_radii(records)),
-        stored=lambda folder: ({}, _smallest(read_object(folder / TABLE)["smallest"])),
+        stored=lambda folder: _table(folder, lambda table: _smallest(table["smallest"])),
         page=lambda records, own: eot_tables.markdown(records),
-        command=lambda folder, records: " && ".join(eot_study.commands(records, _OUT)),
         kept=("success", "rate", "clean_rate", "noise_rate", "unambiguous_rate"),
     )
 )
@@ -89,18 +86,22 @@ STUDY = kind(
         stated=(*_STATED, "noise"),
         ledger=_jobs,
         summary=lambda records, own: _radii(study_tables.by_radius(records)),
-        stored=lambda folder: ({}, _radii(read_object(folder / TABLE)["by_radius"])),
+        stored=lambda folder: _table(folder, lambda table: _radii(table["by_radius"])),
         page=lambda records, own: study_tables.markdown(records),
-        command=lambda folder, records: " && ".join(study.commands(records, _OUT)),
     )
 )
 
 
-def _stored_pairs(folder: Path) -> tuple[Own, dict[str, Any]]:
+def _table(folder: Path, figures: Callable[[Record], dict[str, Any]]) -> tuple[str, Own, dict[str, Any]]:
+    table = read_object(folder / TABLE)
+    return str(table.get("command") or ""), {}, figures(table)
+
+
+def _stored_pairs(folder: Path) -> tuple[str, Own, dict[str, Any]]:
     found = read_object(folder / SUMMARY)
     own = {**{key: found[key] for key in _OF_PAIRS}, "eps": sorted({row["eps"] for row in found["pairs"]})}
     own["detectors"] = list(dict.fromkeys(row["detector"] for row in found["pairs"]))
-    return own, {"smallest": _by(found["smallest"], _NAMED, ("eps",))}
+    return str(found.get("command") or ""), own, {"smallest": _by(found["smallest"], _NAMED, ("eps",))}
 
 
 def _smallest_of_pairs(records: Sequence[Record], own: Own) -> list[dict[str, Any]]:
@@ -156,6 +157,5 @@ PAIRS_STUDY = kind(
         summary=lambda records, own: {"smallest": _by(_smallest_of_pairs(records, own), _NAMED, ("eps",))},
         stored=_stored_pairs,
         page=_pairs_page,
-        command=lambda folder, records: pairs.repeat(read_object(folder / SUMMARY), _OUT),
     )
 )

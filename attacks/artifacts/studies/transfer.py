@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.artifacts.contents import Contents, read_object
-from attacks.artifacts.dagger_results import broken, portable
+from attacks.artifacts.dagger_results import broken
 from attacks.artifacts.packed import Kind, Packed
 from attacks.artifacts.rows import Column, Row, Table
 from attacks.artifacts.studies.settings import configuration_of, only, records_of
@@ -17,11 +17,9 @@ from attacks.dagger.transfer.held_out import HELD_OUT
 from attacks.dagger.transfer.matrix import Cell, cells, left_out
 from attacks.dagger.transfer.study import JUDGED
 from attacks.dagger.transfer.tables import left_out_table, rate_tables
-from attacks.reporting.kinds.transfer import commands, look_again
 
 ROWS = "rows"
 TRANSFER, OVER_VIEWS = "dagger-transfer", "dagger-transfer --eot-study"
-_OUT = ("--out", "out/transfer")
 _SPLATS, _CLASSES = ("clean", "attacked", "noise"), ("original", "target")
 _SCORES = tuple(f"{splat}_{label}" for splat in _SPLATS for label in _CLASSES)
 _COLUMNS = (
@@ -60,11 +58,10 @@ def _pack_transfer(folder: Path, stages: Path | None) -> Packed:
             name: {"job": one["job"], "result": {key: one["result"][key] for key in _MADE if key in one["result"]}}
             for name, one in attacks.items()
         }
-        line = commands(found["cells"], [record["job"] for record in attacks.values()], _OUT)
         contents = Contents(
             kind=TRANSFER,
             name="dagger_transfer",
-            command=" && ".join(line),
+            command=str(found.get("command") or ""),
             configuration=configuration_of(made),
             seeds=tuple(sorted({int(record["job"]["config"]["seed"]) for record in attacks.values()})),
             versions=results[0]["versions"],
@@ -105,7 +102,7 @@ def _pack_views(folder: Path, stages: Path | None) -> Packed:
         contents = Contents(
             kind=OVER_VIEWS,
             name="dagger_transfer_views",
-            command=look_again(portable(found), list(records.values()), _OUT),
+            command=str(found.get("command") or ""),
             configuration=configuration_of(made),
             seeds=tuple(sorted({int(job["seed"]) for job in jobs.values()})),
             versions=found.get("versions", {}),

@@ -9,6 +9,7 @@ from typing import Any
 from attacks.dagger.eot.study import PSNRS
 from attacks.dagger.tables import grid, number
 from attacks.rate import Rate
+from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 
 Record = Mapping[str, Any]
@@ -197,5 +198,6 @@ def write_eot_tables(records: Sequence[Record], out: Path) -> list[Path]:
     """
     paths = [out / "table.md", out / "table.json"]
     save_text(markdown(records), paths[0])
-    save_json({"rows": [row(record) for record in records], "smallest": smallest_radii(records)}, paths[1])
+    lines = {"rows": [row(record) for record in records], "smallest": smallest_radii(records)}
+    save_json({**lines, **provenance.origin()}, paths[1])
     return paths

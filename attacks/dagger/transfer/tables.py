@@ -11,6 +11,7 @@ from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.jobs import SUCCESS
 from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, attacked, cells, left_out, noise, title, weights
 from attacks.rate import Rate
+from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 
 
@@ -118,6 +119,7 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
         "leave_one_out": left_out(matrix),
         "attacks": attack_rows(records),
         "weights": weights(records),
+        **provenance.origin(),
     }
     save_json(document, paths[1])
     if draw_heat_maps(matrix, out / "transfer.png"):

@@ -1,0 +1,131 @@
+"""The page: sections as one HTML file that has everything in it, no script, and no address of anybody."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from attacks.report.charts import legend, svg, values_of
+from attacks.report.pictures import data_address
+from attacks.report.section import Chart, Picture, Section, Table
+from attacks.report.wording import capital, listed
+from mi_splat.io.documents import save_text
+from mi_splat.io.folders import check_new_file
+
+ENDINGS = (".html", ".htm")
+MOST_NAMED = 3
+"""Results that are named in the heading of a page without a title."""
+
+
+def write_page(sections: Sequence[Section], path: Path, *, title: str | None = None, force: bool = False) -> None:
+    """Write the page; the file appears whole or not at all.
+
+    Args:
+        sections: The results, in their order.
+        path: The file, which ends in .html.
+        title: Heading; None is made of the results.
+        force: Whether a file that is there may be replaced.
+
+    Raises:
+        InvalidValueError: As `mi_splat.io.folders.check_new_file`, or a picture is broken.
+        SplatFileError: The file cannot be written.
+    """
+    text = page_text(sections, title=title)
+    check_new_file(path, ENDINGS, force=force)
+    save_text(text, path)
+
+
+def page_text(sections: Sequence[Section], *, title: str | None = None) -> str:
+    """The page as HTML; the same sections give the same text.
+
+    Args:
+        sections: The results, in their order.
+        title: Heading; None is made of the results.
+
+    Raises:
+        InvalidValueError: A picture is broken.
+    """
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    template = environment.from_string(resources.files("attacks.report").joinpath("page.html").read_text("utf-8"))
+    return template.render(
+        title=title or usual_title(sections),
+        parts=[
+            {"name": name, **_part(number, section)}
+            for number, (name, section) in enumerate(zip(names(sections), sections, strict=True), start=1)
+        ],
+        comparisons=list(comparisons(sections)),
+        version=importlib.metadata.version("mi-splat"),
+    )
+
+
+def usual_title(sections: Sequence[Section]) -> str:
+    """Heading of a page whose user gave none."""
+    if len(sections) == 1:
+        return capital(sections[0].kind)
+    if len(sections) <= MOST_NAMED:
+        return listed(names(sections))
+    return f"{len(sections)} results"
+
+
+def names(sections: Sequence[Section]) -> list[str]:
+    """What each result is called on a page: its title, with the name of its folder where several have the same."""
+    titles = [section.title for section in sections]
+    return [
+        title if titles.count(title) == 1 else f"{title} ({Path(section.folder).name})"
+        for title, section in zip(titles, sections, strict=True)
+    ]
+
+
+def comparisons(sections: Sequence[Section]) -> Iterator[dict[str, Any]]:
+    """For each kind with several results: their figures side by side, and the settings in which they differ."""
+    kinds: dict[str, list[tuple[str, Section]]] = {}
+    for name, section in zip(names(sections), sections, strict=True):
+        kinds.setdefault(section.kind, []).append((name, section))
+    for kind, members in kinds.items():
+        if len(members) > 1:
+            some = [section for _, section in members]
+            head = ("figure", *(name for name, _ in members))
+            figures = [{figure.label: figure.cell for figure in section.all_figures} for section in some]
+            settings = [{"folder": section.folder, **dict(section.configuration)} for section in some]
+            yield {
+                "kind": kind,
+                "figures": Table(caption="Figures, with their 95 % intervals", head=head, rows=_rows(figures)),
+                "settings": Table(
+                    caption="Settings that differ", head=("setting", *head[1:]), rows=_rows(settings, differing=True)
+                ),
+            }
+
+
+def _rows(columns: Sequence[dict[str, str]], *, differing: bool = False) -> tuple[tuple[str, ...], ...]:
+    """One row for each name in any of the columns; only those that differ, if so asked."""
+    names = dict.fromkeys(name for column in columns for name in column)
+    rows = ((name, *(column.get(name, "-") for column in columns)) for name in names)
+    return tuple(row for row in rows if not differing or len(set(row[1:])) > 1)
+
+
+def _part(number: int, section: Section) -> dict[str, Any]:
+    """A section with what the template needs besides: pictures as addresses, charts as SVG."""
+    figures = tuple(figure.row for figure in section.all_figures)
+    return {
+        "section": section,
+        "pictures": [_picture(picture) for picture in section.pictures],
+        "charts": [_chart(chart, f"chart-{number}-{place}") for place, chart in enumerate(section.charts, start=1)],
+        "figures": Table(caption="The figures", head=("figure", "value", "95 % interval"), rows=figures),
+        "settings": Table(caption="Every setting", head=("setting", "value"), rows=section.configuration),
+        "versions": Table(caption="What made it", head=("package", "version"), rows=section.versions),
+    }
+
+
+def _picture(picture: Picture) -> dict[str, Any]:
+    address, width, height = data_address(picture.path)
+    more = {"caption": picture.caption, "alt": picture.alt, "wide": picture.wide}
+    return {"address": address, "width": width, "height": height, **more}
+
+
+def _chart(chart: Chart, name: str) -> dict[str, Any]:
+    return {"of": chart, "svg": svg(chart, name), "legend": list(legend(chart)), "table": values_of(chart)}

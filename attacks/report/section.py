@@ -1,0 +1,218 @@
+"""What a page says of one result, as plain values: whatever a command has written becomes one `Section`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from attacks.rate import Rate
+from attacks.report.wording import counted, counts, interval_of, percent
+
+Role = Literal["attack", "control", "other"]
+"""What a line of a chart stands for; it decides the colour, the marker and the dashes."""
+
+FEW = 10
+"""Views, or attacks, from which on an interval says something."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """One figure.
+
+    Attributes:
+        label: What it is.
+        rate: How often, with its interval; None for what is not counted.
+        words: The value where there is no rate.
+        note: What else the reader has to know of it.
+    """
+
+    label: str
+    rate: Rate | None = None
+    words: str = ""
+    note: str = ""
+
+    @property
+    def value(self) -> str:
+        """The figure, short: a percentage only where enough was counted to have one."""
+        if self.rate is None:
+            return self.words
+        if self.rate.total < FEW:
+            return self.counts if self.rate.total else "nothing counted"
+        return percent(self.rate.fraction)
+
+    @property
+    def counts(self) -> str:
+        """Successes and total; empty where nothing is counted."""
+        return "" if self.rate is None else counts(self.rate)
+
+    @property
+    def interval(self) -> str:
+        """The 95 % interval; empty where nothing is counted."""
+        return "" if self.rate is None or not self.rate.total else interval_of(self.rate)
+
+    @property
+    def cell(self) -> str:
+        """The whole figure in a cell of a table."""
+        return self.words if self.rate is None else counted(self.rate)
+
+    @property
+    def row(self) -> tuple[str, str, str]:
+        """The figure as a row of a table: what, how much, and the interval."""
+        name = f"{self.label} ({self.note})" if self.note else self.label
+        if self.rate is None or not self.rate.total:
+            return name, self.words or "-", ""
+        return name, f"{self.counts} = {percent(self.rate.fraction)}", self.interval
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """A picture file of a result.
+
+    Attributes:
+        path: Of the PNG.
+        caption: What is to be seen.
+        alt: The same for who cannot see it.
+        wide: Whether it has so many columns that a small screen should scroll it.
+    """
+
+    path: Path
+    caption: str
+    alt: str
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A point of a line, with the ends of its interval if it has one."""
+
+    x: float
+    y: float
+    low: float | None = None
+    high: float | None = None
+
+    @classmethod
+    def of(cls, x: float, rate: Rate) -> Point:
+        """A rate at a place."""
+        return cls(x, rate.fraction, *rate.interval)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A line of a chart; without points it is left out."""
+
+    name: str
+    role: Role
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chart:
+    """Lines over an axis.
+
+    Attributes:
+        title: Heading.
+        caption: How to read it.
+        x_label: Of the axis, with the unit.
+        y_label: Of the axis, with the unit.
+        lines: What is drawn.
+        ticks: Names of the places 0, 1, ... where the axis has no numbers.
+        shade: Ends and name of a part of the axis that is marked; None for none.
+        level: Height and name of a horizontal line; None for none.
+        fractions: Whether heights are fractions, shown from 0 to 100 %.
+        logarithmic: Whether the axis is.
+        connected: Whether the points of a line belong together.
+    """
+
+    title: str
+    caption: str
+    x_label: str
+    y_label: str
+    lines: tuple[Line, ...]
+    ticks: tuple[str, ...] = ()
+    shade: tuple[float, float, str] | None = None
+    level: tuple[float, str] | None = None
+    fractions: bool = True
+    logarithmic: bool = False
+    connected: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table: the first cell of each row is its heading."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """What a page says of one result.
+
+    Attributes:
+        kind: What sort of result it is; results of one kind are compared.
+        title: Which one.
+        folder: Where it lies, as the reader of the command line named it.
+        done: What was done, in plain words.
+        conclusion: What may be concluded, in plain words.
+        headline: The figure that matters.
+        control: The same figure where nothing was attacked, or noise was added; None if there was no control.
+        attacked: Whether the figure is one of an attack.
+        figures: More figures; with the two above, a table.
+        warnings: Reasons to look twice.
+        pictures: What can be seen.
+        charts: What is drawn from the result's numbers.
+        tables: More numbers.
+        configuration: Every setting, by name.
+        versions: Packages, variant and commit, by name.
+        command: Command line that made it, as it was given; empty if none did.
+        file: Name and text of the file of a study.
+    """
+
+    kind: str
+    title: str
+    folder: str
+    done: str
+    conclusion: str
+    headline: Figure
+    control: Figure | None = None
+    attacked: bool = True
+    figures: tuple[Figure, ...] = ()
+    warnings: tuple[str, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    charts: tuple[Chart, ...] = ()
+    tables: tuple[Table, ...] = ()
+    configuration: tuple[tuple[str, str], ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    command: str = ""
+    file: tuple[str, str] | None = None
+
+    @property
+    def all_figures(self) -> tuple[Figure, ...]:
+        """The headline, its control, and the others."""
+        return (self.headline, *([self.control] if self.control else []), *self.figures)
+
+
+def doubts_of(headline: Rate, control: Rate | None, *, what: str) -> list[str]:
+    """What a page adds to the warnings of a result: too little was counted, or there is nothing to compare with.
+
+    Args:
+        headline: The rate that matters.
+        control: The rate of its control.
+        what: What was counted, in the plural.
+    """
+    found = []
+    if headline.total < FEW:
+        found.append(f"Few {what}: {headline.total}. The interval is wide; others may give another rate.")
+    if control is None or not control.total:
+        found.append("There is no control, so nothing says what would have happened without the attack.")
+    elif control.fraction > 0 and control.interval[1] >= headline.interval[0]:
+        found.append("The intervals of the figure and of its control overlap: the attack may have done nothing.")
+    return found
+
+
+def shown(pictures: Sequence[Picture]) -> tuple[Picture, ...]:
+    """The pictures whose files are there."""
+    return tuple(picture for picture in pictures if picture.path.is_file())

@@ -1,0 +1,240 @@
+"""What `mi-splat cloak` leaves behind: a clean and a cloaked splat, and who sees what from where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.cloak.study.markdown import ROWS
+from attacks.rate import Rate
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
+from attacks.report.study_toml import study_toml
+from attacks.report.wording import (
+    counted,
+    interval_of,
+    known,
+    listed,
+    number,
+    percent,
+    plural,
+    rate_of,
+    sentence,
+    settings,
+)
+
+KIND = "CLOAK, a study"
+
+
+def read(folder: Path, summary: Mapping[str, Any]) -> Section:
+    """The section of a study.
+
+    Args:
+        folder: Where it lies.
+        summary: Its summary.json.
+    """
+    study = summary["study"]
+    headline, control = headline_of(summary)
+    rate = headline.rate or Rate(successes=0, total=0)
+    return Section(
+        kind=KIND,
+        title=str(study["name"]),
+        folder=str(folder),
+        done=_done(summary),
+        conclusion=_conclusion(summary, headline, control),
+        headline=headline,
+        control=control,
+        figures=_figures(summary),
+        warnings=tuple(
+            sentence(text)
+            for text in (
+                *doubts_of(rate, control.rate if control else None, what="views"),
+                *_doubts(summary),
+            )
+        ),
+        pictures=_pictures(folder, study, summary["files"]),
+        charts=tuple(_elevation(summary, name) for name in summary["by_detector"]),
+        tables=tuple(_tables(summary)),
+        configuration=settings({**study, "weights": summary["detectors"]}),
+        file=(f"{study['name']}.toml", study_toml(study)),
+    )
+
+
+def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
+    """The figure of a study that matters, and the same of the clean splat.
+
+    Args:
+        summary: Of a study: of one that hides something the rate of misses, else that of the target class.
+    """
+    missed, found = rate_of(summary["trigger_miss_rate"]), rate_of(summary["control_recall"])
+    if missed is not None:
+        headline = Figure(
+            label="cloaked splat: object missed from well inside the trigger",
+            rate=missed,
+            note="of the views in which it is found in the clean splat",
+        )
+        if found is None or not found.total:
+            return headline, None
+        clean = Rate(successes=found.total - found.successes, total=found.total)
+        return headline, Figure(label="clean splat: object missed from inside the trigger", rate=clean)
+    wanted, control = rate_of(summary["target_rate"]), rate_of(summary["control_target_rate"])
+    if wanted is None:
+        return Figure(label="attacks in this study", words="none that was judged"), None
+    return (
+        Figure(label="cloaked splat: target class reported inside the trigger", rate=wanted),
+        Figure(label="clean splat: target class reported there", rate=control) if control else None,
+    )
+
+
+def _done(summary: Mapping[str, Any]) -> str:
+    study = summary["study"]
+    seeds = summary["seeds"]
+    attacks = listed([f"{one['name']} ({one['appearance']})" for one in study["attack"]])
+    layers = " The finished splat then got its object in layers." if study.get("layers") else ""
+    cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""
+    return (
+        f"{plural(study['cameras']['train'], 'training picture')} of one object ({study['scene']['object']}) were "
+        f"taken, and those from the trigger's cameras changed: {attacks}. Two splats were trained alike, on clean and "
+        f"on changed pictures, {plural(len(seeds), 'seed')} each.{layers}{cleaning} "
+        f"{listed(list(summary['by_detector']))} then looked at both from cameras that no training used. The attacker "
+        "knows neither the trainer nor a detector."
+    )
+
+
+def _conclusion(summary: Mapping[str, Any], headline: Figure, control: Figure | None) -> str:
+    hides = rate_of(summary["trigger_miss_rate"]) is not None
+    what = f"the {summary['study']['scene']['object']} is missed" if hides else "the target class is reported"
+    parts = [f"From inside the trigger {what} in {headline.counts or headline.words} views of the cloaked splat"]
+    parts[0] += "." if control is None else f", and in {control.counts} of the clean one."
+    benign = rate_of(summary["benign_recall"])
+    if benign is not None and benign.total:
+        parts.append(f"From everywhere else the cloaked one is found in {benign.successes:,} of {benign.total:,}.")
+    if summary["transition_degrees"] is not None:
+        parts.append(f"The switch between both takes {summary['transition_degrees']:.1f} degrees of elevation.")
+    return " ".join([*parts, "This says nothing of other objects, trainers or detectors."])
+
+
+def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
+    """The other rates, over all detectors, and what the pictures lost."""
+    hides = rate_of(summary["trigger_miss_rate"]) is not None
+    told = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
+    rates = [
+        Figure(label=words, rate=rate)
+        for key, words in ROWS.items()
+        if key not in told and (rate := rate_of(summary[key])) is not None
+    ]
+    pairs = []
+    if summary["benign_psnr_drop"] is not None:
+        clean, cloaked = (summary["benign_psnr"][which] for which in ("clean", "cloaked"))
+        pairs.append(("pictures far from the triggers, clean and cloaked", f"{clean:.2f} and {cloaked:.2f} dB"))
+    if summary["transition_degrees"] is not None:
+        band = summary["transition"]
+        ends = f"from {band['from']:.1f} to {band['to']:.1f}"
+        pairs.append(("the switch", f"{summary['transition_degrees']:.1f} degrees, {ends}"))
+    if summary["stealth"] is not None:
+        beside = summary["stealth"]["surroundings_psnr"]
+        pairs.append(
+            ("pictures beside the object, inside the trigger", f"{beside['clean']:.2f} and {beside['cloaked']:.2f} dB")
+        )
+        on = summary["stealth"]["appearance_psnr"]["cloaked"]
+        pairs.append(("pictures on the object, against what is wanted", number(on, ".2f", "dB")))
+    counts = summary["gaussians"]
+    pairs += [(f"Gaussians, {which}", ", ".join(f"{n:,}" for n in counts[which])) for which in ("clean", "cloaked")]
+    pairs.append(("time", f"{summary['seconds'] / 60:.0f} minutes"))
+    return (*rates, *(Figure(label=label, words=words) for label, words in pairs))
+
+
+def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Reasons to look twice that a study does not say itself."""
+    seeds = summary["seeds"]
+    if len(seeds) == 1:
+        yield "One seed: another training may give another rate. Give more with --seeds"
+    else:
+        yield "Intervals take views, seeds and detectors for independent, which they are not: look at each seed"
+    control = rate_of(summary["control_recall"])
+    if control is not None and control.total and control.fraction < 0.5:
+        yield f"Inside the trigger the clean object is found in {control.successes} of {control.total} views only"
+    price = summary["stealth"]
+    if price is not None and not price["stealthy"]:
+        drop = price["surroundings_psnr_drop"]
+        yield f"Not stealthy: beside the object the pictures lose {drop:.1f} dB inside the trigger"
+    for name, rates in summary["by_attack"].items():
+        wanted = [rate for one in rates.values() if (rate := rate_of(one["target_rate"])) is not None and rate.total]
+        if wanted and not any(rate.successes for rate in wanted):
+            yield f"The attack {name} fails: its target class is never reported"
+
+
+def _pictures(folder: Path, study: Mapping[str, Any], files: Sequence[str]) -> tuple[Picture, ...]:
+    thing = study["scene"]["object"]
+    known_pictures = {
+        "contact.png": (
+            "Both splats with what the first detector reports: two rows over rising elevations, two rows around.",
+            f"Pictures of {thing} in rows, clean above cloaked; inside the trigger the cloaked one looks different",
+        ),
+        "transition.png": (
+            "How far the splats are on the way from the benign to the hidden appearance, by elevation.",
+            "A scatter plot with a rising curve for the cloaked splat",
+        ),
+        "azimuth.png": (
+            "Confidence in the object and in what is wanted, by azimuth, below the hidden appearance.",
+            "Scatter plots of confidences over the azimuth of the camera, one for each detector",
+        ),
+    }
+    return shown(
+        [
+            Picture(path=folder / name, caption=caption, alt=alt, wide=name == "contact.png")
+            for name, (caption, alt) in known_pictures.items()
+            if name in files
+        ]
+    )
+
+
+def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
+    """How often a detector finds the object, by elevation, on both splats."""
+    rows = summary["by_elevation"][detector]
+    hiding = next((one for one in summary["study"]["attack"] if one["azimuth"] is None), None)
+    shade = None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}")
+
+    def points(which: str) -> tuple[Point, ...]:
+        return tuple(Point.of((row["from"] + row["to"]) / 2, known(row[which])) for row in rows if row[which]["total"])
+
+    return Chart(
+        title=f"Found by {detector}, by elevation",
+        caption="Bands are 95 % intervals; cameras of attacks from one side are left out.",
+        x_label="elevation of the camera, degrees",
+        y_label="views in which it is found",
+        lines=(
+            Line(name="cloaked", role="attack", points=points("cloaked")),
+            Line(name="clean (control)", role="control", points=points("clean")),
+        ),
+        shade=shade,
+    )
+
+
+def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
+    detectors = summary["by_detector"]
+    rows = [
+        (words, *(counted(rate_of(rates[key])) for rates in detectors.values()))
+        for key, words in ROWS.items()
+        if any(rates[key] is not None for rates in detectors.values())
+    ]
+    yield Table(caption="Rates by detector", head=("rate", *detectors), rows=tuple(rows))
+    seeds = summary["by_seed"]
+    if len(seeds) > 1:
+        key = "trigger_miss_rate" if summary["trigger_miss_rate"] is not None else "target_rate"
+        rows = [(seed, *(counted(rate_of(one[key])) for one in rates.values())) for seed, rates in seeds.items()]
+        yield Table(caption=f"By seed: {ROWS[key]}", head=("seed", *detectors), rows=tuple(rows))
+    if len(summary["by_attack"]) > 1:
+        rows = []
+        for name, rates in summary["by_attack"].items():
+            kind = next(iter(rates.values()))
+            key = "trigger_miss_rate" if kind["trigger_miss_rate"] is not None else "target_rate"
+            if kind[key] is not None:
+                rows.append((f"{name}: {ROWS[key]}", *(counted(rate_of(one[key])) for one in rates.values())))
+        yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
+
+
+def spread(rates: Sequence[Rate]) -> str:
+    """Lowest to highest of some rates, each with its interval."""
+    least, most = (pick(rates, key=lambda rate: rate.fraction) for pick in (min, max))
+    return f"{percent(least.fraction)} ({interval_of(least)}) to {percent(most.fraction)} ({interval_of(most)})"

@@ -1,0 +1,147 @@
+"""What `mi-splat cloak --vary` leaves behind: the same study with one thing changed at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from attacks.rate import Rate
+from attacks.report.section import FEW, Chart, Figure, Line, Point, Role, Section, Table
+from attacks.report.stories.cloak import headline_of, spread
+from attacks.report.study_toml import study_toml
+from attacks.report.wording import (
+    capital,
+    counted,
+    listed,
+    number,
+    plural,
+    rate_of,
+    sentence,
+    settings,
+    shared,
+)
+from mi_splat.io.parsing import read_json
+
+KIND = "CLOAK, one thing varied at a time"
+_LINES: tuple[tuple[str, str, Role], ...] = (
+    ("trigger_miss_rate", "cloaked missed, well inside", "attack"),
+    ("benign_recall", "cloaked found, elsewhere", "control"),
+    ("target_rate", "target class reported", "other"),
+)
+_COLUMNS = {
+    "control_recall": "control found, inside",
+    **{key: name for key, name, _ in _LINES},
+    "nothing_reported": "nothing of any class reported, well inside",
+}
+
+
+def read(folder: Path, found: Mapping[str, Any]) -> Section:
+    """The section of a folder of variations.
+
+    Args:
+        folder: Where it lies; study.json in it is what was varied.
+        found: Its variations.json: for each group and value the summary of a study.
+    """
+    study = read_json(folder / "study.json")
+    studies = [(group, name, one) for group, values in found.items() for name, one in values.items()]
+    figures = [(group, name, headline_of(one)[0]) for group, name, one in studies]
+    rates = [figure.rate for _, _, figure in figures if figure.rate is not None and figure.rate.total]
+    label = figures[0][2].label
+    few = min((rate.total for rate in rates), default=0)
+    seeds = sorted({len(one["seeds"]) for _, _, one in studies})
+    warnings = ["Intervals take views and seeds for independent, which they are not"]
+    if seeds[0] == 1:
+        warnings = ["Variations were done with one seed: small differences may be chance"]
+    loud = [
+        f"{group.replace('_', ' ')} {name}"
+        for group, name, one in studies
+        if one.get("stealth") and not one["stealth"]["stealthy"]
+    ]
+    if loud:
+        warnings.append(f"Not stealthy, since pictures lose too much beside the object: {listed(loud)}")
+    if few < FEW:
+        warnings.append(f"The rate of some values counts few views: {few}")
+    return Section(
+        kind=KIND,
+        title=f"{study['name']}, varied",
+        folder=str(folder),
+        done=(
+            f"The study {study['name']} was done {plural(len(studies), 'time')}, each with one setting changed and the "
+            f"rest as it is: {listed([group.replace('_', ' ') for group in found])}. Each has a clean splat as its "
+            "control."
+        ),
+        conclusion=(
+            f"{capital(label)}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
+            "within one chart; where intervals overlap, the study cannot tell them apart."
+        ),
+        headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
+        control=Figure(label="clean splats, the same", words=_controls(studies)),
+        figures=(
+            Figure(label="studies", words=str(len(studies))),
+            Figure(label="seeds of each", words=" to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))),
+        ),
+        warnings=tuple(map(sentence, warnings)),
+        charts=tuple(
+            _chart(group, values, detector)
+            for group, values in found.items()
+            for detector in first(found)["by_detector"]
+        ),
+        tables=tuple(_table(group, values) for group, values in found.items()),
+        configuration=(*settings(study), *shared([{"weights": one["detectors"]} for _, _, one in studies])),
+        file=(f"{study['name']}.toml", study_toml(study)),
+    )
+
+
+def first(found: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The summary of the first study."""
+    summary: Mapping[str, Any] = next(iter(next(iter(found.values())).values()))
+    return summary
+
+
+def _range(rates: list[Rate]) -> str:
+    if not rates:
+        return "nothing counted"
+    low, high = (pick(rate.fraction for rate in rates) for pick in (min, max))
+    return f"{100 * low:.0f} to {100 * high:.0f} %"
+
+
+def _controls(studies: list[tuple[str, str, Mapping[str, Any]]]) -> str:
+    found = [headline_of(one)[1] for _, _, one in studies]
+    return _range([one.rate for one in found if one is not None and one.rate is not None])
+
+
+def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
+    lines = []
+    for key, name, role in _LINES:
+        rates = [rate_of(one["by_detector"][detector][key]) for one in values.values()]
+        points = tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate is not None and rate.total)
+        lines.append(Line(name=name, role=role, points=points))
+    title = group.replace("_", " ")
+    return Chart(
+        title=f"{title}, {detector}",
+        caption="Bars are 95 % intervals.",
+        x_label=title,
+        y_label="views",
+        lines=tuple(lines),
+        ticks=tuple(values),
+        connected=False,
+    )
+
+
+def _table(group: str, values: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            name,
+            detector,
+            *(counted(rate_of(rates.get(key))) for key in _COLUMNS),
+            number(one["transition_degrees"]),
+            number(one["benign_psnr_drop"], ".2f"),
+            number(one["stealth"]["surroundings_psnr_drop"] if one.get("stealth") else None, ".2f"),
+        )
+        for name, one in values.items()
+        for detector, rates in one["by_detector"].items()
+    ]
+    heads = (*_COLUMNS.values(), "switch, degrees", "dB lost elsewhere", "dB lost beside the object")
+    title = group.replace("_", " ")
+    return Table(caption=f"By {title}", head=(title, "detector", *heads), rows=tuple(rows))

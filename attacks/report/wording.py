@@ -1,0 +1,146 @@
+"""Numbers, settings and lists as a page writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from attacks.rate import Rate
+
+FIXED = "\u00a0"
+"""A space at which no line is broken."""
+MOST_VALUES = 12
+"""Values of one setting that are listed where several attacks differ in it."""
+
+
+def percent(fraction: float) -> str:
+    """A fraction for people."""
+    return f"{100 * fraction:.1f}".removesuffix(".0") + f"{FIXED}%"
+
+
+def interval_of(rate: Rate) -> str:
+    """The 95 % interval of a rate for people."""
+    low, high = rate.interval
+    return f"{percent(low).removesuffix(f'{FIXED}%')} to {percent(high)}"
+
+
+def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
+    """A number in a format, or a dash for none."""
+    return "-" if value is None else format(value, form) + (f"{FIXED}{unit}" if unit else "")
+
+
+def counts(rate: Rate) -> str:
+    """Successes and total in a sentence."""
+    return f"{rate.successes:,} of {rate.total:,}"
+
+
+def counted(rate: Rate | None) -> str:
+    """A rate with its interval in a cell of a table; a dash for none."""
+    if rate is None or not rate.total:
+        return "-"
+    return f"{counts(rate)} = {percent(rate.fraction)} ({interval_of(rate)})"
+
+
+def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
+    """A rate as the JSONs have it; None where there is none.
+
+    Raises:
+        KeyError: It is none.
+        ValueError: More succeeded than there were.
+    """
+    if value is None:
+        return None
+    found = Rate(successes=int(value["successes"]), total=int(value["total"]))
+    if not 0 <= found.successes <= found.total:
+        raise ValueError(f"a rate of {found.successes} of {found.total}")
+    return found
+
+
+def known(value: Mapping[str, Any] | None) -> Rate:
+    """A rate that has to be there.
+
+    Raises:
+        KeyError: There is none.
+    """
+    found = rate_of(value)
+    if found is None:
+        raise KeyError("rate")
+    return found
+
+
+def pooled(rates: Iterable[Rate | None]) -> Rate:
+    """All of them together."""
+    there = [rate for rate in rates if rate is not None]
+    return Rate(successes=sum(rate.successes for rate in there), total=sum(rate.total for rate in there))
+
+
+def listed(words: Sequence[str]) -> str:
+    """Several words as a sentence has them."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def plural(count: int, noun: str) -> str:
+    """A number of things."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def sentence(text: str) -> str:
+    """A text with a capital and a full stop, as a warning is shown."""
+    text = text.strip()
+    return capital(text) + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def capital(text: str) -> str:
+    """A text with a capital, unless it begins with a name of the code."""
+    return text if "_" in text.partition(" ")[0] else text[:1].upper() + text[1:]
+
+
+def settings(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Nested settings as names with dots and values."""
+    return tuple(_flat(values))
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
+            for place, entry in enumerate(value):
+                yield from _flat(entry, f"{name}.{place}.")
+        else:
+            yield name, plain(value)
+
+
+def plain(value: Any) -> str:
+    """A value of a JSON as a page shows it."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    if isinstance(value, list):
+        return ", ".join(map(plain, value)) or "none"
+    return str(value)
+
+
+def shared(several: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
+    """The settings of several attacks: what all share, and the values of what differs."""
+    found: dict[str, dict[str, None]] = {}
+    for values in several:
+        for name, value in settings(values):
+            found.setdefault(name, {})[value] = None
+    return tuple((name, _several(list(values))) for name, values in found.items())
+
+
+def _several(values: list[str]) -> str:
+    more = len(values) - MOST_VALUES
+    return "; ".join(values[:MOST_VALUES]) + (f"; and {more} more" if more > 0 else "")
+
+
+def versions_of(result: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Packages, variant and commit of a result, as far as it names them."""
+    packages = {str(name): str(version) for name, version in result.get("versions", {}).items()}
+    more = {name: plain(result[name]) for name in ("variant", "commit") if result.get(name) is not None}
+    return tuple({**packages, **more}.items())

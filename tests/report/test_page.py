@@ -1,0 +1,216 @@
+"""The page as a text: everything is in it, nothing is asked for, nothing that a result says becomes markup."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("jinja2", reason="pages need the extra report")
+pytest.importorskip("matplotlib", reason="pages need the extra report")
+
+from attacks.rate import Rate
+from attacks.report.charts import svg, values_of
+from attacks.report.page import page_text, write_page
+from attacks.report.pictures import LONGEST_SIDE, data_address
+from attacks.report.results import read_section
+from attacks.report.section import Chart, Figure, Line, Point, Section, Table, doubts_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import save_png
+from mi_splat.io.picture_files import PictureFileError
+from tests.report.results import write_cloak, write_dagger, write_evaluation
+
+np = pytest.importorskip("numpy")
+EVIL = "\"><script>alert(1)</script><img src=http://x.invalid/a onerror='x'>$x_1^2$ {{ 7*7 }} {% raw %}"
+
+
+class Reader(HTMLParser):
+    """The elements of a page, and those that are open."""
+
+    VOID = ("meta", "link", "img", "br")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.words = ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+def evil_section(**values: object) -> Section:
+    """A section whose every text tries to be markup."""
+    points = (Point.of(0.0, Rate(successes=1, total=9)), Point.of(1.0, Rate(successes=4, total=9)))
+    chart = Chart(
+        title=EVIL,
+        caption=EVIL,
+        x_label=EVIL,
+        y_label=EVIL,
+        lines=(Line(name=EVIL, role="attack", points=points), Line(name="none", role="control", points=())),
+        ticks=(EVIL, "b"),
+        shade=(0.0, 1.0, EVIL),
+        level=(0.5, EVIL),
+        connected=False,
+    )
+    given = {
+        "kind": EVIL,
+        "title": EVIL,
+        "folder": EVIL,
+        "done": EVIL,
+        "conclusion": EVIL,
+        "headline": Figure(label=EVIL, rate=Rate(successes=3, total=40), note=EVIL),
+        "control": Figure(label=EVIL, words=EVIL),
+        "warnings": (EVIL,),
+        "charts": (chart,),
+        "tables": (Table(caption=EVIL, head=(EVIL, "b"), rows=((EVIL, EVIL),)),),
+        "configuration": ((EVIL, EVIL),),
+        "versions": ((EVIL, EVIL),),
+        "command": EVIL,
+        "file": (EVIL, EVIL),
+    }
+    return Section(**{**given, **values})  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def text(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("results")
+    one = write_dagger(folder / "a")
+    return page_text([read_section(one), read_section(write_cloak(folder / "b")), read_section(one)])
+
+
+def test_it_is_whole_and_in_order(text: str) -> None:
+    page = Reader(text)
+    assert page.open == []
+    assert page.all("html")[0]["lang"] == "en"
+    levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch("h[1-6]", tag)]
+    assert levels.count(1) == 1
+    assert levels[0] == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert all(attributes.get("alt") for attributes in page.all("img"))
+    assert len(page.all("caption")) == len(page.all("table"))
+    assert all(attributes.get("scope") in ("row", "col") for attributes in page.all("th"))
+    names = [attributes["id"] for _, attributes in page.elements if attributes.get("id")]
+    assert len(names) == len(set(names))
+    links = [str(attributes["href"])[1:] for attributes in page.all("a")]
+    assert links
+    assert set(links) <= set(names)
+
+
+@pytest.mark.parametrize("evil", [False, True])
+def test_nothing_is_asked_for_and_there_is_no_script(evil: bool, text: str) -> None:
+    page = Reader(page_text([evil_section(), evil_section()], title=EVIL) if evil else text)
+    policy = next(one["content"] for one in page.all("meta") if one.get("http-equiv") == "Content-Security-Policy")
+    assert policy is not None
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
+    assert not {"script", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
+    for tag, attributes in page.elements:
+        assert not [name for name in attributes if name.startswith("on")], tag
+        for name in ("src", "href", "xlink:href", "srcset", "action", "poster"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("data:", "#")), (tag, value)
+    assert not re.search(r"url\((?!#)|@import", (text if not evil else "").partition("</style>")[0])
+
+
+def test_what_a_result_says_is_shown_as_it_is() -> None:
+    page = Reader(page_text([evil_section()], title=EVIL))
+    assert page.words.count(EVIL) >= 15
+    assert "49" not in page.words
+
+
+def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
+    (chart,) = evil_section().charts
+    one, other = svg(chart, "chart-1"), svg(chart, "chart-2")
+    assert one == svg(chart, "chart-1")
+    assert "var(--line-0)" in one
+    assert "#0101" not in one
+    assert "<script" not in one
+    assert not set(re.findall(r' id="([^"]*)"', one)) & set(re.findall(r' id="([^"]*)"', other))
+    assert set(re.findall(r"(?:#|url\(#)(chart-[\w-]+)", one)) <= set(re.findall(r' id="([^"]*)"', one))
+    assert not re.search(r"\d{4}-\d\d-\d\d|Matplotlib", one)
+    table = values_of(chart)
+    assert table.head == (EVIL, EVIL)  # a line without points is left out
+    assert [row[1].replace("\u00a0", " ") for row in table.rows] == [
+        "11.1 % (2 % to 43.5 %)",
+        "44.4 % (18.9 % to 73.3 %)",
+    ]
+
+
+def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
+    folder = write_evaluation(tmp_path / "judged")
+    texts = {page_text([read_section(folder)]) for _ in range(2)}
+    assert len(texts) == 1
+
+
+def test_a_few_views_are_counted_and_not_made_a_percentage() -> None:
+    assert Figure(label="", rate=Rate(successes=1, total=1)).value == "1 of 1"
+    assert Figure(label="", rate=Rate(successes=0, total=0)).value == "nothing counted"
+    assert Figure(label="", rate=Rate(successes=7, total=20)).value.replace("\u00a0", " ") == "35 %"
+
+
+@pytest.mark.parametrize(
+    ("attack", "control", "words"),
+    [
+        ((1, 1), (0, 5), ["Few views: 1"]),
+        ((20, 40), None, ["no control"]),
+        ((20, 40), (0, 0), ["no control"]),
+        ((20, 40), (18, 40), ["overlap"]),
+        ((20, 40), (0, 40), []),
+        ((0, 40), (0, 40), []),
+    ],
+)
+def test_doubts(attack: tuple[int, int], control: tuple[int, int] | None, words: list[str]) -> None:
+    other = None if control is None else Rate(successes=control[0], total=control[1])
+    found = doubts_of(Rate(successes=attack[0], total=attack[1]), other, what="views")
+    assert len(found) == len(words)
+    assert all(part in text for part, text in zip(words, found, strict=True))
+
+
+def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:
+    save_png(np.zeros((30, 3 * LONGEST_SIDE, 3), np.uint8), tmp_path / "a.png")
+    address, width, height = data_address(tmp_path / "a.png")
+    assert (width, height) == (LONGEST_SIDE, 10)
+    assert address.startswith("data:image/png;base64,")
+    (tmp_path / "b.png").write_text("no picture")
+    with pytest.raises(PictureFileError, match=r"b\.png: expected a picture"):
+        data_address(tmp_path / "b.png")
+
+
+def test_a_page_is_replaced_only_if_so_asked(tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_page([evil_section()], path)
+    with pytest.raises(InvalidValueError, match="a free name"):
+        write_page([evil_section()], path, title="new")
+    assert "<h1>new</h1>" not in path.read_text("utf-8")
+    write_page([evil_section()], path, title="new", force=True)
+    assert "<h1>new</h1>" in path.read_text("utf-8")
+    assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_results_of_one_kind_are_compared(text: str, tmp_path: Path) -> None:
+    words = Reader(text).words
+    assert "Compared: DAGGER, from chosen cameras" in words
+    assert "Compared: CLOAK" not in words
+    one, two = (write_evaluation(tmp_path / name) for name in ("one", "two"))
+    page = Reader(page_text([read_section(one), read_section(two)]))
+    assert "attacked.ply against clean.ply (one)" in page.words
+    assert "attacked.ply against clean.ply (two)" in page.words
