@@ -27,7 +27,8 @@ def _where_processes_have_numbers() -> str:
         return name
 
 
-_HOST = _where_processes_have_numbers()
+HOST = _where_processes_have_numbers()
+"""This machine, and its container where it has one: a number of a process means something within it alone."""
 _TEMPORARY = re.compile(r"\.(?:(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.)?[0-9a-f]{16}\.(?:tmp|old)")
 LOCK = ".mi-splat.lock"
 """Name of the file in a folder that a process has for itself; see `mi_splat.io.locks`."""
@@ -41,7 +42,7 @@ def temporary_name(ending: Literal["tmp", "old"] = "tmp") -> str:
     Args:
         ending: "old" for a folder that holds an older result under its own name while a new one takes its place.
     """
-    return f".{_HOST}.{os.getpid()}.{secrets.token_hex(8)}.{ending}"
+    return f".{HOST}.{os.getpid()}.{secrets.token_hex(8)}.{ending}"
 
 
 def is_temporary(name: str) -> bool:
@@ -84,7 +85,7 @@ def _is_stale(entry: os.DirEntry[str]) -> bool:
     found = _TEMPORARY.fullmatch(entry.name)
     if found is None:
         return False
-    if found["host"] == _HOST:
+    if found["host"] == HOST:
         return not _runs(int(found["process"]))
     return time.time() - entry.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
 

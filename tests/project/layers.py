@@ -36,6 +36,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
     "files": ("mi_splat.io",),
+    "ledger": ("mi_splat.ledger",),
     "selection": ("mi_splat.selection",),
     "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
     "objects": ("mi_splat.assets",),

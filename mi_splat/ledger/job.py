@@ -1,0 +1,231 @@
+"""What a job is: a kind of work, its configuration and its inputs; and what it leaves."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Protocol
+
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.ledger.values import digest, encoded, is_frozen
+
+ALL = "*"
+_SIGNS_OF_PATTERNS = frozenset("*?[")
+
+Row = Mapping[str, Any]
+"""One row of what a job measured: numbers, texts, truth values and None by their names."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job:
+    """A piece of work whose result depends on nothing but what stands here and on the code of its kind.
+
+    Attributes:
+        kind: Dotted name of a module with `run(config, inputs, out)`.
+        config: A frozen dataclass; every field counts.
+        inputs: What it reads, by names of the kind's own: other jobs, parts of them, files, or folders.
+    """
+
+    kind: str
+    config: Any
+    inputs: Mapping[str, Job | Part | Path] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        if not is_frozen(self.config):
+            expected, do = "a frozen dataclass", "say all that the result depends on as its fields"
+            raise InvalidValueError(message(f"config of {self.kind}", expected, type(self.config).__name__, do))
+
+    @cached_property
+    def config_json(self) -> Any:
+        """The configuration as JSON, see `mi_splat.ledger.values.encoded`."""
+        return encoded(self.config)
+
+    @cached_property
+    def identity(self) -> str:
+        """32 hex digits that stand for the job and all before it: known before anything is done, and never a key."""
+        inputs = {name: _identity(source) for name, source in self.inputs.items()}
+        return digest({"kind": self.kind, "config": self.config_json, "inputs": inputs})
+
+    def part(self, pattern: str) -> Part:
+        """Some of the files that the job leaves, as an input: only their names and bytes count.
+
+        Args:
+            pattern: A name below `files`, as `splat.ply`; or with signs, as `set/*` for all below that folder.
+        """
+        return Part(job=self, pattern=pattern)
+
+    @property
+    def before(self) -> tuple[Job, ...]:
+        """The jobs that it reads."""
+        sources = [source.job if isinstance(source, Part) else source for source in self.inputs.values()]
+        return tuple(source for source in sources if isinstance(source, Job))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """Some of the files that a job leaves; see `Job.part`."""
+
+    job: Job
+    pattern: str = ALL
+
+
+def _identity(source: Job | Part | Path) -> str:
+    if isinstance(source, Part):
+        return f"{source.job.identity}/{source.pattern}"
+    return source.identity if isinstance(source, Job) else f"path {source.absolute()}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A job whose inputs are done: all that a process needs to run it, as JSON can hold it.
+
+    Attributes:
+        kind: See `Job`.
+        config: As JSON.
+        inputs: By name: `content`, and either `path`, or `job` (its key) and `part`.
+        code: Digest of the code of the kind.
+        key: 32 hex digits, by which the result is kept.
+    """
+
+    kind: str
+    config: Any
+    inputs: Mapping[str, Mapping[str, str]]
+    code: str
+    key: str = ""
+
+    def __post_init__(self) -> None:
+        contents = {name: source["content"] for name, source in self.inputs.items()}
+        key = digest({"kind": self.kind, "config": self.config, "inputs": contents, "code": self.code})
+        object.__setattr__(self, "key", key)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done:
+    """A finished job.
+
+    Attributes:
+        key: Its key.
+        folder: Where its files are.
+        record: What job.json says: kind, config, inputs, code, versions, commit, seconds, files (SHA-256 of each) and
+            rows.
+    """
+
+    key: str
+    folder: Path
+    record: Mapping[str, Any]
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """What `run` returned; empty for nothing."""
+        rows: list[Row] = self.record["rows"]
+        return rows
+
+    @property
+    def content(self) -> str:
+        """What stands for all files and rows that it left, the files apart that its kind says may vary."""
+        return self.content_of(ALL)
+
+    def content_of(self, pattern: str) -> str:
+        """What stands for the files that fit a pattern, see `Job.part`; with the rows if it is `*`.
+
+        Raises:
+            InvalidValueError: No file fits.
+        """
+        varies = self.record["varies"]
+        files = {n: s for n, s in self.record["files"].items() if fits(n, pattern) and not fits_any(n, varies)}
+        if pattern == ALL:
+            return digest({"files": files, "rows": self.record["rows"]})
+        if not files:
+            do = "name one of its files, or make the job again"
+            raise InvalidValueError(message(f"job {self.key}", f"files {pattern}", "none", do))
+        return digest({"files": files})
+
+    def input_path(self, pattern: str) -> Path:
+        """What a job that reads this one is given: the file of that name, or the folder for a pattern with signs."""
+        return self.folder if _SIGNS_OF_PATTERNS & set(pattern) else self.folder / pattern
+
+
+def fits(name: str, pattern: str) -> bool:
+    """Whether the name of a file fits a pattern, whose `*` is of any depth."""
+    return pattern in (ALL, name) or fnmatch.fnmatchcase(name, pattern)
+
+
+def fits_any(name: str, patterns: Sequence[str]) -> bool:
+    """Whether the name of a file fits one of some patterns."""
+    return any(fits(name, pattern) for pattern in patterns)
+
+
+class JobFailedError(MiSplatError):
+    """A job, or one that it reads, has failed."""
+
+
+class DiskFullError(MiSplatError):
+    """The disk that holds the store is full."""
+
+
+class HeldError(MiSplatError):
+    """Another process does the job now."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """What happens to a job.
+
+    Attributes:
+        state: "running", "progress", "done", "kept" (it was there), "held" (another process does it), "failed" (one
+            try), or "different" (made twice, with other bytes).
+        key: Of the job.
+        kind: Of the job.
+        text: What goes on, or why it failed.
+        done: Units of the work that are done.
+        total: Units that there are; 0 for unknown.
+        seconds: How long it ran, at its end.
+    """
+
+    state: str
+    key: str
+    kind: str
+    text: str = ""
+    done: int = 0
+    total: int = 0
+    seconds: float = 0.0
+
+
+OnEvent = Callable[[Event], None]
+
+
+def nobody(event: Event) -> None:
+    """Tells nobody."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Out:
+    """Where a job writes.
+
+    Attributes:
+        files: Folder of what it leaves; new at every try. `out / name` is short for `out.files / name`.
+        partial: Folder of its own that outlasts a killed or failed try, and is gone once the job is done.
+        progress: Called with what goes on, how many units of it are done, and how many there are.
+    """
+
+    files: Path
+    partial: Path
+    progress: Callable[[str, int, int], None]
+
+    def __truediv__(self, name: str) -> Path:
+        return self.files / name
+
+
+class Kind(Protocol):
+    """A module that does work of one kind. It may have `VARIES`, patterns of files whose bytes differ from run to run.
+
+    What it loads by name stands in it as whole dotted names, as in a tuple `LOADS`, so that its code counts.
+    """
+
+    def run(self, config: Any, inputs: Mapping[str, Path], out: Out) -> Sequence[Row] | None:
+        """Do the work, from nothing but the arguments; the rows that are returned stand in job.json."""
+        ...

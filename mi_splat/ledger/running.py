@@ -1,0 +1,154 @@
+"""The one function that runs a job; every engine calls it, in whatever process."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import math
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.import_closure import closure, code_digest
+from mi_splat.ledger.job import DiskFullError, Done, Event, Job, OnEvent, Out, Part, Row, Task, nobody
+from mi_splat.ledger.store import TRIES, Store, content_of_path, origin
+from mi_splat.ledger.values import decoded, encoded
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
+    """Do a job whose inputs are done, or find it done.
+
+    Raises:
+        HeldError: Another process does it now.
+        InvalidValueError: Its code here is another one, or an input is not what it was.
+        DiskFullError: It is; that is no fault of the job's.
+        Exception: Whatever the kind raises; it is written down as one try.
+    """
+    if (done := store.done(task.key)) is not None:
+        on_event(Event(state="kept", key=task.key, kind=task.kind))
+        return done
+    with store.leases.held(task.key):
+        if (done := store.done(task.key)) is None:  # nobody has done it while this process came to the lease
+            on_event(Event(state="running", key=task.key, kind=task.kind))
+            begun = time.monotonic()
+            try:
+                _make(store, task, on_event)
+            except Exception as error:
+                if is_disk_full(error):
+                    do = "free some space; what is done stays, and the job goes on from what it kept"
+                    text = message(str(store.folder), "space on the disk", "none", do)
+                    raise DiskFullError(text) from error
+                _note(store, task, error, time.monotonic() - begun, on_event)
+                raise
+            on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - begun))
+            done = store.done(task.key)
+    if done is None:
+        raise InvalidValueError(message(f"job {task.key}", "its result", "none", "leave the store's folder alone"))
+    return done
+
+
+def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
+    """A job as a task.
+
+    Args:
+        job: The job.
+        store: Where the jobs that it reads are.
+        finished: Those jobs, by their identity.
+    """
+    inputs: dict[str, dict[str, str]] = {}
+    for name, source in sorted(job.inputs.items()):
+        if isinstance(source, Path):
+            inputs[name] = {"content": content_of_path(source), "path": str(source.absolute())}
+        else:
+            part = source if isinstance(source, Part) else source.part("*")
+            done = finished[part.job.identity]
+            inputs[name] = {"content": done.content_of(part.pattern), "job": done.key, "part": part.pattern}
+    return Task(kind=job.kind, config=job.config_json, inputs=inputs, code=code_digest(job.kind))
+
+
+def input_paths(store: Store, task: Task) -> dict[str, Path]:
+    """Where the inputs of a task are, each of which is still what it was.
+
+    Raises:
+        InvalidValueError: One is not.
+    """
+    found = {}
+    for name, source in task.inputs.items():
+        if "job" in source:
+            done = store.done(source["job"])
+            content = None if done is None else done.content_of(source["part"])
+            path = store.place(source["job"]) if done is None else done.input_path(source["part"])
+        else:
+            path = Path(source["path"])
+            content = content_of_path(path)
+        if content != source["content"]:
+            do = "plan the job again"
+            raise InvalidValueError(message(f"input {name} of job {task.key}", "what it was planned with", path, do))
+        found[name] = path
+    return found
+
+
+def _make(store: Store, task: Task, on_event: OnEvent) -> None:
+    if code_digest(task.kind) != task.code:
+        do = "plan the job again, with the same code everywhere"
+        raise InvalidValueError(message(f"code of {task.kind}", task.code, code_digest(task.kind), do))
+    inputs = input_paths(store, task)
+    kind: Any = importlib.import_module(task.kind)
+    config = decoded(task.config, closure(task.kind))
+    if encoded(config) != task.config:
+        raise InvalidValueError(message(f"config of {task.kind}", "one that JSON keeps", task.config, "mend its class"))
+
+    def progress(text: str, done: int, total: int) -> None:
+        on_event(Event(state="progress", key=task.key, kind=task.kind, text=text, done=done, total=total))
+
+    with store.making(task.key) as (temporary, partial):
+        begun = time.monotonic()
+        files = temporary / "files"
+        rows: Sequence[Row] | None = kind.run(config, inputs, Out(files=files, partial=partial, progress=progress))
+        record = {
+            **{"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code},
+            **{"seconds": round(time.monotonic() - begun, 3), **origin()},
+            **{"varies": list(getattr(kind, "VARIES", ())), "rows": _checked(rows or (), task.kind)},
+        }
+        different = store.publish(temporary, record, task.key)
+    if different:
+        text = f"made twice, with another {', '.join(different)}: see {store.folder / 'different'}"
+        on_event(Event(state="different", key=task.key, kind=task.kind, text=text))
+
+
+def _checked(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
+    """Rows as JSON keeps them.
+
+    Raises:
+        InvalidValueError: They hold something else.
+    """
+    for row in rows:
+        for name, value in row.items():
+            if not (
+                value is None or type(value) in (str, int, bool) or (type(value) is float and math.isfinite(value))
+            ):
+                expected = "a finite number of Python, a text, a truth value or None"
+                raise InvalidValueError(message(f"rows of {kind}: {name}", expected, repr(value), "convert it"))
+    return [dict(row) for row in rows]
+
+
+def _note(store: Store, task: Task, error: Exception, seconds: float, on_event: OnEvent) -> None:
+    """Write a failed try down."""
+    text = "".join(traceback.format_exception(error))
+    tries = store.note_failure(task, text, round(seconds, 3))
+    text = f"try {tries} of {TRIES}: {error}"
+    on_event(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error, or what led to it, is that of a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__cause__ or error.__context__
+    return False

@@ -1,0 +1,277 @@
+"""The folder of results: one folder for each finished job, which appears whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import secrets
+import shutil
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mi_splat import provenance
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import sync_folder
+from mi_splat.io.documents import save_json, sha256
+from mi_splat.io.errors import from_os_error
+from mi_splat.io.parsing import DocumentReader
+from mi_splat.ledger.job import Done, Task, fits_any
+from mi_splat.ledger.leases import Leases
+from mi_splat.ledger.values import canonical, digest
+
+RECORD, FILES = "job.json", "files"
+TRIES = 3
+"""How often a job may fail."""
+AGAIN = "delete its folder, so that it is made again"
+_RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
+_KEY_DIGITS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Store:
+    """A folder of results; any number of processes of any number of machines may use it at once.
+
+    Below it are `jobs/ab/KEY` (`job.json`, `files`), `leases`, `tmp` (what is being made), `partial` (what a job goes
+    on with), `failed`, and `different` (what a job left that was made before with other bytes).
+
+    Attributes:
+        folder: Where it is; it is made if need be.
+    """
+
+    folder: Path
+    leases: Leases = field(init=False)
+    _verified: dict[str, tuple[tuple[int, int, int], ...]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "leases", Leases(folder=self.folder / "leases"))
+
+    def place(self, key: str) -> Path:
+        """The folder of a job, whether or not it is there."""
+        return self.folder / "jobs" / key[:2] / key
+
+    def has(self, key: str) -> bool:
+        """Whether a job is done."""
+        return (self.place(key) / RECORD).is_file()
+
+    def keys(self) -> set[str]:
+        """Keys of all jobs that are done."""
+        found = set[str]()
+        for shelf in _names(self.folder / "jobs"):
+            found.update(name for name in _names(self.folder / "jobs" / shelf) if len(name) == _KEY_DIGITS)
+        return found
+
+    def record(self, key: str) -> dict[str, Any]:
+        """What job.json of a finished job says, without a look at its files.
+
+        Raises:
+            InvalidValueError: There is none, or it is broken, or another job's.
+        """
+        path = self.place(key) / RECORD
+        record = _RECORDS.read_json(path)
+        try:
+            task = task_of(record)
+            whole = task.key == key and isinstance(record["files"], dict) and isinstance(record["rows"], list)
+        except (KeyError, TypeError):
+            whole = False
+        if not whole:
+            raise InvalidValueError(message(str(path), f"the record of job {key}", "another one", AGAIN))
+        return record
+
+    def done(self, key: str) -> Done | None:
+        """A finished job, whose files are what it wrote; None if there is none.
+
+        Raises:
+            InvalidValueError: A file was changed, or is gone, or is another job's.
+        """
+        if not self.has(key):
+            return None
+        record, folder = self.record(key), self.place(key) / FILES
+        present = _files(folder)
+        state = tuple((s.st_mtime_ns, s.st_size, s.st_ino) for s in (path.stat() for path in present.values()))
+        if self._verified.get(key) != state or len(present) != len(record["files"]):
+            hashes = {name: sha256(path) for name, path in present.items()}
+            if hashes != record["files"]:
+                names = _differences(hashes, record["files"])
+                raise InvalidValueError(message(f"job {self.place(key)}", "the files that it wrote", names, AGAIN))
+            self._verified[key] = state
+        return Done(key=key, folder=folder, record=record)
+
+    def rows(self, keys: Sequence[str]) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
+        """Key and rows of finished jobs, without a look at their files."""
+        for key in keys:
+            yield key, _RECORDS.read_json(self.place(key) / RECORD)["rows"]
+
+    @contextlib.contextmanager
+    def making(self, key: str) -> Iterator[tuple[Path, Path]]:
+        """Folders for who has the lease of a job: a new one for its result, and the one that it goes on with."""
+        for name in _names(self.folder / "tmp"):
+            if name.startswith(key):  # its maker has died
+                shutil.rmtree(self.folder / "tmp" / name, ignore_errors=True)
+        temporary = self.folder / "tmp" / f"{key}.{secrets.token_hex(8)}"
+        partial = self.folder / "partial" / key
+        try:
+            (temporary / FILES).mkdir(parents=True)
+            partial.mkdir(parents=True, exist_ok=True)
+            yield temporary, partial
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                partial.rmdir()  # nothing was written into it
+
+    def publish(self, temporary: Path, record: Mapping[str, Any], key: str) -> list[str]:
+        """Give a finished folder its name; the record gets what stands for its files.
+
+        Returns:
+            Names of files that another process has left with other bytes meanwhile; this result is then kept in
+            `different`, and the other one counts.
+
+        Raises:
+            SplatFileError: The disk is full or cannot be written.
+        """
+        whole = {**record, "files": {name: sha256(path) for name, path in _files(temporary / FILES).items()}}
+        target = self.place(key)
+        try:
+            lines = (f"{canonical(name)}: {canonical(value)}" for name, value in whole.items())
+            (temporary / RECORD).write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
+            if not whole["files"]:
+                shutil.rmtree(temporary / FILES)
+            sync_folder(temporary)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.rename(temporary, target)
+            except OSError:
+                if not self.has(key):
+                    raise
+                return self._second(temporary, whole, key)
+        except OSError as error:
+            raise from_os_error(str(target), "a folder that can be written", error) from error
+        shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
+        (self.folder / "failed" / f"{key}.json").unlink(missing_ok=True)
+        return []
+
+    def _second(self, temporary: Path, whole: Mapping[str, Any], key: str) -> list[str]:
+        first = self.record(key)
+        names = [n for n in _different(first["files"], whole["files"]) if not fits_any(n, whole["varies"])]
+        names += ["rows"] if first["rows"] != whole["rows"] else []
+        if names:
+            (self.folder / "different").mkdir(exist_ok=True)
+            os.rename(temporary, self.folder / "different" / temporary.name)
+        return names
+
+    def failures(self, key: str) -> list[dict[str, Any]]:
+        """The tries of a job that failed: `error`, and what ran it."""
+        path = self.folder / "failed" / f"{key}.json"
+        if not path.is_file():
+            return []
+        tries: list[dict[str, Any]] = _RECORDS.read_json(path)["tries"]
+        return tries
+
+    def note_failure(self, task: Task, error: str, seconds: float) -> int:
+        """Write down that a job failed; returns how often it has."""
+        path = self.folder / "failed" / f"{task.key}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tries = [*self.failures(task.key), {"error": error, "seconds": seconds, "versions": versions()}]
+        save_json({"kind": task.kind, "config": task.config, "tries": tries}, path)
+        return len(tries)
+
+    def forgive(self, key: str) -> bool:
+        """Forget the failures of a job, so that it is tried again; whether there were any."""
+        path = self.folder / "failed" / f"{key}.json"
+        with contextlib.suppress(FileNotFoundError):
+            path.unlink()
+            return True
+        return False
+
+    def sweep(self) -> None:
+        """Remove what killed processes have left: leases, folders in `tmp`, and `partial` of jobs that are done."""
+        self.leases.sweep()
+        live = self.leases.live()
+        for name in _names(self.folder / "tmp"):
+            if name[:_KEY_DIGITS] not in live:
+                shutil.rmtree(self.folder / "tmp" / name, ignore_errors=True)
+        for key in _names(self.folder / "partial"):
+            if key not in live and self.has(key):
+                shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
+
+
+def task_of(record: Mapping[str, Any]) -> Task:
+    """The task that a record is of."""
+    names = ("kind", "config", "inputs", "code")
+    return Task(**{name: record[name] for name in names})
+
+
+def origin() -> dict[str, Any]:
+    """What every record says of what made it."""
+    return {"versions": versions(), "commit": _commit(), "torch": provenance.torch_arithmetic()}
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """See `mi_splat.provenance.versions`; looked up once."""
+    return provenance.versions()
+
+
+@functools.cache
+def _commit() -> str | None:
+    return provenance.commit()
+
+
+_CONTENTS: dict[str, tuple[tuple[int, ...], str]] = {}
+_CONTENTS_LOCK = threading.Lock()
+
+
+def content_of_path(path: Path) -> str:
+    """SHA-256 of a file, or what stands for the names and bytes of all files in a folder.
+
+    Read once as long as sizes and times stay the same.
+
+    Raises:
+        InvalidValueError: There is nothing, or it cannot be read.
+    """
+    path = path.absolute()
+    if not path.exists():
+        raise InvalidValueError(message(str(path), "a file or a folder to read", "nothing", "check the path"))
+    present = _files(path) if path.is_dir() else {"": path}
+    try:
+        status = [file.stat() for file in present.values()]
+        state = tuple(number for s in status for number in (s.st_mtime_ns, s.st_size, s.st_ino))
+        with _CONTENTS_LOCK:
+            kept = _CONTENTS.get(str(path))
+        if kept is None or kept[0] != state:
+            hashes = {name: sha256(file) for name, file in present.items()}
+            kept = (state, digest(hashes) if path.is_dir() else hashes[""])
+            with _CONTENTS_LOCK:
+                _CONTENTS[str(path)] = kept
+    except OSError as error:
+        raise from_os_error(str(path), "a file that can be read", error) from error
+    return kept[1]
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return sorted(os.listdir(folder))
+    except FileNotFoundError:
+        return []
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    """Every file below a folder by its name there; none if the folder is not there."""
+    found = {}
+    for base, _, names in os.walk(folder):
+        for name in names:
+            path = Path(base, name)
+            found[path.relative_to(folder).as_posix()] = path
+    return dict(sorted(found.items()))
+
+
+def _different(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:
+    return sorted(name for name in {**first, **second} if first.get(name) != second.get(name))
+
+
+def _differences(present: Mapping[str, str], written: Mapping[str, str]) -> str:
+    names = _different(present, written)
+    return f"another {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1 else "")

@@ -1,0 +1,105 @@
+"""Configurations as canonical JSON: equal ones give the same text, and the text gives the configuration back."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import hashlib
+import importlib
+import json
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from mi_splat.errors import InvalidValueError, message
+
+CLASS = "class"
+"""Key of the name of a class, `module:Class`, in the JSON of one of its values."""
+_FLOAT, _NAME = "float", "name"
+
+
+def canonical(value: Any) -> str:
+    """A JSON value as its one text: keys sorted, numbers exact, nothing between."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def digest(value: Any) -> str:
+    """32 hex digits that stand for a JSON value."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:32]
+
+
+def encoded(value: Any, where: str = "config") -> Any:
+    """A configuration as JSON: every field of every frozen dataclass, members of enumerations, tuples as lists.
+
+    Raises:
+        InvalidValueError: Some value has no exact text, such as a tensor, a path or a dataclass that can change.
+    """
+    kind = type(value)
+    if value is None or kind is str or kind is int or kind is bool:
+        return value
+    if isinstance(value, float):
+        number = float(value)
+        return number if math.isfinite(number) else {CLASS: _FLOAT, _NAME: repr(number)}
+    if kind is tuple or kind is list:
+        return [encoded(item, where) for item in value]
+    if is_frozen(value):
+        fields = {field.name: encoded(getattr(value, field.name), f"{where}.{field.name}") for field in _fields(kind)}
+        return {CLASS: f"{kind.__module__}:{kind.__qualname__}", **fields}
+    if isinstance(value, enum.Enum):
+        return {CLASS: f"{kind.__module__}:{kind.__qualname__}", _NAME: value.name}
+    if isinstance(value, Mapping) and all(type(key) is str and key != CLASS for key in value):
+        return {key: encoded(item, f"{where}.{key}") for key, item in value.items()}
+    expected = "numbers, texts, tuples, mappings and frozen dataclasses"
+    do = "give what it stands for, or make the file that holds it an input"
+    raise InvalidValueError(message(where, expected, kind.__name__, do))
+
+
+def is_frozen(value: Any) -> bool:
+    """Whether a value is one of a frozen dataclass."""
+    parameters = getattr(type(value), "__dataclass_params__", None)
+    return parameters is not None and bool(parameters.frozen)
+
+
+def decoded(value: Any, modules: Collection[str]) -> Any:
+    """The configuration that `encoded` made JSON of; lists come back as tuples, missing fields have their defaults.
+
+    Args:
+        value: The JSON.
+        modules: Those whose classes it may hold, so that a file names no other code.
+
+    Raises:
+        InvalidValueError: A class is not there, or takes other fields or values.
+    """
+    if isinstance(value, list):
+        return tuple(decoded(item, modules) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if CLASS not in value:
+        return {key: decoded(item, modules) for key, item in value.items()}
+    rest = {key: item for key, item in value.items() if key != CLASS}
+    if value[CLASS] == _FLOAT:
+        return float(rest[_NAME])
+    cls = _class(str(value[CLASS]), modules)
+    if issubclass(cls, enum.Enum):
+        return cls[rest[_NAME]]
+    made = {field.name for field in _fields(cls) if field.init}
+    unknown = sorted(rest.keys() - {field.name for field in _fields(cls)})
+    if unknown:
+        do = "make the result again"
+        raise InvalidValueError(message(str(value[CLASS]), "its fields", ", ".join(unknown), do))
+    return cls(**{key: decoded(item, modules) for key, item in rest.items() if key in made})
+
+
+def _fields(cls: type) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(cls)
+
+
+def _class(name: str, modules: Collection[str]) -> type:
+    module, _, path = name.partition(":")
+    found: Any = importlib.import_module(module) if module in modules else None
+    for part in path.split("."):
+        found = getattr(found, part, None)
+    if isinstance(found, type) and (dataclasses.is_dataclass(found) or issubclass(found, enum.Enum)):
+        return found
+    expected = "a dataclass or an enumeration of a module that the kind imports"
+    raise InvalidValueError(message("config", expected, name, "import it in the kind's module"))

@@ -1,0 +1,1 @@
+"""Kinds of jobs that tests run: small, and without torch."""

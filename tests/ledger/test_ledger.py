@@ -1,0 +1,62 @@
+"""Jobs in one process: done once, found again, made anew when anything that counts has changed, and looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.ledger import Event, Job, Ledger, Part
+from tests.ledger.kinds.configs import NumbersConfig, Shift
+
+NUMBERS = "tests.ledger.kinds.numbers"
+
+
+def numbers(*values: float, **inputs: Job | Part | Path) -> Job:
+    return Job(kind=NUMBERS, config=NumbersConfig(values=values), inputs=inputs)
+
+
+def states(events: list[Event]) -> list[str]:
+    return [event.state for event in events]
+
+
+def test_a_job_is_done_once_and_its_inputs_first(tmp_path: Path) -> None:
+    events: list[Event] = []
+    first = numbers(1.0, 2.5)
+    second = numbers(1.0, first=first)
+    done = Ledger(tmp_path, on_event=events.append).do(second)
+    assert done.rows == [{"sum": 4.5}]
+    assert (done.folder / "sum.txt").read_text() == "4.5"
+    assert states(events) == ["running", "progress", "done"] * 2
+    events.clear()
+    assert Ledger(tmp_path, on_event=events.append).do(second) == done
+    assert states(events) == ["kept", "kept"]
+    assert not [path for name in ("tmp", "partial", "leases") for path in (tmp_path / name).glob("[!.]*")]
+
+
+def test_who_reads_equal_files_is_the_same_job(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path)
+    one, other = numbers(1.0, 2.0), numbers(3.0)
+    assert ledger.do(one).key != ledger.do(other).key
+    (tmp_path / "three.txt").write_text("3.0")
+    keys = {ledger.do(numbers(first=job.part("sum.txt"))).key for job in (one, other)}
+    assert len(keys) == 1
+    whole = {ledger.do(numbers(first=source)).key for source in (one, tmp_path / "three.txt")}
+    assert len(whole | keys) == 3
+
+
+def test_a_changed_output_is_an_error_wherever_it_is_used(tmp_path: Path) -> None:
+    first = numbers(1.0)
+    done = Ledger(tmp_path).do(first)
+    (done.folder / "sum.txt").write_text("2.0")
+    for job in (first, numbers(first=first)):
+        with pytest.raises(InvalidValueError, match=r"expected the files that it wrote, got another sum\.txt"):
+            Ledger(tmp_path).do(job)
+
+
+def test_a_configuration_that_can_change_or_has_no_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="expected a frozen dataclass, got dict"):
+        Job(kind=NUMBERS, config={})
+    with pytest.raises(InvalidValueError, match=r"config\.shift\.by: expected numbers"):
+        Ledger(tmp_path).do(Job(kind=NUMBERS, config=NumbersConfig(shift=Shift(by=tmp_path))))  # type: ignore[arg-type]
