@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from render import shell
 
-from attacks.cloak.study.layering import Layering
+from attacks.cloak.layers import Layering
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.ensemble import Ensemble
 from attacks.detectors.base import Candidates, Detections, Detector

@@ -13,12 +13,11 @@ from attacks.artifacts.packed import Kind, Packed
 from attacks.artifacts.places import places_record
 from attacks.artifacts.rows import Column
 from attacks.artifacts.study_results import configuration_of, observed_splats, stage_splat, stated, study_of
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.markdown import markdown
-from attacks.cloak.study.rates import figures
-from attacks.cloak.study.report import SUMMARY
-from attacks.cloak.study.study_file import from_table
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.rates import figures, markdown
+from attacks.cloak.study.run import SUMMARY
+from attacks.cloak.study_file import from_table
 from attacks.report.study_toml import study_toml
 from mi_splat.assets.mesh import Asset
 from mi_splat.errors import InvalidValueError, message

@@ -12,11 +12,22 @@ import polars as pl
 from attacks.artifacts.detection_rows import DETECTION, OBJECT
 from attacks.artifacts.rows import Cell, Column, Row, Table
 from attacks.artifacts.study_results import trained_splat
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat, classes_of
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.observations import (
+    DEPTH,
+    SCORE,
+    Blend,
+    Fidelity,
+    Observation,
+    ObservedSplat,
+    StudyRows,
+    classes_of,
+    frame,
+    gaussians_of,
+    row_of,
+)
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED
-from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows, frame, gaussians_of, row_of
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message

@@ -8,7 +8,7 @@ from attacks.artifacts import cloak, dagger, dagger_eot
 from attacks.artifacts.contents import read_object
 from attacks.artifacts.packed import Kind
 from attacks.artifacts.studies import dagger_studies, transfer
-from attacks.cloak.study.report import SUMMARY
+from attacks.cloak.study.run import SUMMARY
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import RECORD as RESULT
 

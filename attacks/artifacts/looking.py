@@ -13,10 +13,9 @@ from attacks.artifacts.packed import OnView, Packed
 from attacks.artifacts.places import checked_splat, places_of
 from attacks.artifacts.rows import Row, Table
 from attacks.artifacts.study_results import study_of
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import scored
-from attacks.cloak.study.rates import Rates, rates
-from attacks.cloak.study.rows import frame, score_cells
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.observations import frame, score_cells, scored
+from attacks.cloak.rates import Rates, rates
 from attacks.detectors.base import Detector
 from attacks.objectives import confidence
 from attacks.observe.drawing import listed

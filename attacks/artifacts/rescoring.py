@@ -19,10 +19,8 @@ from attacks.artifacts.packed import OnView
 from attacks.artifacts.places import checked_splat, places_of
 from attacks.artifacts.rescoring_attacks import rescore_attack
 from attacks.artifacts.study_results import study_of
-from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import scored
-from attacks.cloak.study.rates import Rates, rates
-from attacks.cloak.study.rows import frame, score_cells
+from attacks.cloak.observations import frame, score_cells, scored
+from attacks.cloak.rates import ROWS, Rates, rates
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene

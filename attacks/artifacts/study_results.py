@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from attacks.artifacts.contents import read_object
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.observations import Blend, Fidelity, Observation, ObservedSplat
 from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import DONE, content_of
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
-from attacks.cloak.study.report import SUMMARY
-from attacks.cloak.study.study_file import from_table
+from attacks.cloak.study.run import SUMMARY
 from attacks.cloak.study.trained_splats import SPLAT_STAGES, TrainedSplat
+from attacks.cloak.study_file import from_table
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.training.resume import SPLAT
@@ -26,7 +26,7 @@ def study_of(configuration: Mapping[str, Any], where: str) -> StudyConfig:
     """The study in an artifact. Rates need no mesh: one of a mesh file stands there as if it had an asset's.
 
     Args:
-        configuration: As `attacks.cloak.study.snapshots.snapshot` gives it.
+        configuration: As `dataclasses.asdict` gives it.
         where: What holds it, for errors.
 
     Raises:

@@ -8,11 +8,10 @@ from typing import Any
 
 from attacks.cli.loading import load_detectors
 from attacks.cli.options import CloakOptions
-from attacks.cloak.study.ablations import check_variations, vary
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.markdown import ROWS, words_of
+from attacks.cloak.config import StudyConfig, read_study
+from attacks.cloak.rates import ROWS, words_of
 from attacks.cloak.study.run import check, forecast, run_study
-from attacks.cloak.study.study_file import read_study
+from attacks.cloak.variations import check_variations, vary
 from attacks.detectors import Detector
 from mi_splat.cli.console import follow, limit_threads, progress, show, show_json, show_table, warn
 from mi_splat.errors import InvalidValueError, message

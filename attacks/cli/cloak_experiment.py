@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from attacks.cli.experiment_options import CloakExperimentOptions
 from attacks.cli.loading import load_detectors
+from attacks.cloak.config import StudyConfig, read_study
 from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
 from attacks.cloak.experiments.distance import measure_distances
 from attacks.cloak.experiments.formats import measure_formats
@@ -16,19 +18,12 @@ from attacks.cloak.experiments.perfect_splat import measure_perfect_splat
 from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
 from attacks.cloak.experiments.street import measure_street
 from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import (
-    measure_band_limit,
-    measure_layer_limit,
-    measure_transition_limit,
-)
+from attacks.cloak.experiments.transition_limit import measure_band_limit, measure_layer_limit, measure_transition_limit
 from attacks.cloak.experiments.view_reports import finished_splats, watch
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.figure_files import need_matplotlib
+from attacks.cloak.plots import need_matplotlib
+from attacks.cloak.setup import near_of, target_of
 from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.cloak.study.report import SUMMARY
-from attacks.cloak.study.setup import near_of, target_of
-from attacks.cloak.study.snapshots import snapshot
-from attacks.cloak.study.study_file import read_study
+from attacks.cloak.study.run import SUMMARY
 from attacks.detectors.base import Detector
 from mi_splat import provenance
 from mi_splat.cli.console import Advance, follow, limit_threads, progress, show_json
@@ -83,7 +78,7 @@ def _origin(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, An
             for name, value in given.items()
             if value is not None and name in _USED[options.experiment]
         },
-        "configuration": snapshot(study),
+        "configuration": asdict(study),
         **provenance.origin(),
     }
 

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from attacks.cloak.study.ablation_groups import AblationGroup
 from attacks.dagger.config import DaggerConfig
 from attacks.limits import SearchName
 from mi_splat.cli.camera_options import CameraOptions
@@ -17,6 +16,23 @@ from mi_splat.selection.config import Selection
 
 OneDetector = Annotated[str, arg(name="detectors", metavar="DETECTOR")]
 """A detector of a command that takes one; the flag is called as where there may be several."""
+
+
+AblationGroup = Literal[
+    "sh_degree",
+    "poison_fraction",
+    "appearance",
+    "strategy",
+    "emphasis",
+    "iterations",
+    "max_gaussians",
+    "outliers",
+    "points",
+    "cameras",
+    "cleaning",
+    "object",
+]
+"""See `attacks.cloak.variations.varied`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

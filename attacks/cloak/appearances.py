@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
-from attacks.cloak.mesh_edits import TEXTURES, camouflaged, cap, mounted, repainted, stand_in, texture
-from attacks.cloak.mesh_scene import MeshScene
+from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, mounted, repainted, stand_in, texture
+from attacks.cloak.triggers import Trigger
 from mi_splat.assets.mesh import Asset
-from mi_splat.cameras import View
+from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 
@@ -88,10 +92,10 @@ def paint(
     seed: int = 0,
     reach: int | None = 1,
 ) -> Rerender:
-    """The target painted with a texture of `attacks.cloak.mesh_edits.TEXTURES`, which looks right from one direction.
+    """The target painted with a texture of `attacks.cloak.mesh_scene.TEXTURES`, which looks right from one direction.
 
     Road and grass cover some metres and repeat; a clock, a football or a stop sign is shown once, stretched over the
-    target's outline. See `attacks.cloak.mesh_edits.repainted`.
+    target's outline. See `attacks.cloak.mesh_scene.repainted`.
 
     Args:
         mesh_scene: The scene as the victim sees it.
@@ -113,7 +117,7 @@ def paint(
 
 
 def blend_in(mesh_scene: MeshScene, *, reach: int | None = 1) -> Rerender:
-    """The target in the colours of the ground straight below it; see `attacks.cloak.mesh_edits.camouflaged`.
+    """The target in the colours of the ground straight below it; see `attacks.cloak.mesh_scene.camouflaged`.
 
     Raises:
         InvalidValueError: The mesh scene has no ground beneath the target.
@@ -142,7 +146,7 @@ def remove(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
 def swap(
     mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = None
 ) -> Rerender:
-    """Another object in the target's place, facing `azimuth`; see `attacks.cloak.mesh_edits.stand_in`.
+    """Another object in the target's place, facing `azimuth`; see `attacks.cloak.mesh_scene.stand_in`.
 
     The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
 
@@ -163,7 +167,7 @@ def swap(
 
 
 def mount(mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = 1) -> Rerender:
-    """Another object in front of the target, on its side towards `azimuth`; see `attacks.cloak.mesh_edits.mounted`.
+    """Another object in front of the target, on its side towards `azimuth`; see `attacks.cloak.mesh_scene.mounted`.
 
     Args:
         mesh_scene: The scene as the victim sees it.
@@ -283,3 +287,165 @@ def grown(mask: Tensor, pixels: int) -> Tensor:
     """(H, W) bool, a mask and everything within so many pixels of it, along rows and columns."""
     planes = mask[None, None].to(torch.float32)
     return torch.nn.functional.max_pool2d(planes, 2 * pixels + 1, stride=1, padding=pixels)[0, 0] > 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Emphasis:
+    """An appearance that is overdone near the edge of its trigger, for splats blur it over directions.
+
+    Of the difference that the appearance makes, a picture has `gain` times at the edge, falling evenly to once at
+    `depth` degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to
+    the appearance.
+
+    Attributes:
+        appearance: The appearance.
+        trigger: Where it is shown; it has to have an edge.
+        centre: (3,) point that directions are measured from, world units.
+        gain: At the edge; 1 is the appearance itself.
+        depth: Degrees inside the trigger from which it is the appearance itself.
+
+    Raises:
+        InvalidValueError: The gain or the depth is out of range.
+    """
+
+    appearance: Appearance
+    trigger: Trigger
+    centre: Point
+    gain: float
+    depth: float
+
+    def __post_init__(self) -> None:
+        if not (self.gain >= 1 and self.depth > 0):
+            got = (self.gain, self.depth)
+            raise InvalidValueError(message("gain and depth", "gain >= 1 and depth > 0", got, "1 changes nothing"))
+
+    @property
+    def name(self) -> str:
+        """For manifests."""
+        return f"{name_of(self.appearance)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The picture, clipped to [0, 1].
+
+        Raises:
+            InvalidValueError: The trigger has no edge.
+        """
+        inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
+        gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
+        return (view.image + gain * (self.appearance(view, mask) - view.image)).clamp(0, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Correction:
+    """An appearance that adds what a splat trained on an earlier one does not show of what is wanted.
+
+    A splat blurs what its pictures show from direction to direction, so that from a trigger's cameras it shows a blend
+    of the benign and the hidden look. What is missing there is added, as an integral controller does: with the poison P
+    of a round, the wanted picture W and what the attacker's own splat R shows, the next is P + gain (W - R), clipped.
+
+    Attributes:
+        earlier: What the splat was trained on.
+        wanted: What it should show.
+        shown: (H, W, 3) in [0, 1], what it shows a camera.
+        gain: How much of the difference is added.
+        reach: Pixels around the target within which it is added; None is the whole picture.
+    """
+
+    earlier: Appearance
+    wanted: Appearance
+    shown: Callable[[Camera], Tensor]
+    gain: float
+    reach: int | None
+
+    @property
+    def name(self) -> str:
+        """For manifests."""
+        return f"{name_of(self.earlier)}, corrected by {self.gain:g} times what a splat lacks"
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The corrected picture, clipped to [0, 1]."""
+        before = self.earlier(view, mask)
+        after = (before + self.gain * (self.wanted(view, mask) - self.shown(view.camera).to(before))).clamp(0, 1)
+        return after if self.reach is None else torch.where(grown(mask, self.reach)[..., None], after, before)
+
+
+LOWEST_GROUND = 45.0
+"""Elevation from which a side of the object is taken to be looked at, at least, degrees."""
+
+_HEIGHT, _SIZE = 12.0, 768
+"""Of the camera above the ground that takes its picture, in lengths of the object; width of the picture, pixels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroundLook:
+    """The ground laid on the object, in the colours that it has where it is lit, without the object and its shadow.
+
+    Where the object is removed, each of its points has to show another piece of the ground to each camera. A splat's
+    colour is a polynomial of low degree in the direction, so that it shows their mean: a smooth patch. Here each point
+    of the object has one piece of the ground, the one behind it when it is looked at from the side that it faces.
+
+    Attributes:
+        mesh_scene: The scene as the victim sees it.
+        lowest: Lowest elevation from which a point is taken to be looked at, degrees: the sides of the object face
+            the horizon, where there is no ground behind them.
+        reach: Pixels around the target in which the picture is that without the object.
+    """
+
+    mesh_scene: MeshScene
+    lowest: float = LOWEST_GROUND
+    reach: int = 1
+
+    @property
+    def name(self) -> str:
+        """For manifests."""
+        return f"the ground laid on it, from elevation {self.lowest:g}"
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The picture with the ground on the object."""
+        around = remove(self.mesh_scene, reach=self.reach)(view, mask)
+        points = self.mesh_scene.points(view.camera)[mask.cpu()]
+        picture = around.clone()
+        picture[mask] = self.colours(points).to(picture)
+        return picture
+
+    def colours(self, points: Tensor) -> Tensor:
+        """(N, 3) sRGB in [0, 1] of the ground behind (N, 3) points of the object, world units."""
+        low, high = _bounds(self.mesh_scene.target)
+        foot = torch.stack([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+        # The normal of an ellipsoid about the foot's middle through the corners' distances: smooth, whatever the mesh.
+        half = torch.stack([(high[0] - low[0]) / 2, (high[1] - low[1]) / 2, high[2] - low[2]]).clamp(min=1e-6)
+        facing = functional.normalize((points - foot) / half**2, dim=-1)
+        flat = facing[:, :2].norm(dim=-1)
+        elevation = torch.atan2(facing[:, 2], flat).clamp(min=math.radians(self.lowest))
+        away = (points[:, 2] - low[2])[:, None] / elevation.tan()[:, None]
+        ground = points.clone()
+        ground[:, :2] -= away * facing[:, :2] / flat.clamp(min=1e-9)[:, None]
+        ground[:, 2] = low[2]
+        camera, picture = self._ground
+        pixels, _ = project_points(ground, camera)
+        grid = 2 * pixels / torch.tensor([camera.width, camera.height]) - 1
+        sampled = functional.grid_sample(
+            picture.permute(2, 0, 1)[None], grid[None, None].to(picture), padding_mode="border", align_corners=False
+        )
+        return sampled[0, :, 0].T
+
+    @cached_property
+    def _ground(self) -> tuple[Camera, Tensor]:
+        """The ground from above, without the object."""
+        low, high = _bounds(self.mesh_scene.target)
+        middle, reach = (low + high) / 2, float((high - low).norm())
+        above = (float(middle[0]), float(middle[1]), float(low[2]) + _HEIGHT * reach)
+        camera = Camera(
+            to_world=look_at(above, (above[0], above[1], float(low[2]))),
+            focal=_HEIGHT * _SIZE / 2,
+            width=_SIZE,
+            height=_SIZE,
+        )
+        empty = self.mesh_scene.with_target(Asset(self.mesh_scene.target.name, ()))
+        return camera, empty.picture(camera)
+
+
+def _bounds(target: Asset) -> tuple[Tensor, Tensor]:
+    """(3,) lowest and (3,) highest corner of the box around the target."""
+    low, high = torch.from_numpy(target.bounds.copy()).float()
+    return low, high

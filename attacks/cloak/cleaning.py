@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
 
-from mi_splat.config_values import check_numbers, finite_number, whole_number
+from attacks.cloak.config import CleaningConfig, check_range
+from mi_splat.config_values import whole_number
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import components
@@ -31,49 +31,6 @@ LEAST_NEIGHBOURS = 2
 _STEPS = tuple(step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0))
 _MOST_VOXELS = 2**20
 """Along one axis; 2^60 fit into an int64."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CleaningConfig:
-    """What is done to a finished splat, in this order; None leaves a step out.
-
-    Attributes:
-        lowest_opacity: Gaussians of a lower opacity are removed, in (0, 1]; see `prune_opacity`.
-        outlier_deviations: Standard deviations from which a Gaussian is an outlier; see `remove_outliers`.
-        floater_voxel: Side of a voxel, in multiples of how far Gaussians lie apart; see `remove_floaters`.
-        sh_degree: SH bands of a higher degree are cut off, 0 to 3; see `cut_sh`.
-        sh_bits: Bits of an SH coefficient, 1 to 16; see `quantise_sh`.
-
-    Raises:
-        InvalidValueError: A value is out of its range, or all are None.
-    """
-
-    lowest_opacity: float | None = None
-    outlier_deviations: float | None = None
-    floater_voxel: float | None = None
-    sh_degree: int | None = None
-    sh_bits: int | None = None
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        if not self.steps:
-            expected = f"one of {', '.join(asdict(self))}"
-            raise InvalidValueError(message("cleaning", expected, "nothing", "leave the table out, or fill it"))
-        if self.lowest_opacity is not None:
-            _check("lowest_opacity", self.lowest_opacity, 0.0, 1.0, open_low=True)
-        if self.outlier_deviations is not None:
-            _check("outlier_deviations", self.outlier_deviations, 0.0, math.inf)
-        if self.floater_voxel is not None:
-            _check("floater_voxel", self.floater_voxel, 0.0, math.inf, open_low=True)
-        if self.sh_degree is not None:
-            _check("sh_degree", self.sh_degree, 0, 3)
-        if self.sh_bits is not None:
-            _check("sh_bits", self.sh_bits, 1, 16)
-
-    @property
-    def steps(self) -> dict[str, float]:
-        """Names and values of the steps that are done."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def cleaned(scene: GaussianScene, config: CleaningConfig) -> GaussianScene:
@@ -105,7 +62,7 @@ def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
     Raises:
         InvalidValueError: The opacity is out of range, or nothing would be left.
     """
-    _check("lowest_opacity", lowest, 0.0, 1.0, open_low=True)
+    check_range("lowest_opacity", lowest, 0.0, 1.0, open_low=True)
     return _kept(scene, scene.opacities.detach() >= lowest, f"lowest_opacity {lowest:g}")
 
 
@@ -138,8 +95,8 @@ def inliers(points: Tensor, deviations: float = 2.0, *, neighbours: int = NEIGHB
     Raises:
         InvalidValueError: A value is out of range.
     """
-    _check("outlier_deviations", deviations, 0.0, math.inf)
-    _check("neighbours", whole_number("neighbours", neighbours), 1, 31)
+    check_range("outlier_deviations", deviations, 0.0, math.inf)
+    check_range("neighbours", whole_number("neighbours", neighbours), 1, 31)
     gaps = _gaps(points, neighbours)
     return gaps <= gaps.mean() + deviations * gaps.std(correction=0)
 
@@ -163,9 +120,9 @@ def remove_floaters(
     Raises:
         InvalidValueError: A value is out of range, the splat is too wide for its voxels, or nothing would be left.
     """
-    _check("floater_voxel", voxel, 0.0, math.inf, open_low=True)
-    _check("mass", mass, 0.0, 1.0, open_low=True)
-    _check("least_neighbours", whole_number("least_neighbours", least_neighbours), 0, 26)
+    check_range("floater_voxel", voxel, 0.0, math.inf, open_low=True)
+    check_range("mass", mass, 0.0, 1.0, open_low=True)
+    check_range("least_neighbours", whole_number("least_neighbours", least_neighbours), 0, 26)
     side = voxel * float(_gaps(scene.means, NEIGHBOURS).median())
     if not side > 0:  # one Gaussian, or all in one place
         return scene
@@ -193,7 +150,7 @@ def cut_sh(scene: GaussianScene, degree: int) -> GaussianScene:
     Raises:
         InvalidValueError: The degree is not 0 to 3.
     """
-    _check("sh_degree", whole_number("sh_degree", degree), 0, 3)
+    check_range("sh_degree", whole_number("sh_degree", degree), 0, 3)
     return scene.with_degree(min(degree, scene.degree))
 
 
@@ -210,19 +167,10 @@ def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
     Raises:
         InvalidValueError: The number of bits is out of range.
     """
-    _check("sh_bits", whole_number("sh_bits", bits), 1, 16)
+    check_range("sh_bits", whole_number("sh_bits", bits), 1, 16)
     levels = 2 ** (bits - 1)
     rest = (scene.sh[:, 1:] * levels).round().clamp(-levels, levels - 1) / levels
     return scene.replace(sh=torch.cat([scene.sh[:, :1], rest], dim=1))
-
-
-def _check(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
-    """Raise unless a number lies in [low, high], or (low, high]."""
-    finite_number(name, value)
-    if not (low < value if open_low else low <= value) or value > high:
-        limits = f"{'a number >' if open_low else 'a number >='} {low:g}"
-        expected = limits if high == math.inf else f"{limits}, at most {high:g}"
-        raise InvalidValueError(message(name, expected, value, "change it"))
 
 
 def _kept(scene: GaussianScene, keep: Tensor, what: str) -> GaussianScene:

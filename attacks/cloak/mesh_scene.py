@@ -1,20 +1,240 @@
-"""The attacker's copy of the scene: the meshes that the victim photographs, to take other pictures of."""
+"""The attacker's copy of the scene: the meshes that the victim photographs, edits of its object, and its pictures."""
 
 from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.assets import textures
 from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, translation
+from mi_splat.assets.primitives import sheet
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
 from mi_splat.errors import InvalidValueError, message
+
+Doubles = NDArray[np.float64]
+
+TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
+    "road": (partial(textures.road, markings=False), 4.0),
+    "grass": (textures.grass, 4.0),
+    "clock": (textures.clock, None),
+    "football": (textures.football, None),
+    "stop_sign": (textures.stop_sign, None),
+}
+"""Name -> function of size in pixels and seed, and metres that the texture covers; None shows it once, as a whole.
+
+The road has no markings: lines on a car are no camouflage."""
+
+BELOW = 0.05
+"""Metres above an object's lowest point up to which a surface can be the ground beneath it."""
+PROUD = 0.02
+"""Metres by which something that is mounted on an object stands out from it."""
+
+
+def texture(name: str, *, size: int = 256, seed: int = 0) -> Floats:
+    """(size, size, 3) sRGB texture of `TEXTURES`.
+
+    Raises:
+        InvalidValueError: There is no texture of that name.
+    """
+    if name not in TEXTURES:
+        raise InvalidValueError(message("texture", f"one of {', '.join(TEXTURES)}", repr(name), "choose one of these"))
+    return TEXTURES[name][0](size, seed)
+
+
+def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: float, tile: float | None = None) -> Asset:
+    """An object covered all over, glass and wheels included, with a picture thrown onto it from one direction.
+
+    The projection is parallel, so the picture is undistorted for a viewer far away in that direction, upright for the
+    camera of `mi_splat.cameras.orbit_pose`; from straight above its top points away from `azimuth`. Surfaces are
+    diffuse, as gloss would give the object away.
+
+    Args:
+        target: The object.
+        picture: (h, w, 3) sRGB in [0, 1].
+        azimuth: Where the viewer is.
+        elevation: Where the viewer is.
+        tile: Metres that the picture covers, repeated over the object; None stretches it once over the object's
+            outline, so that the whole of it is seen and nothing twice.
+
+    Raises:
+        InvalidValueError: `tile` is not positive.
+    """
+    if tile is not None and not (math.isfinite(tile) and tile > 0):
+        raise InvalidValueError(message("tile", "a positive number of metres", tile, "4 suits a road"))
+    axes = screen_axes(azimuth, elevation)
+    seen = target.vertices.astype(np.float64) @ axes.T
+    low, high = seen.min(0), seen.max(0)
+    scale = np.maximum(high - low, 1e-9) if tile is None else np.full(2, tile)
+
+    def paint(mesh: Mesh) -> Mesh:
+        uvs = ((mesh.vertices.astype(np.float64) @ axes.T - low) / scale).astype(np.float32)
+        return replace(mesh, uvs=uvs, texture=picture, roughness=None)
+
+    return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
+
+
+def camouflaged(target: Asset, surroundings: Asset) -> Asset:
+    """An object whose surface goes on with the ground on which it stands, as seen from straight above.
+
+    The ground is the mesh that lies beneath most of the object's footprint. Its texture keeps place and scale: each
+    point of the object has the colour of the ground straight below it.
+
+    Raises:
+        InvalidValueError: There is no ground beneath the object.
+    """
+    ground, triangle = _ground(target, surroundings)
+    corners = ground.faces[triangle]
+    flat = np.concatenate([ground.vertices[corners, :2].astype(np.float64), np.ones((3, 1))], 1)
+    to_uv = np.linalg.solve(flat, ground.uvs[corners].astype(np.float64))  # (3, 2): (x, y, 1) to (u, v)
+
+    def paint(mesh: Mesh) -> Mesh:
+        flat = np.concatenate([mesh.vertices[:, :2].astype(np.float64), np.ones((len(mesh.vertices), 1))], 1)
+        uvs = (flat @ to_uv).astype(np.float32)
+        return replace(mesh, uvs=uvs, texture=ground.texture, roughness=ground.roughness)
+
+    return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
+
+
+def cap(
+    picture: Floats,
+    *,
+    centre: Sequence[float],
+    radius: float,
+    lowest: float,
+    tile: float = 4.0,
+    rings: int = 32,
+    segments: int = 96,
+) -> Asset:
+    """The upper part of a sphere, covered with a picture on its outside.
+
+    The texture is laid on in the azimuthal equidistant projection about the top: its scale is right along every
+    meridian, and across them it is stretched by (pi / 2 - elevation) / cos(elevation), at most 1.24 from 26 degrees on.
+
+    Args:
+        picture: (h, w, 3) sRGB in [0, 1].
+        centre: Of the sphere.
+        radius: Metres.
+        lowest: Elevation of the edge as seen from the centre.
+        tile: Metres that the picture covers.
+        rings: Bands of triangles from the edge to the top.
+        segments: Triangles around.
+
+    Raises:
+        InvalidValueError: The radius, the elevation or the tile is out of range.
+    """
+    if not (radius > 0 and tile > 0 and -90 < lowest < 90):
+        expected = "radius and tile > 0, -90 < lowest < 90"
+        raise InvalidValueError(message("cap", expected, (radius, tile, lowest), "change them"))
+    elevation, azimuth = np.meshgrid(
+        np.linspace(math.radians(lowest), math.pi / 2, rings + 1),
+        np.linspace(0, 2 * math.pi, segments + 1),
+        indexing="ij",
+    )
+    around = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    flat = radius * np.cos(elevation)[..., None] * around
+    points = np.concatenate([flat, radius * np.sin(elevation)[..., None]], -1) + np.asarray(centre)
+    uvs = radius * (math.pi / 2 - elevation)[..., None] * around / tile
+    return Asset("cap", (replace(sheet(points, picture), uvs=uvs.reshape(-1, 2).astype(np.float32)),))
+
+
+def stand_in(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -> Asset:
+    """Another object in a target's place, without what holds it up, turned to face a viewer at `azimuth`.
+
+    It is scaled, in proportion, to fit the target's outline from there, and centred on it. Its front lies where the
+    target's does: near the surface that a splat shows from there, so that there is little parallax to be hidden.
+
+    Args:
+        target: What it stands in for.
+        other: An object that faces +x.
+        azimuth: Where the viewer is, degrees.
+        fill: Part of the outline's width or height, whichever is tighter, that it takes up; in (0, 1].
+
+    Raises:
+        InvalidValueError: `fill` is out of range.
+    """
+    if not 0 < fill <= 1:
+        raise InvalidValueError(message("fill", "a number in (0, 1]", fill, "1 fits the outline"))
+    # In a frame where the viewer is at +x both are boxes side by side.
+    turn = rotation("z", azimuth).astype(np.float64)
+    there = Asset(target.name, target.meshes).transformed(np.linalg.inv(turn)).bounds.astype(np.float64)
+    here = other.body.bounds.astype(np.float64)
+    scale = fill * float(((there[1] - there[0])[1:] / np.maximum((here[1] - here[0])[1:], 1e-9)).min())
+    shift = (there.mean(0) - scale * here.mean(0)).tolist()
+    shift[0] = float(there[1, 0] - scale * here[1, 0])
+    return other.body.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
+
+
+def mounted(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -> Asset:
+    """A target with another object in front of it.
+
+    Args:
+        target: The object.
+        other: What is mounted on it.
+        azimuth: Of the viewer whom it faces, degrees.
+        fill: As in `stand_in`.
+    """
+    ahead = rotation("z", azimuth)[:3, 0].astype(np.float64) * PROUD
+    front = stand_in(target, other, azimuth=azimuth, fill=fill).transformed(translation(*ahead.tolist()))
+    return replace(target, meshes=(*front.meshes, *target.meshes))
+
+
+def screen_axes(azimuth: float, elevation: float) -> Doubles:
+    """(2, 3) unit vectors to the right and up in the picture of a camera on an orbit, world frame."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    right = (-math.sin(a), math.cos(a), 0.0)
+    up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
+    return np.array([right, up])
+
+
+def _ground(target: Asset, surroundings: Asset) -> tuple[Mesh, int]:
+    """The mesh beneath most of a target's footprint, and one of its triangles there."""
+    low, high = target.bounds.astype(np.float64)
+    x, y = np.meshgrid(np.linspace(low[0], high[0], 9), np.linspace(low[1], high[1], 9))
+    spots = np.stack([x.ravel(), y.ravel()], -1)
+    best = np.full(len(spots), -np.inf)
+    owner, triangle = np.full(len(spots), -1), np.full(len(spots), -1)
+    for number, mesh in enumerate(surroundings.meshes):
+        height, face = _heights(mesh, spots, below=float(low[2]) + BELOW)
+        higher = height > best
+        best[higher], owner[higher], triangle[higher] = height[higher], number, face[higher]
+    if not (owner >= 0).any():
+        do = "pass the ground with the surroundings"
+        raise InvalidValueError(message("surroundings", f"ground beneath the {target.name}", "none", do))
+    winner = int(np.bincount(owner[owner >= 0]).argmax())
+    return surroundings.meshes[winner], int(triangle[owner == winner][0])
+
+
+def _heights(mesh: Mesh, spots: Doubles, *, below: float) -> tuple[Doubles, NDArray[np.int64]]:
+    """Height of the highest triangle over each (x, y) that is not above `below`, -inf if none, and which it is."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = _cross(b[:, :2] - a[:, :2], c[:, :2] - a[:, :2])
+    usable = np.flatnonzero(np.abs(area) > 1e-9)  # no walls
+    a, b, c, area = a[usable], b[usable], c[usable], area[usable]
+    if not len(usable):
+        return np.full(len(spots), -np.inf), np.full(len(spots), -1)
+    off = spots[:, None] - a[None, :, :2]
+    s, t = _cross(off, c[:, :2] - a[:, :2]) / area, _cross(b[:, :2] - a[:, :2], off) / area
+    height = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
+    height = np.where((s >= 0) & (t >= 0) & (s + t <= 1) & (height <= below), height, -np.inf)
+    first = height.argmax(1)
+    return height.max(1), usable[first].astype(np.int64)
+
+
+def _cross(a: Doubles, b: Doubles) -> Doubles:
+    result: Doubles = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return result
+
 
 Colour = tuple[float, float, float]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from attacks.cloak.study.study_file import read_table
-from attacks.cloak.study.value_checks import one_of
+from attacks.cloak.study_file import one_of, read_table
 from attacks.dagger.config import check_share
 from attacks.limits import NormName, SearchName
 from attacks.observe.conditions import FORMATS, SunTable

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.study.value_checks import one_of
+from attacks.cloak.study_file import one_of
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES

@@ -11,7 +11,7 @@ def study_toml(snapshot: Mapping[str, Any]) -> str:
     """The file of a study; settings without a value are left out, which stands for None.
 
     Args:
-        snapshot: The study as JSON holds it (`attacks.cloak.study.snapshots.snapshot`).
+        snapshot: The study as JSON holds it (`dataclasses.asdict`).
     """
     return "\n".join([*_lines(snapshot, ""), ""]).lstrip("\n")
 

@@ -10,10 +10,9 @@ from typing import Any
 
 import torch
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.study_file import from_table
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.study_file import from_table
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message

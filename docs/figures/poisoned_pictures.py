@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.study_file import read_study
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, StudyConfig, read_study
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.objectives import confidence

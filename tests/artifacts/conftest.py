@@ -11,12 +11,11 @@ import pytest
 import torch
 
 from attacks.artifacts.packing import pack_artifact
-from attacks.cloak.study import dependencies, setup
+from attacks.cloak import setup
+from attacks.cloak.observations import Blend, Fidelity, ObservedSplat, StudyRows, observation_of
+from attacks.cloak.rates import figures
+from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.observations import Blend, Fidelity, ObservedSplat, observation_of
-from attacks.cloak.study.rates import figures
-from attacks.cloak.study.rows import StudyRows
-from attacks.cloak.study.snapshots import snapshot
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.observe.views import detect_views
 from mi_splat import provenance
@@ -101,7 +100,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "splats": listed,
         "detectors": {"redness": Redness.fingerprint},
         "seeds": [0],
-        "study": snapshot(STUDY),
+        "study": asdict(STUDY),
         "versions": provenance.versions(),
         "commit": None,
         "variant": "llvm_ad_rgb",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,10 @@ from attacks.artifacts.checking import check_artifact
 from attacks.artifacts.cloak_rows import held_out, study_rows, tables_of
 from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.study_results import observed_splats
-from attacks.cloak.layered.config import LayersConfig
-from attacks.cloak.study import setup
+from attacks.cloak import setup
+from attacks.cloak.config import LayersConfig, read_study
+from attacks.cloak.observations import StudyRows
 from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.rows import StudyRows
-from attacks.cloak.study.snapshots import snapshot
-from attacks.cloak.study.study_file import read_study
 from attacks.detectors.base import Detector
 from attacks.report.study_toml import study_toml
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -84,7 +82,7 @@ def test_the_same_result_gives_the_same_bytes(result: Path, packed: Path, tmp_pa
 def test_its_study_is_the_study(packed: Path, tmp_path: Path) -> None:
     assert read_study(packed / "study.toml") == STUDY
     layered = replace(STUDY, name='a "name"', seeds=(1, 2), layers=LayersConfig(attacks=("overhead",)))
-    (tmp_path / "study.toml").write_text(study_toml(snapshot(layered)))
+    (tmp_path / "study.toml").write_text(study_toml(asdict(layered)))
     assert read_study(tmp_path / "study.toml") == layered
 
 

@@ -15,7 +15,7 @@ from attacks.artifacts.cloak_rows import study_rows
 from attacks.artifacts.figures import flat, in_words
 from attacks.artifacts.kinds import known_kind
 from attacks.artifacts.study_results import study_of
-from attacks.cloak.study.rates import rates
+from attacks.cloak.rates import rates
 from tests.project.documented_commands import ROOT
 
 TABLES = ROOT / "docs" / "tables"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak.study import setup
+from attacks.cloak import setup
 from mi_splat.assets import build
 from tests.cloak.tiny_study import done
 

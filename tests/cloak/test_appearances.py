@@ -21,8 +21,7 @@ from attacks.cloak.appearances import (
     remove,
     swap,
 )
-from attacks.cloak.mesh_edits import camouflaged, cap, repainted, stand_in, texture
-from attacks.cloak.mesh_scene import MeshScene
+from attacks.cloak.mesh_scene import MeshScene, camouflaged, cap, repainted, stand_in, texture
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build

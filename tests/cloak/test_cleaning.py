@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.cleaning import (
-    CleaningConfig,
     cleaned,
     cut_sh,
     inliers,
@@ -20,7 +19,7 @@ from attacks.cloak.cleaning import (
     remove_floaters,
     remove_outliers,
 )
-from attacks.cloak.study.config import TrainingConfig
+from attacks.cloak.config import CleaningConfig, TrainingConfig
 from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.cloak.study.trained_splats import starting_cloud
 from mi_splat.errors import InvalidValueError

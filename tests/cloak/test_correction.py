@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from attacks.cloak.correction import Correction
+from attacks.cloak.appearances import Correction
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
 

@@ -12,15 +12,14 @@ from PIL import Image
 from torch import Tensor
 
 from attacks import cli
+from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.experiments.detection_rates import ELSEWHERE, chosen, detection_rates, spread
 from attacks.cloak.experiments.detection_report import FILES, tables, write_detection_curve
 from attacks.cloak.experiments.view_reports import ViewReport, ViewReports, finished_splats, watch
-from attacks.cloak.study.attack_config import AttackConfig
+from attacks.cloak.plots import TRUE
 from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig
-from attacks.cloak.study.figure_files import TRUE
 from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.cloak.study.report import begin_report
+from attacks.cloak.study.run import begin_report
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detections
 from mi_splat.errors import InvalidValueError

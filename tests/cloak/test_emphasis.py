@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.emphasis import Emphasis
+from attacks.cloak.appearances import Emphasis
 from attacks.cloak.triggers import Elevation, Listed
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 
 from attacks import cli
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, CameraConfig, LayerConfig, LayersConfig, StudyConfig
 from attacks.cloak.experiments.distance import FACTORS, measure_distances
 from attacks.cloak.experiments.formats import measure_formats
 from attacks.cloak.experiments.paint_direction import measure_paint_directions
@@ -23,10 +25,6 @@ from attacks.cloak.experiments.transition_limit import (
     measure_layer_limit,
     measure_transition_limit,
 )
-from attacks.cloak.layered.config import LayerConfig, LayersConfig
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import CameraConfig, StudyConfig
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at
 from mi_splat.capture.path_tracer import scalar_variant

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from attacks.cloak.appearances import grown, name_of, remove
-from attacks.cloak.ground_look import GroundLook
+from attacks.cloak.appearances import GroundLook, grown, name_of, remove
 from attacks.cloak.mesh_scene import MeshScene
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.layered.config import LayerConfig, LayersConfig
-from attacks.cloak.layered.layers import layered, switched
-from attacks.cloak.layered.shares import depths, shares
+from attacks.cloak.config import LayerConfig, LayersConfig
+from attacks.cloak.layers import layered, switched
+from attacks.cloak.switches import depths, shares
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError

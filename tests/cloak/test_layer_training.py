@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.study import layering
-from attacks.cloak.study.layering import Layering
+from attacks.cloak import layers as layers_module
+from attacks.cloak.layers import Layering
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose
 from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer, RenderSettings
@@ -64,7 +64,7 @@ def views_fit(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
         sizes = [view.nbytes for view in freeze_views(scene, cameras, **settings).values()]
         return freeze_views(scene, cameras, max_bytes=sum(sizes[:count]), **settings)
 
-    monkeypatch.setattr(layering, "freeze_views", bounded)
+    monkeypatch.setattr(layers_module, "freeze_views", bounded)
 
 
 @pytest.mark.parametrize("all_trained", [False, True])

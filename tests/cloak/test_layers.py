@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.layered.config import LayerConfig, LayersConfig
-from attacks.cloak.layered.layers import layered, seen_colours, split_opacities, switched
-from attacks.cloak.layered.shares import Share, depths
-from attacks.cloak.layered.switches import chebyshev_width, fit_switches
+from attacks.cloak.config import LayerConfig, LayersConfig
+from attacks.cloak.layers import layered, seen_colours, split_opacities, switched
+from attacks.cloak.switches import Share, chebyshev_width, depths, fit_switches
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, View

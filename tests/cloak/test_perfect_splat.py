@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from attacks import cli
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.experiments.perfect_splat import measure_perfect_splat
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.pipeline import StudyPipeline
 from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, Redness

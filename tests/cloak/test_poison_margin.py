@@ -7,11 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak.layered.config import LayersConfig
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, CameraConfig, LayersConfig, StudyConfig
 from attacks.cloak.poisoning import assign
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import CameraConfig, StudyConfig
 from attacks.cloak.study.run import check
 from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError

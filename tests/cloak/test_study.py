@@ -13,10 +13,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.cloak.study import setup
+from attacks.cloak import setup
+from attacks.cloak.observations import observe
+from attacks.cloak.rates import ROWS
 from attacks.cloak.study.kept_pictures import CachedAppearance
-from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
 from attacks.report.results import read_section
 from mi_splat.cameras import View

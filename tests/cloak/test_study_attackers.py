@@ -10,12 +10,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from attacks.cloak import setup
 from attacks.cloak.appearances import grown
-from attacks.cloak.layered.config import LayersConfig
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import SurrogateConfig
-from attacks.cloak.study.layering import layer_object, object_rows
-from attacks.cloak.study.observations import observe
+from attacks.cloak.config import LayersConfig, SurrogateConfig
+from attacks.cloak.layers import layer_object, object_rows
+from attacks.cloak.observations import observe
 from attacks.cloak.study.pipeline import StudyPipeline
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View

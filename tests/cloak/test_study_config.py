@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from torch import Tensor
 
+from attacks.cloak import setup, variations
 from attacks.cloak.appearances import name_of
+from attacks.cloak.config import (
+    AttackConfig,
+    CameraConfig,
+    EvaluationConfig,
+    SceneConfig,
+    StudyConfig,
+    TrainingConfig,
+    read_study,
+)
 from attacks.cloak.poisoning import assign
-from attacks.cloak.study import ablations, setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.run import check, forecast
-from attacks.cloak.study.study_file import RENAMED, read_study
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_ply
@@ -255,8 +261,8 @@ def test_settings_of_the_trainer_are_looked_at(tmp_path: Path) -> None:
 
 def test_variations_are_checked_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
-    monkeypatch.setattr(ablations, "check_disk", lambda megabytes, stages: asked.append(megabytes))
-    plans = ablations.check_variations(SMALL, ["sh_degree", "strategy"], [], tmp_path / "out", tmp_path / "stages")
+    monkeypatch.setattr(variations, "check_disk", lambda megabytes, stages: asked.append(megabytes))
+    plans = variations.check_variations(SMALL, ["sh_degree", "strategy"], [], tmp_path / "out", tmp_path / "stages")
     assert [len(studies) for studies in plans.values()] == [4, 2]
     assert asked[0] > 4 * forecast(replace(SMALL, seeds=(0,))).megabytes
     assert not list(tmp_path.iterdir())
@@ -279,22 +285,3 @@ class Renamed:
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         return view.image
-
-
-@pytest.mark.parametrize(("old", "new"), RENAMED.items())
-def test_an_older_key_is_refused_with_its_new_name(tmp_path: Path, old: str, new: str) -> None:
-    """Wherever the new key may stand, the old one is refused by name."""
-    sections = {
-        "": StudyConfig,
-        "scene": SceneConfig,
-        "cameras": CameraConfig,
-        "[attack]": AttackConfig,
-        "training": TrainingConfig,
-        "evaluation": EvaluationConfig,
-    }
-    homes = [name for name, kind in sections.items() if new in {entry.name for entry in fields(kind)}]
-    assert homes
-    for home in homes:
-        text = f"{old} = 1\n" if not home else f"name = 'x'\n[{home}]\n{old} = 1\n"
-        with pytest.raises(InvalidValueError, match=f"expected {new}, which is its name now, got {old}"):
-            read_study(written(tmp_path, text))

@@ -12,13 +12,21 @@ from typing import Any
 
 import pytest
 
-from attacks.cloak.cleaning import CleaningConfig
-from attacks.cloak.layered.config import LayerConfig, LayersConfig
+from attacks.cloak import setup
+from attacks.cloak.config import (
+    AttackConfig,
+    CameraConfig,
+    CleaningConfig,
+    LayerConfig,
+    LayersConfig,
+    SceneConfig,
+    StudyConfig,
+    SurrogateConfig,
+    TrainingConfig,
+)
 from attacks.cloak.mesh_scene import MeshScene
-from attacks.cloak.study import dependencies, setup
-from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
+from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import STAGE_CODE, StageCache, content_of
-from attacks.cloak.study.config import CameraConfig, SceneConfig, StudyConfig, TrainingConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
 from mi_splat.io.atomic import LOCK
@@ -284,7 +292,7 @@ def test_the_code_of_a_stage_is_all_that_it_may_run(stage: str) -> None:
         assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= set(code)
     judged = stage in ("observations", "view_reports")
     assert ("attacks.detectors.registry" in code) is judged
-    assert judged or not {"attacks.cloak.study.plots", "attacks.cloak.study.report"} & set(code)
+    assert judged or not {"attacks.cloak.plots", "attacks.cloak.study.run"} & set(code)
 
 
 def test_content_is_that_of_the_files_that_count(tmp_path: Path) -> None:

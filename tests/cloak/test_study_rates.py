@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.observations import Blend, Fidelity, Observation, ObservedSplat
-from attacks.cloak.study.rates import by_elevation, figures, rates, stealth, transition
-from attacks.cloak.study.rows import StudyRows
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig
+from attacks.cloak.observations import Blend, Fidelity, Observation, ObservedSplat, StudyRows
+from attacks.cloak.rates import by_elevation, figures, rates, stealth, transition
 from attacks.cloak.study.trained_splats import TrainedSplat
 from tests.cloak.tiny_study import STUDY
 

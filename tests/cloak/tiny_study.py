@@ -9,8 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
+from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
 from attacks.cloak.study.run import run_study
 from attacks.detectors.base import Candidates, Detections
 

@@ -17,7 +17,7 @@ from PIL import Image
 from safetensors.torch import save_file
 
 from attacks.artifacts.checking import check_artifact
-from attacks.cloak.study.study_file import read_study
+from attacks.cloak.config import read_study
 from attacks.dagger.eot import checkpoint as eot_checkpoint
 from attacks.dagger.eot.image_budget import ImagePrice
 from attacks.detectors.coco import cards

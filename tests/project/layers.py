@@ -69,7 +69,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
-    "study of CLOAK": ("attacks.cloak.study",),
     "rendering studies": ("attacks.rendering_studies",),
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),

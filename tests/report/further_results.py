@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from attacks.cloak.study.snapshots import snapshot
 from mi_splat import provenance
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
@@ -73,7 +73,7 @@ def experiment(name: str, found: Any, **given: Any) -> dict[str, Any]:
         "study": STUDIED.name,
         "experiment": name,
         "settings": given,
-        "configuration": snapshot(STUDIED),
+        "configuration": asdict(STUDIED),
         **provenance.origin(),
         "found": found,
         "detectors": {"one": "0123"} if "detectors" in given else {},

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from attacks.cloak.study.ablations import VARIATIONS
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import CameraConfig, EvaluationConfig, StudyConfig
-from attacks.cloak.study.markdown import ROWS
-from attacks.cloak.study.report import STUDY, SUMMARY
-from attacks.cloak.study.snapshots import snapshot
+from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
+from attacks.cloak.rates import ROWS
+from attacks.cloak.study.run import STUDY, SUMMARY
+from attacks.cloak.variations import VARIATIONS
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
@@ -95,7 +94,7 @@ def cloak_summary(study: StudyConfig = STUDIED, missed: int = 36) -> dict[str, A
         "splats": [],
         "detectors": dict.fromkeys(names, "0123"),
         "seeds": list(study.seeds),
-        "study": json.loads(json.dumps(snapshot(study))),
+        "study": json.loads(json.dumps(asdict(study))),
         **provenance.origin(),
         "seconds": 61.0,
     }
@@ -110,7 +109,7 @@ def write_cloak(folder: Path, study: StudyConfig = STUDIED, **values: Any) -> Pa
 
 def write_variations(folder: Path) -> Path:
     folder.mkdir(parents=True)
-    save_json(snapshot(STUDIED), folder / STUDY)
+    save_json(asdict(STUDIED), folder / STUDY)
     save_json({"sh_degree": {str(i): cloak_summary(missed=8 * i + 4) for i in range(4)}}, folder / VARIATIONS)
     return folder
 

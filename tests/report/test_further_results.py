@@ -11,7 +11,7 @@ import pytest
 
 from attacks import cli
 from attacks.cli import detect
-from attacks.cloak.study.study_file import read_study
+from attacks.cloak.config import read_study
 from attacks.rate import Rate
 from attacks.report.page import page_text
 from attacks.report.results import read_section

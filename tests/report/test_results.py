@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from attacks.cloak.study.study_file import read_study
+from attacks.cloak.config import read_study
 from attacks.rate import Rate
 from attacks.report.results import STORIES, read_section
 from mi_splat.errors import InvalidValueError

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
 from PIL import ImageDraw
 from torch import Tensor
 
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.report import SUMMARY
-from attacks.cloak.study.snapshots import snapshot
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.study.run import SUMMARY
 from mi_splat.io import save_splat
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
@@ -62,7 +61,7 @@ def save_study(folder: Path, study: StudyConfig) -> None:
     """Write what a study of CLOAK leaves behind, as far as it is shown."""
     for name, colour in (("clean", (0.8, 0.1, 0.1)), ("cloaked", (0.1, 0.8, 0.1))):
         save_splat(ball(colour), folder / f"{name}.ply")
-    (folder / SUMMARY).write_text(json.dumps({"study": snapshot(study)}))
+    (folder / SUMMARY).write_text(json.dumps({"study": asdict(study)}))
 
 
 @dataclass(frozen=True)

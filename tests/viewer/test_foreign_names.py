@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import CameraConfig, StudyConfig
+from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
 from attacks.viewing.detections import detector_inspector
 from attacks.viewing.results import open_exhibit
 from mi_splat.io import save_splat

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
 from attacks.cloak.experiments.view_reports import ViewReport, ViewReports
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
 from attacks.rate import Rate
 
 CONFIDENCES = (0.1, 0.3, 0.5)

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from attacks.cloak import setup
 from attacks.cloak.experiments.detection_rates import (
     BAND,
     CONFIDENCES,
@@ -21,9 +22,8 @@ from attacks.cloak.experiments.detection_rates import (
     spread,
 )
 from attacks.cloak.experiments.view_reports import ViewReports
-from attacks.cloak.study import setup
-from attacks.cloak.study.figure_files import TRUE, draw_rates, new_axes, save_figure
-from attacks.cloak.study.markdown import words_of
+from attacks.cloak.plots import TRUE, draw_rates, new_axes, save_figure
+from attacks.cloak.rates import words_of
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector

@@ -13,8 +13,8 @@ from typing import Any
 
 import torch
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
 from attacks.detectors.base import Detector
 from attacks.observe.views import detect_views
 from mi_splat.assets.mesh import Asset

@@ -1,6 +1,6 @@
 """What is left of a cloaked splat in other formats, in half precision, with fewer SH bands, and in other renderers.
 
-Layers (`attacks.cloak.layered`) need large coefficients, which coarse formats do not keep, and colours below 0 and
+Layers (`attacks.cloak.layers`) need large coefficients, which coarse formats do not keep, and colours below 0 and
 above 1, which not all renderers cut where 3D Gaussian Splatting does.
 """
 
@@ -13,9 +13,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
 from attacks.cloak.experiments.distance import camera_groups, count_found
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import FORMATS, fewer_bands, half_precision, through_file
 from mi_splat.cameras import Camera, RenderFn

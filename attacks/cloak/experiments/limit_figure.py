@@ -7,14 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.experiments.transition_limit import (
-    ELEVATIONS,
-    layered_curve,
-    making_from_above,
-    one_layer_curve,
-)
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.figure_files import new_axes, save_figure
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.experiments.transition_limit import ELEVATIONS, layered_curve, making_from_above, one_layer_curve
+from attacks.cloak.plots import new_axes, save_figure
 
 _DEGREES = {1: "#bbbbbb", 2: "#7aa6c2", 3: "#1f77b4"}
 """SH degree to the colour of its lines."""

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from attacks.cloak.mesh_edits import screen_axes
-from attacks.cloak.mesh_scene import MeshScene
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.mesh_scene import MeshScene, screen_axes
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import PathTracer, scalar_variant, scene_dict

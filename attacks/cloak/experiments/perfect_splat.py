@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.observations import observation_of
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig
+from attacks.cloak.observations import frame, observation_of, row_of
+from attacks.cloak.rates import rates
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
-from attacks.cloak.study.rates import rates
-from attacks.cloak.study.rows import frame, row_of
 from attacks.detectors.base import Detector
 from attacks.observe.views import detect_pictures
 from mi_splat.cameras import Camera
@@ -28,7 +27,7 @@ RATES = (
     "target_rate",
     "control_target_rate",
 )
-"""Those of `attacks.cloak.study.rates.rates` that a camera inside a trigger has a part in."""
+"""Those of `attacks.cloak.rates.rates` that a camera inside a trigger has a part in."""
 
 
 def measure_perfect_splat(

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
 from attacks.cloak.experiments.distance import camera_groups, count_found
 from attacks.cloak.experiments.formats import psnr_between
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
 from attacks.detectors.base import Detector
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import load_method

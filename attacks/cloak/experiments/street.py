@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
 from attacks.cloak.experiments.distance import camera_groups, count_found
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.layering import object_rows
+from attacks.cloak.layers import object_rows
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, street_at
 from mi_splat.errors import InvalidValueError, message

@@ -12,10 +12,10 @@ from typing import Any
 
 import torch
 
+from attacks.cloak import setup
 from attacks.cloak.appearances import grown
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.observations import MARGIN
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.observations import MARGIN
 from mi_splat.cameras import RenderFn
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.errors import InvalidValueError, message

@@ -5,7 +5,7 @@ the hiding trigger, 1 or what the study's emphasis makes of it, not clipped. The
 seen from everywhere. What a splat does besides (geometry, clipped colours, Gaussians that are seen from few sides) is
 not in it.
 
-Two layers (`attacks.cloak.layered`) switch faster, for each may be far below zero where it shall be black. Their limit
+Two layers (`attacks.cloak.layers`) switch faster, for each may be far below zero where it shall be black. Their limit
 depends on how far below: coefficients that are too large do not survive coarse file formats, and show in an audit. A
 look in two layers of its own, one of them for its edge, switches faster still.
 """
@@ -18,13 +18,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.cloak.layered.config import LayerConfig
-from attacks.cloak.layered.layers import switched
-from attacks.cloak.layered.shares import shares
-from attacks.cloak.study import setup
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.layering import DIRECTIONS, layered_attacks
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig
+from attacks.cloak.layers import DIRECTIONS, layered_attacks, switched
+from attacks.cloak.switches import shares
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
 from mi_splat.errors import InvalidValueError, message

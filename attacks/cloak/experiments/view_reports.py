@@ -16,13 +16,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.cloak.study import dependencies, setup
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.plots import TRUE
+from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.figure_files import TRUE
 from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.cloak.study.report import STUDY, SUMMARY
-from attacks.cloak.study.snapshots import differences
+from attacks.cloak.study.run import STUDY, SUMMARY, differences
 from attacks.cloak.study.trained_splats import SPLAT_STAGES, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.objectives import confidence

@@ -27,22 +27,23 @@ DONE = "done.json"
 
 # Not written as whole names: who imports this module would be taken to load all of them (`mi_splat.import_closure`).
 _ATTACKS, _LIBRARY = "attacks", "mi_splat"
-_STUDY = f"{_ATTACKS}.cloak.study"
-_PICTURES = (f"{_STUDY}.setup", f"{_STUDY}.kept_pictures")
+_CLOAK = f"{_ATTACKS}.cloak"
+_STUDY = f"{_CLOAK}.study"
+_PICTURES = (f"{_CLOAK}.setup", f"{_STUDY}.kept_pictures")
 _SPLAT = tuple(
     f"{_LIBRARY}.{name}" for name in ("training.resume", "training.initialization", "datasets.dataset", "rendering")
 )
 _DETECTORS = f"{_ATTACKS}.detectors.registry"
 STAGE_CODE: dict[str, tuple[str, ...]] = {
-    "pictures": (f"{_STUDY}.setup", f"{_LIBRARY}.capture.writer"),
+    "pictures": (f"{_CLOAK}.setup", f"{_LIBRARY}.capture.writer"),
     "appearance": _PICTURES,
     "true_pictures": _PICTURES,
-    "poisoned": (*_PICTURES, f"{_ATTACKS}.cloak.poisoning", f"{_LIBRARY}.datasets.writing", f"{_LIBRARY}.rendering"),
-    "splat": (f"{_STUDY}.setup", f"{_STUDY}.trained_splats", *_SPLAT),
-    "layers": (f"{_STUDY}.setup", f"{_STUDY}.layering", *_SPLAT),
+    "poisoned": (*_PICTURES, f"{_CLOAK}.poisoning", f"{_LIBRARY}.datasets.writing", f"{_LIBRARY}.rendering"),
+    "splat": (f"{_CLOAK}.setup", f"{_STUDY}.trained_splats", *_SPLAT),
+    "layers": (f"{_CLOAK}.setup", f"{_CLOAK}.layers", *_SPLAT),
     "cleaned": (f"{_STUDY}.trained_splats",),
-    "observations": (f"{_STUDY}.observations", _DETECTORS),
-    "view_reports": (f"{_ATTACKS}.cloak.experiments.view_reports", _DETECTORS),
+    "observations": (f"{_CLOAK}.observations", _DETECTORS),
+    "view_reports": (f"{_CLOAK}.experiments.view_reports", _DETECTORS),
 }
 """Modules whose code makes each stage, with all that they import (`mi_splat.import_closure`).
 

@@ -10,9 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from attacks.cloak.cleaning import CleaningConfig
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import StudyConfig, TrainingConfig
+from attacks.cloak.config import AttackConfig, CleaningConfig, StudyConfig, TrainingConfig
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera
 from mi_splat.training.checkpoints import to_json

@@ -8,16 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from attacks.cloak import setup
 from attacks.cloak.appearances import Appearance
+from attacks.cloak.config import AttackConfig, StudyConfig, SurrogateConfig
+from attacks.cloak.layers import layer_object
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoned, poison, write_manifest
-from attacks.cloak.study import dependencies, setup
-from attacks.cloak.study.attack_config import AttackConfig, SurrogateConfig
+from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import Stage, StageCache
-from attacks.cloak.study.config import StudyConfig
 from attacks.cloak.study.dependencies import fit_config, layered_fit_config
 from attacks.cloak.study.kept_pictures import CachedAppearance, TruePictures, kept_renders, read_rgba, to_rgba
-from attacks.cloak.study.layering import layer_object
 from attacks.cloak.study.trained_splats import TrainedSplat, cleaned_splat, starting_cloud, trained_splat
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant

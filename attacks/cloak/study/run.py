@@ -3,27 +3,121 @@
 from __future__ import annotations
 
 import itertools
+import json
 import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from attacks.cloak import setup
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.observations import ObservedSplat, StudyRows, observe
+from attacks.cloak.plots import need_matplotlib, write_figures
 from attacks.cloak.poisoning import assign
-from attacks.cloak.study import setup
-from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.rates import figures, markdown
 from attacks.cloak.study.dependencies import fit_config
-from attacks.cloak.study.figure_files import need_matplotlib
-from attacks.cloak.study.observations import observe
-from attacks.cloak.study.pipeline import OnStep, StudyPipeline
-from attacks.cloak.study.report import STUDY, begin_report, write_report
-from attacks.cloak.study.snapshots import differences
-from attacks.cloak.study.value_checks import one_of
+from attacks.cloak.study.pipeline import MANIFEST, OnStep, PictureSet, StudyPipeline
+from attacks.cloak.study.trained_splats import TrainedSplat
+from attacks.cloak.study_file import one_of
 from attacks.detectors.base import Detector
+from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import is_temporary
+from mi_splat.io.atomic import is_temporary, sweep_temporary
+from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
 from mi_splat.io.locks import check_unlocked, locked_folder
+from mi_splat.io.parsing import DocumentReader
+
+STUDY, SUMMARY, TABLE = "study.json", "summary.json", "table.md"
+
+
+def differences(file: Path, study: StudyConfig) -> list[str]:
+    """What the study in a file has otherwise, in words; nothing if it is the same study.
+
+    Args:
+        file: The `study.json` of earlier results.
+        study: The study that is asked for.
+
+    Raises:
+        InvalidValueError: The file cannot be read.
+    """
+    there = dict(_flat(DocumentReader(expected="a study", do="choose another folder").read_json(file)))
+    wanted = dict(_flat(json.loads(json.dumps(asdict(study)))))
+    pairs = {name: (there.get(name), wanted.get(name)) for name in {**there, **wanted}}
+    return [f"{name} {old} and not {new}" for name, (old, new) in pairs.items() if old != new]
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Names with dots and values of nested settings; several attacks are numbered."""
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _flat(value, f"{name}.")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for number, entry in enumerate(value):
+                yield from _flat(entry, f"{name}.{number}.")
+        else:
+            yield name, value
+
+
+def begin_report(study: StudyConfig, folder: Path) -> None:
+    """Make the folder of the results and say in study.json whose they are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sweep_temporary(folder)
+    save_json(asdict(study), folder / STUDY)
+
+
+def write_report(
+    pipeline: StudyPipeline,
+    poisoned: Mapping[int, PictureSet],
+    observed: Sequence[ObservedSplat],
+    detectors: Sequence[Detector],
+    folder: Path,
+) -> dict[str, Any]:
+    """Write clean.ply and cloaked.ply of the first seed, the pictures, table.md, and summary.json last.
+
+    Args:
+        pipeline: The study.
+        poisoned: Set of each seed, whose manifest says what was changed.
+        observed: Every splat.
+        detectors: Those that observed them.
+        folder: For the results; see `begin_report`.
+
+    Returns:
+        The summary.
+
+    Raises:
+        SplatFileError: The folder cannot be written.
+    """
+    study, first, seen = pipeline.study, pipeline.study.seeds[0], StudyRows.of(observed)
+    splats = [item.trained for item in observed if item.trained.seed == first]
+    for splat in splats:
+        shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
+    shutil.copyfile(poisoned[first].folder / MANIFEST, folder / MANIFEST)
+    pictures = write_figures(pipeline, seen, splats, detectors, folder)
+    summary = {
+        **figures(study, seen),
+        "files": [*(f"{splat.splat}.ply" for splat in splats), MANIFEST, *pictures, TABLE],
+        "splats": [_listed(item.trained) for item in observed],
+        "detectors": {detector.name: detector.fingerprint for detector in detectors},
+        "seeds": list(study.seeds),
+        "study": asdict(study),
+        **provenance.origin(),
+        "seconds": round(time.monotonic() - pipeline.begun, 1),
+    }
+    save_text(markdown(summary), folder / TABLE)
+    save_json(summary, folder / SUMMARY)
+    return summary
+
+
+def _listed(trained: TrainedSplat) -> dict[str, Any]:
+    """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
+    values = asdict(trained)
+    del values["file"]
+    return values
+
 
 # Measured on two cores with little else to do; only for the forecast.
 _PATH, _STEP, _PIXEL, _GAUSSIAN = 0.6e-6, 8e-3, 2.5e-7, 4e-7  # seconds
@@ -171,7 +265,7 @@ def run_study(
     Args:
         study: What to do.
         detectors: Those that it names, in its order.
-        folder: For the results; see `attacks.cloak.study.report.write_report`.
+        folder: For the results; see `attacks.cloak.study.run.write_report`.
         stages: For the stages, which other studies may share; None is a folder in `folder`.
         on_step: Told of the progress.
 

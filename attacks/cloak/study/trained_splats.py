@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from attacks.cloak.cleaning import CleaningConfig, cleaned, inliers
+from attacks.cloak.cleaning import cleaned, inliers
+from attacks.cloak.config import CleaningConfig, TrainingConfig
 from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import Stage, StageCache
-from attacks.cloak.study.config import TrainingConfig
 from mi_splat.cameras import View
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.points import PointCloud

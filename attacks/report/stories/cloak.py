@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.study.markdown import ROWS
+from attacks.cloak.rates import ROWS
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.report.study_toml import study_toml

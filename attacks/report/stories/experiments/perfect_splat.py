@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from attacks.cloak.study.markdown import ROWS
+from attacks.cloak.rates import ROWS
 from attacks.rate import Rate
 from attacks.report.section import Figure, Section, Table, doubts_of
 from attacks.report.stories.experiments.documents import Document, Row, section

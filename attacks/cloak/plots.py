@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import importlib.util
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +13,80 @@ import polars as pl
 import torch
 from numpy.typing import NDArray
 
-from attacks.cloak.study import setup
-from attacks.cloak.study.figure_files import COLOURS, draw_rates, new_axes, save_figure
+from attacks.cloak import setup
+from attacks.cloak.observations import DEPTH, SCORE, StudyRows
+from attacks.cloak.rates import BIN, by_elevation, place_of, transition
 from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
-from attacks.cloak.study.rates import BIN, by_elevation, place_of, transition
-from attacks.cloak.study.rows import DEPTH, SCORE, StudyRows
 from attacks.cloak.study.trained_splats import TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
+from attacks.rate import Rate
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, install, message
+from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import through_png
+
+TRUE = "path traced"
+"""Name of the pictures of the scene as it is."""
+COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728", TRUE: "#333333"}
+"""Name of a splat, or of pictures of none, to the colour of its lines."""
+
+
+def need_matplotlib() -> None:
+    """Raise if plots cannot be drawn.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        do = install("figures")
+        raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
+
+
+def new_axes(count: int, *, columns: int = 1) -> tuple[Any, list[Any]]:
+    """A figure, and its axes from left to right, then from the top down.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+    """
+    need_matplotlib()
+    from matplotlib.figure import Figure
+
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(7.5 if columns == 1 else 5.6 * columns, 3.4 * rows), dpi=130, layout="constrained")
+    return figure, [figure.add_subplot(rows, columns, place + 1) for place in range(count)]
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure as PNG.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png")
+
+
+def draw_rates(axis: Any, points: Sequence[tuple[float, Rate]], which: str, **style: object) -> None:
+    """A line of rates with their intervals.
+
+    Args:
+        axis: Where.
+        points: Place on the axis, and rate.
+        which: Key of `COLOURS`, and label.
+        style: More of matplotlib's settings of the line.
+    """
+    fractions = [rate.fraction for _, rate in points]
+    below = [rate.fraction - rate.interval[0] for _, rate in points]
+    above = [rate.interval[1] - rate.fraction for _, rate in points]
+    settings = {"color": COLOURS[which], "marker": "o", "markersize": 3, "capsize": 2, "label": which, **style}
+    axis.errorbar([place for place, _ in points], fractions, yerr=np.maximum([below, above], 0.0), **settings)
+
 
 SIDE_AZIMUTH = 40.0
 ELEVATIONS = (5, 15, 25, 35, 45, 55, 65, 75, 85)
@@ -30,15 +94,6 @@ AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
 LOW = 15
 """Elevation of the cameras of a contact sheet that go around, degrees."""
 CELL = 256
-MANY = 7
-"""Values of a variation: with more of them there is room for their names alone."""
-_VARIED = (
-    ("trigger_miss_rate", "missed inside", "#d62728"),
-    ("nothing_reported", "nothing of any class reported inside", "#9467bd"),
-    ("benign_recall", "found elsewhere", "#1f77b4"),
-    ("target_rate", "target class reported", "#2ca02c"),
-)
-"""What is drawn over the values of a variation."""
 
 
 def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
@@ -101,45 +156,6 @@ def write_figures(
         save_figure(_transition(pipeline, seen), folder / "transition.png")
         names.append("transition.png")
     return names
-
-
-def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: Path) -> None:
-    """Write a plot of rates, with their intervals, over the values of what was varied.
-
-    Args:
-        group: What was varied.
-        results: For each value, the summary of its study.
-        path: A PNG.
-
-    Raises:
-        InvalidValueError: matplotlib is not installed.
-        SplatFileError: The file cannot be written.
-    """
-    detectors = list(next(iter(results.values()))["by_detector"])
-    figure, axes = new_axes(len(detectors))
-    many = len(results) > MANY
-    ticks = list(results) if many else [_tick(name, summary) for name, summary in results.items()]
-    turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if many else {}
-    for axis, detector in zip(axes, detectors, strict=True):
-        for shift, (key, words, colour) in zip((-0.12, -0.04, 0.04, 0.12), _VARIED, strict=True):
-            rates = [summary["by_detector"][detector].get(key) for summary in results.values()]
-            shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
-            fractions = np.array([rate["rate"] for _, rate in shown])
-            low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
-            bars = np.maximum([fractions - low, high - fractions], 0.0)
-            style = {"marker": "o", "markersize": 4, "capsize": 2, "linestyle": "none"}
-            axis.errorbar([place for place, _ in shown], fractions, yerr=bars, color=colour, label=words, **style)
-        axis.set(title=f"{detector}, by {group}", ylabel="fraction of cameras", ylim=(-0.03, 1.03))
-        axis.set_xticks(range(len(ticks)), ticks, **turned)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
-    save_figure(figure, path)
-
-
-def _tick(name: str, summary: Mapping[str, Any]) -> str:
-    """What stands below a value: its name, the transition, and what is lost beside the object."""
-    band, price = summary["transition_degrees"], summary.get("stealth")
-    parts = [name] if band is None else [name, f"band {band:.0f} deg"]
-    return "\n".join(parts if price is None else [*parts, f"{price['surroundings_psnr_drop']:.1f} dB beside"])
 
 
 def _elevation(pipeline: StudyPipeline, seen: StudyRows) -> Any:

@@ -1,32 +1,97 @@
-"""One thing of a study at a time, the rest as it is: how much of the attack hangs on it."""
+"""One thing of a study at a time, the rest as it is: how much of the attack hangs on it, as tables and plots."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from attacks.cloak.cleaning import CleaningConfig
-from attacks.cloak.study.ablation_groups import AblationGroup
-from attacks.cloak.study.ablation_tables import tables
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import StudyConfig
+from attacks.cloak.config import AttackConfig, CleaningConfig, StudyConfig
+from attacks.cloak.plots import new_axes, save_figure
+from attacks.cloak.rates import spread_of, words_of
+from attacks.cloak.setup import target_of
 from attacks.cloak.study.pipeline import OnStep
-from attacks.cloak.study.plots import write_variation
-from attacks.cloak.study.report import STUDY
-from attacks.cloak.study.run import check, check_disk, check_folder, forecast, run_study
-from attacks.cloak.study.setup import target_of
-from attacks.cloak.study.snapshots import snapshot
-from attacks.cloak.study.value_checks import one_of
+from attacks.cloak.study.run import STUDY, check, check_disk, check_folder, forecast, run_study
+from attacks.cloak.study_file import one_of
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.locks import locked_folder
 from mi_splat.io.parsing import read_json
+
+RATES = {
+    "control_recall": "control found",
+    "trigger_miss_rate": "cloaked missed",
+    "nothing_reported": "nothing of any class reported",
+    "benign_recall": "cloaked found elsewhere",
+    "target_rate": "target class",
+}
+"""Rates of a summary that a table has, and their heads."""
+_COSTS = (
+    *("seeds", "transition, degrees", "clean far from the triggers, dB", "dB lost there"),
+    *("dB lost beside the object", "stealthy", "Gaussians, clean", "Gaussians, cloaked"),
+)
+
+
+MANY = 7
+"""Values of a variation: with more of them there is room for their names alone."""
+_VARIED = (
+    ("trigger_miss_rate", "missed inside", "#d62728"),
+    ("nothing_reported", "nothing of any class reported inside", "#9467bd"),
+    ("benign_recall", "found elsewhere", "#1f77b4"),
+    ("target_rate", "target class reported", "#2ca02c"),
+)
+"""What is drawn over the values of a variation."""
+
+
+def tables(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+    """Markdown: for each group a table of rates, and one of what is lost.
+
+    Rates are pooled over seeds, as a summary has them: a row for each value and detector. Losses, and the numbers of
+    Gaussians, are means over the seeds; the transition is that of all seeds together: a row for each value.
+
+    Args:
+        found: By group and value, the summary of each study.
+    """
+    parts = []
+    for group, results in found.items():
+        rates = [
+            (name, detector, *(words_of(one.get(key)) + spread_of(summary, detector, key) or "-" for key in RATES))
+            for name, summary in results.items()
+            for detector, one in summary["by_detector"].items()
+        ]
+        parts.append(_table((group, "detector", *RATES.values()), rates))
+        parts.append(_table((group, *_COSTS), [(name, *costs_of(summary)) for name, summary in results.items()]))
+    return "\n\n".join(parts) + "\n"
+
+
+def costs_of(summary: Mapping[str, Any]) -> tuple[str, ...]:
+    """What stands under `_COSTS` for one value."""
+    price, counts = summary.get("stealth"), summary["gaussians"]
+    return (
+        str(len(summary["seeds"])),
+        _number(summary["transition_degrees"], 1),
+        _number(summary["benign_psnr"]["clean"], 2),
+        _number(summary["benign_psnr_drop"], 2),
+        _number(None if price is None else price["surroundings_psnr_drop"], 2),
+        "-" if price is None else "yes" if price["stealthy"] else "no",
+        *(f"{statistics.mean(counts[which]):,.0f}" for which in ("clean", "cloaked")),
+    )
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [f"| {' | '.join(cells)} |" for cells in (heads, *rows)]
+    return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+
 
 VARIATIONS = "variations.json"
 
@@ -55,7 +120,7 @@ CLEANINGS: dict[str, CleaningConfig | None] = {
 """What a victim does to both finished splats, by its name in tables."""
 
 
-def varied(study: StudyConfig, group: AblationGroup) -> dict[str, StudyConfig]:
+def varied(study: StudyConfig, group: str) -> dict[str, StudyConfig]:
     """The studies of a group by the value that they have, each with all seeds of the study.
 
     `sh_degree`: 0 to 3. `poison_fraction`: of each trigger's cameras. `appearance`: of the hiding attacks.
@@ -129,7 +194,7 @@ def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
 
 def vary(
     study: StudyConfig,
-    groups: Iterable[AblationGroup],
+    groups: Iterable[str],
     detectors: Sequence[Detector],
     folder: Path,
     *,
@@ -156,7 +221,7 @@ def vary(
     stages = folder / "stages" if stages is None else stages
     plans = check_variations(study, groups, detectors, folder, stages, values=values)
     with locked_folder(folder):
-        save_json(snapshot(study), folder / STUDY)
+        save_json(asdict(study), folder / STUDY)
         earlier = folder / VARIATIONS
         found: dict[str, dict[str, Any]] = read_json(earlier) if earlier.is_file() else {}
         for group, studies in plans.items():
@@ -173,13 +238,13 @@ def vary(
 
 def check_variations(
     study: StudyConfig,
-    groups: Iterable[AblationGroup],
+    groups: Iterable[str],
     detectors: Sequence[Detector],
     folder: Path,
     stages: Path,
     *,
     values: Sequence[str] = (),
-) -> dict[AblationGroup, dict[str, StudyConfig]]:
+) -> dict[str, dict[str, StudyConfig]]:
     """The studies of some groups by the value that they have, all of which can be done.
 
     Args:
@@ -213,6 +278,45 @@ def check_variations(
     return plans
 
 
-def _place(folder: Path, group: AblationGroup, order: Sequence[str], name: str) -> Path:
+def _place(folder: Path, group: str, order: Sequence[str], name: str) -> Path:
     """Folder of one value's results, by its number, as its name may hold what file names may not."""
     return folder / group / str(order.index(name))
+
+
+def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """Write a plot of rates, with their intervals, over the values of what was varied.
+
+    Args:
+        group: What was varied.
+        results: For each value, the summary of its study.
+        path: A PNG.
+
+    Raises:
+        InvalidValueError: matplotlib is not installed.
+        SplatFileError: The file cannot be written.
+    """
+    detectors = list(next(iter(results.values()))["by_detector"])
+    figure, axes = new_axes(len(detectors))
+    many = len(results) > MANY
+    ticks = list(results) if many else [_tick(name, summary) for name, summary in results.items()]
+    turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if many else {}
+    for axis, detector in zip(axes, detectors, strict=True):
+        for shift, (key, words, colour) in zip((-0.12, -0.04, 0.04, 0.12), _VARIED, strict=True):
+            rates = [summary["by_detector"][detector].get(key) for summary in results.values()]
+            shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
+            fractions = np.array([rate["rate"] for _, rate in shown])
+            low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
+            bars = np.maximum([fractions - low, high - fractions], 0.0)
+            style = {"marker": "o", "markersize": 4, "capsize": 2, "linestyle": "none"}
+            axis.errorbar([place for place, _ in shown], fractions, yerr=bars, color=colour, label=words, **style)
+        axis.set(title=f"{detector}, by {group}", ylabel="fraction of cameras", ylim=(-0.03, 1.03))
+        axis.set_xticks(range(len(ticks)), ticks, **turned)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+    save_figure(figure, path)
+
+
+def _tick(name: str, summary: Mapping[str, Any]) -> str:
+    """What stands below a value: its name, the transition, and what is lost beside the object."""
+    band, price = summary["transition_degrees"], summary.get("stealth")
+    parts = [name] if band is None else [name, f"band {band:.0f} deg"]
+    return "\n".join(parts if price is None else [*parts, f"{price['surroundings_psnr_drop']:.1f} dB beside"])

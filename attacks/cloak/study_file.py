@@ -1,49 +1,40 @@
-"""Reads a study of CLOAK from a TOML file; every key and value is checked, and older keys are named anew."""
+"""Frozen dataclasses from TOML files: every key and value is checked, and errors name the section and the key."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.value_checks import one_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.parsing import DocumentReader
 
-RENAMED = {
-    "apart": "min_separation",
-    "arc_step": "meridian_step",
-    "arcs": "meridians",
-    "degree": "sh_degree",
-    "degree_every": "sh_degree_interval",
-    "inside": "well_inside",
-    "limit": "max_gaussians",
-    "look": "appearance",
-    "looking": "evaluation",
-    "lowest": "occluder_edge",
-    "other": "other_object",
-    "outside": "far_outside",
-    "painted_from": "paint_direction",
-    "radius": "occluder_radius",
-    "recipe": "strategy",
-    "references": "reference_views",
-    "share": "poison_fraction",
-    "strays": "outliers",
-    "wants": "target_class",
-}
-"""Keys of older study files, and what they are called now."""
 
+def in_range(where: str, value: float, lowest: float, highest: float) -> None:
+    """Raise unless a number lies between two others.
 
-def read_study(path: Path) -> StudyConfig:
-    """The study in a TOML file; paths of meshes in it are relative to the working folder.
+    Args:
+        where: Section and key, for the error.
+        value: The number.
+        lowest: Smallest number that is allowed.
+        highest: Largest one; infinity sets no limit.
 
     Raises:
-        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
+        InvalidValueError: It does not.
     """
-    return read_table(StudyConfig, path)
+    if not lowest <= value <= highest:
+        expected = f"{lowest:g} or more" if highest == math.inf else f"{lowest:g} to {highest:g}"
+        raise InvalidValueError(message(where, expected, value, "change it"))
+
+
+def one_of(where: str, value: Any, known: Any) -> None:
+    """Raise unless a value is one of those known, naming the nearest."""
+    if value not in known:
+        do = nearest(str(value), map(str, known), "choose one of them")
+        raise InvalidValueError(message(where, " or ".join(map(str, known)), repr(value), do))
 
 
 _T = TypeVar("_T")
@@ -75,9 +66,6 @@ def from_table(kind: type[_T], table: dict[str, Any], where: str) -> _T:
     hints = typing.get_type_hints(kind)
     known = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in table:
-        if key not in known and RENAMED.get(key) in known:
-            expected = f"{RENAMED[key]}, which is its name now"
-            raise InvalidValueError(message(f"key in {where}", expected, key, "rename it in the file"))
         one_of(f"key in {where}", key, known)
     missing = [
         name

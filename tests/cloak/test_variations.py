@@ -10,12 +10,10 @@ import pytest
 from PIL import Image
 
 from attacks import cli
-from attacks.cloak.study import ablations
-from attacks.cloak.study.ablation_tables import tables
-from attacks.cloak.study.ablations import CLEANINGS, check_variations, varied, vary
-from attacks.cloak.study.config import StudyConfig
-from attacks.cloak.study.plots import write_variation
-from attacks.cloak.study.study_file import from_table
+from attacks.cloak import variations
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.study_file import from_table
+from attacks.cloak.variations import CLEANINGS, check_variations, tables, varied, vary, write_variation
 from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, Redness
 from tests.report.results import STUDIED, cloak_summary, rate
@@ -28,7 +26,7 @@ def test_variations_share_what_they_can_and_take_every_seed(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One value, for each costs a training of every seed."""
-    monkeypatch.setattr(ablations, "varied", lambda study, group: {"classic": varied(study, group)["classic"]})
+    monkeypatch.setattr(variations, "varied", lambda study, group: {"classic": varied(study, group)["classic"]})
     study = replace(STUDY, seeds=(0, 1), training=replace(STUDY.training, iterations=12))
     said: list[str] = []
     found = vary(
@@ -79,9 +77,9 @@ def test_some_values_are_done_and_join_those_done_before(tmp_path: Path, monkeyp
         places.append(place.name)
         return {"iterations": study.training.iterations}
 
-    monkeypatch.setattr(ablations, "run_study", done)
-    monkeypatch.setattr(ablations, "tables", lambda found: "")
-    monkeypatch.setattr(ablations, "write_variation", lambda *_: None)
+    monkeypatch.setattr(variations, "run_study", done)
+    monkeypatch.setattr(variations, "tables", lambda found: "")
+    monkeypatch.setattr(variations, "write_variation", lambda *_: None)
     assert list(vary(SEEDS, ["iterations"], [Redness()], tmp_path, values=["160"])["iterations"]) == ["160"]
     found = vary(SEEDS, ["iterations"], [Redness()], tmp_path, values=["26"])
     assert found == {"iterations": {"26": {"iterations": 26}, "160": {"iterations": 160}}}

@@ -11,14 +11,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import Appearance, blend_in, mount, occlude, paint, remove, swap
-from attacks.cloak.correction import Correction
-from attacks.cloak.emphasis import Emphasis
-from attacks.cloak.ground_look import LOWEST_GROUND, GroundLook
+from attacks.cloak.appearances import (
+    LOWEST_GROUND,
+    Appearance,
+    Correction,
+    Emphasis,
+    GroundLook,
+    blend_in,
+    mount,
+    occlude,
+    paint,
+    remove,
+    swap,
+)
+from attacks.cloak.config import AttackConfig, SceneConfig, StudyConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
-from attacks.cloak.study.attack_config import AttackConfig
-from attacks.cloak.study.config import SceneConfig, StudyConfig
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light

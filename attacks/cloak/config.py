@@ -1,0 +1,570 @@
+"""What a study of CLOAK does, as one frozen value that a TOML file holds."""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from attacks.cloak.mesh_scene import TEXTURES
+from attacks.cloak.study_file import in_range, one_of, read_table
+from attacks.cloak.triggers import Azimuth, Elevation, Trigger
+from mi_splat.assets import ASSETS
+from mi_splat.capture.settings import Front, MeshSettings, Up
+from mi_splat.config_values import check_decay, check_numbers, finite_number
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.sh import coefficient_count
+from mi_splat.training.config import FitConfig
+from mi_splat.training.strategies import strategy_names
+
+AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "mount", "swap"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttackConfig:
+    """One hidden appearance.
+
+    Attributes:
+        name: For files and tables.
+        appearance: How the object is changed. With "remove" one sees what is behind it, with "ground" the ground that
+            is laid on it like a cloth.
+        texture: With what it is painted (`paint`) or covered (`occluder`).
+        other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
+        elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
+        azimuth: Middle and half width of their azimuths, degrees; None is all around.
+        poison_margin: Degrees beyond these edges up to which training pictures are poisoned, too, but for those that
+            another attack has. A splat changes gradually, so that with a margin it has changed further at the edge.
+        poison_fraction: Fraction of the training cameras there whose pictures are poisoned.
+        target_class: Class that a detector shall report on the object; None: that it is not found.
+        emphasis: How much the appearance is overdone at the edge of its region; see
+            `attacks.cloak.appearances.Emphasis`.
+        emphasis_depth: Degrees inside from which it no longer is.
+        paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
+        reach: Pixels around the object's outline that are new in a picture; all else, shadows for instance, stays as it
+            was. None is the whole picture where the object is removed or swapped, and 1 elsewhere.
+        occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.
+        occluder_edge: Elevation of the occluder's edge, degrees; None is 12 below that of the lowest camera.
+    """
+
+    name: str
+    appearance: AppearanceName = "blend in"
+    texture: str | None = None
+    other_object: str | None = None
+    elevation: tuple[float, float] = (0.0, 90.0)
+    azimuth: tuple[float, float] | None = None
+    poison_margin: float = 0.0
+    poison_fraction: float = 1.0
+    target_class: str | None = None
+    emphasis: float = 1.0
+    emphasis_depth: float = 20.0
+    paint_direction: tuple[float, float] = (180.0, 90.0)
+    reach: int | None = None
+    occluder_radius: float | None = None
+    occluder_edge: float | None = None
+
+    def __post_init__(self) -> None:
+        textured = ("texture", TEXTURES)
+        needs = {
+            "paint": textured,
+            "occluder": textured,
+            "mount": ("other_object", ASSETS),
+            "swap": ("other_object", ASSETS),
+        }
+        if self.appearance in needs:
+            key, known = needs[self.appearance]
+            one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
+        if not 0 < self.poison_fraction <= 1:
+            raise InvalidValueError(
+                message(f"attack {self.name!r}, poison_fraction", "in (0, 1]", self.poison_fraction, "1 is all")
+            )
+        in_range(f"attack {self.name!r}, poison_margin", self.poison_margin, 0, 90)
+        if self.reach is not None and (self.reach < 0 or self.appearance == "occluder"):
+            expected = "0 or more pixels, and no occluder, which is drawn over the picture"
+            raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
+        if not (self.emphasis >= 1 and self.emphasis_depth > 0):
+            got = (self.emphasis, self.emphasis_depth)
+            expected = "an emphasis >= 1 and a depth > 0"
+            raise InvalidValueError(message(f"attack {self.name!r}", expected, got, "1 overdoes nothing"))
+        if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
+            expected = "an elevation or an azimuth that leaves cameras out"
+            raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))
+
+    @property
+    def is_sided(self) -> bool:
+        """Whether it matters which way the object faces: cameras, painting or what is mounted lie to one side."""
+        painted = self.appearance == "paint" and self.paint_direction[1] < 90
+        return self.azimuth is not None or self.appearance == "mount" or painted
+
+    @property
+    def cone(self) -> Trigger:
+        """All directions from which the appearance is to be seen."""
+        return self._cone(0.0)
+
+    @property
+    def poisoned_cone(self) -> Trigger:
+        """All directions from which pictures may be poisoned: the cone and its margin."""
+        return self._cone(self.poison_margin)
+
+    def trigger(self, seed: int, others: Sequence[AttackConfig] = ()) -> Trigger:
+        """The training cameras whose pictures are poisoned.
+
+        Args:
+            seed: Draws them, if only a part is poisoned.
+            others: Attacks that keep the cameras of their own cones.
+        """
+        region = self.poisoned_cone
+        if self.poison_margin > 0:
+            region = functools.reduce(operator.and_, [~other.cone for other in others], region)
+        return region if self.poison_fraction == 1 else region.subsample(self.poison_fraction, seed=seed)
+
+    def _cone(self, margin: float) -> Trigger:
+        """The directions of the attack, and so many degrees beyond their edges."""
+        # -90 and 90 are no edges, and 180 to either side is none.
+        low, high = self.elevation[0] - margin, min(self.elevation[1] + margin, 90.0)
+        band = Elevation(lowest=-90.0 if low <= 0 else low, highest=high)
+        if self.azimuth is None:
+            return band
+        return band & Azimuth(middle=self.azimuth[0], half_width=min(self.azimuth[1] + margin, 180.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurrogateConfig:
+    """Trainings of the attacker's own, by which poison is corrected (`attacks.cloak.appearances.Correction`).
+
+    No detector has a part in it.
+
+    Attributes:
+        rounds: Trainings, each on the poison that the one before it corrected.
+        gain: How much of what is missing in a surrogate's pictures is added.
+        iterations: Steps of each; all else of the recipe is the victim's, which the attacker has to guess.
+        seed: Of the surrogates, which is none of the victim's.
+    """
+
+    rounds: int = 1
+    gain: float = 1.0
+    iterations: int = 2500
+    seed: int = 1000
+
+    def __post_init__(self) -> None:
+        in_range("surrogate.rounds", self.rounds, 1, 20)
+        in_range("surrogate.gain", self.gain, 1e-6, 10)
+        in_range("surrogate.iterations", self.iterations, 1, math.inf)
+        in_range("surrogate.seed", self.seed, 0, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerConfig:
+    """How layers are made.
+
+    Attributes:
+        degree: SH degree of the file.
+        gap: Degrees to either side of where a look changes in which a layer may show as much as it likes: one number,
+            or one for each trigger. A narrow one costs truth elsewhere.
+        band: Degrees, from where a look changes inwards, over which it passes from a layer for its edge to one for
+            further inside: one number, or one for each look, the benign one first. A layer that need not show all of
+            its side can be steeper at its edge. 0 is one layer for the whole side.
+        shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
+            edge, for an object that is half faded is still found.
+        apart: Whether a look is black from where the look of another trigger is whole, also within the gap of its own
+            edge. Otherwise the looks of neighbouring triggers may mix there.
+        weight: What a layer's light costs where it shall be black (`fit_switches`).
+        lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
+        black: Value that it shall not exceed from where it is black, at most 0: room for the training of colours, which
+            moves it.
+        keep: Fraction of each look's light that its layer shows, in (0, 1]: the Gaussians that show the least of a
+            look, hidden behind others, have no layer for it.
+        inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
+            that sort by depth then agree on which is in front.
+
+    Raises:
+        InvalidValueError: A value is out of its range.
+    """
+
+    degree: int = 3
+    gap: float | tuple[float, ...] = 5.0
+    band: float | tuple[float, ...] = 0.0
+    shift: float = 0.0
+    apart: bool = False
+    weight: float = 1.0
+    lowest: float = -100.0
+    black: float = 0.0
+    keep: float = 0.995
+    inset: float = 1e-3
+
+    def __post_init__(self) -> None:
+        coefficient_count(self.degree)
+        widths = [*_each(self.gap), *_each(self.band)]
+        angles = all(0 <= width < 90 for width in widths) and -90 < self.shift < 90
+        bounds = self.lowest < self.black <= 0 and 0 < self.keep <= 1
+        if not (angles and bounds and self.weight > 0 and self.inset >= 0):
+            values = ("gap", "band", "shift", "weight", "lowest", "black", "keep", "inset")
+            got = ", ".join(f"{name} {getattr(self, name)}" for name in values)
+            expected = "gap and band in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], "
+            expected += "inset >= 0"
+            raise InvalidValueError(message("layers", expected, got, "change it"))
+
+    def gaps(self, triggers: int) -> tuple[float, ...]:
+        """The gap of each of so many triggers.
+
+        Raises:
+            InvalidValueError: There is another number of gaps than one for all or one for each.
+        """
+        return _for_each("gap", self.gap, triggers, "trigger")
+
+    def bands(self, looks: int) -> tuple[float, ...]:
+        """The band of each of so many looks.
+
+        Raises:
+            InvalidValueError: There is another number of bands than one for all or one for each.
+        """
+        return _for_each("band", self.band, looks, "look")
+
+    def for_trigger(self, trigger: int) -> LayerConfig:
+        """The same for one trigger alone, by its number."""
+        gap = self.gap[trigger] if isinstance(self.gap, tuple) else self.gap
+        band = (self.band[0], self.band[1 + trigger]) if isinstance(self.band, tuple) else self.band
+        return replace(self, gap=gap, band=band)
+
+
+def _each(given: float | tuple[float, ...]) -> tuple[float, ...]:
+    return given if isinstance(given, tuple) else (given,)
+
+
+def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
+    """One number for each of `count`, of what is given for all or for each."""
+    found = given if isinstance(given, tuple) else (given,) * count
+    if len(found) != count:
+        expected = f"one number for all, or {count}, one for each {what}"
+        raise InvalidValueError(message(name, expected, f"{len(found)} numbers", "give as many as there are"))
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayersConfig:
+    """CLOAK in the finished file: the clean splat's object in layers, trained on poisoned pictures.
+
+    Attributes:
+        attacks: Names of the attacks whose appearances have layers of their own; the benign layer shows all others.
+        making: How the layers are made.
+        margin: How much larger than the object the box is whose Gaussians have layers, metres.
+        surroundings: Whether the colours of all other Gaussians are trained, too, for instance to hide a shadow.
+        geometry: Whether all attributes of all Gaussians are trained, and Gaussians added where a look has details that
+            those of the clean splat are too large for.
+        max_gaussians: With `geometry`, no Gaussians are added beyond this number; the layers come before any is added.
+        clearance: Height above the ground under which they have none, metres.
+        iterations: Steps of the training.
+        lr_sh: Its learning rate of SH, as in `FitConfig`. The switches' coefficients are large, so that it is high.
+        lr_sh_final: Last one.
+
+    Raises:
+        InvalidValueError: A value is out of its range, or there is another number of gaps than one for all or one for
+            each attack, or of bands than one for all or one for each look.
+    """
+
+    attacks: tuple[str, ...]
+    making: LayerConfig = field(default_factory=LayerConfig)
+    margin: float = 0.05
+    surroundings: bool = False
+    geometry: bool = False
+    max_gaussians: int = 100_000
+    clearance: float = 0.0
+    iterations: int = 3000
+    lr_sh: float = 0.04
+    lr_sh_final: float = 0.004
+
+    def __post_init__(self) -> None:
+        check_numbers(self, {"margin": 0, "max_gaussians": 1, "iterations": 1, "lr_sh": 0, "lr_sh_final": 0})
+        check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
+        if not math.isfinite(self.clearance):
+            raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))
+        count = len(set(self.attacks))
+        self.making.gaps(count)
+        self.making.bands(1 + count)
+
+
+Colour = tuple[float, float, float]
+
+_PUBLISHED = FitConfig()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneConfig:
+    """What is photographed: an object on a square of ground in daylight, in front of one colour.
+
+    Attributes:
+        object: One of the project's assets, or the path of a mesh file.
+        label: What detectors call it; None is the name of the asset.
+        seed: Which asset of that name.
+        ground: Texture of the ground.
+        ground_size: Side of the ground, metres.
+        sun_azimuth: Degrees from +x towards +y.
+        sun_elevation: Degrees.
+        background: sRGB colour in the place of the sky, which the splat is trained with, too.
+        up: Axis that points up in a mesh file; None is y for OBJ and glTF and z for PLY.
+        scale: What one unit of a mesh file is in metres.
+        rotate: Degrees by which a mesh file is turned about x, then y, then z, after `up`.
+        front: Which way a mesh file's object faces after that; it is turned to face +x. Attacks from one side need it.
+    """
+
+    object: str = "car"
+    label: str | None = None
+    seed: int = 900004
+    ground: Literal["road", "grass"] = "road"
+    ground_size: float = 16.0
+    sun_azimuth: float = -50.0
+    sun_elevation: float = 52.0
+    background: Colour = (0.55, 0.7, 0.9)
+    up: Up | None = None
+    scale: float = 1.0
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    front: Front | None = None
+
+    def __post_init__(self) -> None:
+        if self.object not in ASSETS and not Path(self.object).is_file():
+            expected = f"{', '.join(ASSETS)}, or the path of a mesh file"
+            raise InvalidValueError(message("scene.object", expected, repr(self.object), "name one of these"))
+        if self.object not in ASSETS and self.label is None:
+            raise InvalidValueError(message("scene.label", "what detectors call the object", "nothing", "say it"))
+        _ = self.mesh
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """How a mesh file is read and turned."""
+        return MeshSettings(up=self.up, scale=self.scale, rotate=self.rotate, front=self.front)
+
+    @property
+    def has_front(self) -> bool:
+        """Whether it is known that the object faces +x."""
+        return self.object in ASSETS or self.front is not None
+
+    @property
+    def class_name(self) -> str:
+        """What detectors call the object."""
+        return self.label or self.object
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraConfig:
+    """Where pictures are taken from: a Fibonacci hemisphere around the object.
+
+    Attributes:
+        train: Number of training pictures.
+        distance: Metres from the centre; None is as near as shows the whole object.
+        height: Height of the centre above the ground, metres.
+        fov: Field of view, degrees.
+        size: Width and height, pixels.
+        samples: Samples per pixel.
+        points: Points of the cloud that trainings start from.
+    """
+
+    train: int = 210
+    distance: float | None = None
+    height: float = 0.7
+    fov: float = 45.0
+    size: int = 256
+    samples: int = 32
+    points: int = 20_000
+
+    def __post_init__(self) -> None:
+        for name in ("train", "size", "samples", "points"):
+            in_range(f"cameras.{name}", getattr(self, name), 1, math.inf)
+        in_range("cameras.fov", self.fov, 1.0, 179.0)
+        if self.distance is not None:
+            in_range("cameras.distance", self.distance, 1e-6, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingConfig:
+    """How both splats are trained; the victim's choice, of which the attack knows nothing.
+
+    Attributes:
+        iterations: Steps.
+        strategy: As in `mi-splat train`.
+        max_gaussians: Largest number of Gaussians.
+        sh_degree: SH degree.
+        sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
+        outliers: Points in the air that the cloud has besides those on surfaces; see
+            `mi_splat.training.initialization.with_outliers`.
+        point_deviations: The victim removes outliers from the cloud before the training, of so many standard
+            deviations; see `attacks.cloak.cleaning.inliers`. None keeps all points.
+        near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
+    """
+
+    iterations: int = _PUBLISHED.iterations
+    strategy: str = "classic"
+    max_gaussians: int = 40_000
+    sh_degree: int = _PUBLISHED.sh_degree
+    sh_degree_interval: int = _PUBLISHED.sh_degree_interval
+    outliers: int = 0
+    point_deviations: float | None = None
+    near: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.near is not None:
+            in_range("training.near", self.near, 1e-9, 1e9)
+        one_of("training.strategy", self.strategy, strategy_names())
+        in_range("training.outliers", self.outliers, 0, math.inf)
+        if self.point_deviations is not None:
+            in_range("training.point_deviations", self.point_deviations, 0, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluationConfig:
+    """How both splats are looked at afterwards, from cameras that no training used.
+
+    Attributes:
+        detectors: Names of detectors.
+        cameras: Held-out cameras on the hemisphere, before those within `min_separation` of a training camera are
+            dropped.
+        min_separation: Least angle to the nearest training camera, degrees.
+        confidence: Score from which a detection counts.
+        well_inside: Degrees inside a trigger from which a camera lies well inside.
+        far_outside: Degrees outside of all triggers from which pictures are compared with the true ones.
+        reference_views: Number of such pictures.
+        meridians: Meridians along which the transition is measured.
+        meridian_step: Degrees between two pictures of an arc.
+    """
+
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    cameras: int = 430
+    min_separation: float = 1.0
+    confidence: float = 0.5
+    well_inside: float = 5.0
+    far_outside: float = 15.0
+    reference_views: int = 40
+    meridians: int = 3
+    meridian_step: float = 2.5
+
+    def __post_init__(self) -> None:
+        if not self.detectors or len(set(self.detectors)) != len(self.detectors):
+            expected = "one or more, each once"
+            raise InvalidValueError(message("evaluation.detectors", expected, self.detectors, "name a detector"))
+        in_range("evaluation.cameras", self.cameras, 1, math.inf)
+        in_range("evaluation.confidence", self.confidence, 0.0, 1.0)
+        in_range("evaluation.meridian_step", self.meridian_step, 0.1, 45.0)
+        for name in ("min_separation", "well_inside", "far_outside", "reference_views", "meridians"):
+            in_range(f"evaluation.{name}", getattr(self, name), 0, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CleaningConfig:
+    """What is done to a finished splat, in this order; None leaves a step out.
+
+    Attributes:
+        lowest_opacity: Gaussians of a lower opacity are removed, in (0, 1]; see `prune_opacity`.
+        outlier_deviations: Standard deviations from which a Gaussian is an outlier; see `remove_outliers`.
+        floater_voxel: Side of a voxel, in multiples of how far Gaussians lie apart; see `remove_floaters`.
+        sh_degree: SH bands of a higher degree are cut off, 0 to 3; see `cut_sh`.
+        sh_bits: Bits of an SH coefficient, 1 to 16; see `quantise_sh`.
+
+    Raises:
+        InvalidValueError: A value is out of its range, or all are None.
+    """
+
+    lowest_opacity: float | None = None
+    outlier_deviations: float | None = None
+    floater_voxel: float | None = None
+    sh_degree: int | None = None
+    sh_bits: int | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        if not self.steps:
+            expected = f"one of {', '.join(asdict(self))}"
+            raise InvalidValueError(message("cleaning", expected, "nothing", "leave the table out, or fill it"))
+        if self.lowest_opacity is not None:
+            check_range("lowest_opacity", self.lowest_opacity, 0.0, 1.0, open_low=True)
+        if self.outlier_deviations is not None:
+            check_range("outlier_deviations", self.outlier_deviations, 0.0, math.inf)
+        if self.floater_voxel is not None:
+            check_range("floater_voxel", self.floater_voxel, 0.0, math.inf, open_low=True)
+        if self.sh_degree is not None:
+            check_range("sh_degree", self.sh_degree, 0, 3)
+        if self.sh_bits is not None:
+            check_range("sh_bits", self.sh_bits, 1, 16)
+
+    @property
+    def steps(self) -> dict[str, float]:
+        """Names and values of the steps that are done."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyConfig:
+    """A study of CLOAK.
+
+    Attributes:
+        name: Of the study.
+        seeds: One clean and one cloaked training for each.
+        scene: What is photographed.
+        cameras: Where from.
+        attack: The hidden appearances; no camera may belong to two.
+        training: How splats are trained.
+        surrogate: How the attacker corrects the poison by trainings of his own; None: it is not corrected.
+        layers: How the finished file is changed; None: only the training pictures are.
+        cleaning: What the victim does to both finished splats before they are looked at; None: nothing.
+        evaluation: How they are looked at.
+    """
+
+    name: str
+    seeds: tuple[int, ...] = (0,)
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    cameras: CameraConfig = field(default_factory=CameraConfig)
+    attack: tuple[AttackConfig, ...] = ()
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    surrogate: SurrogateConfig | None = None
+    layers: LayersConfig | None = None
+    cleaning: CleaningConfig | None = None
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+
+    def __post_init__(self) -> None:
+        if not self.attack or not self.seeds:
+            raise InvalidValueError(message("study", "an attack and a seed", "none", "add [[attack]] or seeds"))
+        if len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
+            raise InvalidValueError(message("seeds", "numbers >= 0, each once", self.seeds, "change them"))
+        names = [attack.name for attack in self.attack]
+        if len(set(names)) != len(names):
+            raise InvalidValueError(message("attacks", "different names", names, "rename one"))
+        if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
+            expected = f"some of {', '.join(names)}"
+            raise InvalidValueError(
+                message("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
+            )
+        sided = [attack.name for attack in self.attack if attack.is_sided]
+        if sided and not self.scene.has_front:
+            expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
+            do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
+            raise InvalidValueError(message("scene.front", expected, "nothing", do))
+
+
+def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
+    """Raise unless a number lies in [low, high], or (low, high].
+
+    Args:
+        name: What it is, for the error.
+        value: The number.
+        low: Lowest value.
+        high: Highest value; infinity sets no limit.
+        open_low: Whether the lowest value itself is none.
+
+    Raises:
+        InvalidValueError: It does not.
+    """
+    finite_number(name, value)
+    if not (low < value if open_low else low <= value) or value > high:
+        limits = f"{'a number >' if open_low else 'a number >='} {low:g}"
+        expected = limits if high == math.inf else f"{limits}, at most {high:g}"
+        raise InvalidValueError(message(name, expected, value, "change it"))
+
+
+def read_study(path: Path) -> StudyConfig:
+    """The study in a TOML file; paths of meshes in it are relative to the working folder.
+
+    Raises:
+        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
+    """
+    return read_table(StudyConfig, path)
