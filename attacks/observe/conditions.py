@@ -1,19 +1,144 @@
-"""How a splat can be looked at otherwise than as it was attacked: other files, fewer SH bands, a street in the sun."""
+"""Conditions under which a splat is looked at: renderers, file forms, distances, picture noise, a street in the sun.
+
+A new renderer, format or place is a new condition, and no new experiment.
+"""
 
 from __future__ import annotations
 
 import tempfile
 import warnings
-from dataclasses import dataclass
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import torch
+from torch import Tensor
+
+from attacks.transformations.pictures import PictureChange, change_picture
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
+from mi_splat.comparison.methods import load_method
 from mi_splat.config_values import check_numbers, finite_number
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
+from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc
 from mi_splat.sun import clock, sun_direction
+
+Shown = tuple[GaussianScene, RenderFn]
+"""What becomes of a splat, and what renders it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """One way to look at a splat, itself a `RenderFn`.
+
+    Attributes:
+        name: In the column `condition`.
+        show: What becomes of a splat, and what renders it.
+        move: Where a camera stands.
+    """
+
+    name: str
+    show: Callable[[GaussianScene], Shown]
+    move: Callable[[Camera], Camera] = lambda camera: camera
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """The picture of a splat under this condition, (H, W, 3) sRGB."""
+        shown, render = self.show(scene)
+        return render(shown, self.move(camera))
+
+
+def rendered(name: str, render: RenderFn, change: Callable[[GaussianScene], GaussianScene] | None = None) -> Condition:
+    """A splat in a renderer, after a change (as it is, if None)."""
+    return Condition(name=name, show=lambda scene: (scene if change is None else change(scene), render))
+
+
+def renderers(names: Iterable[str], settings: RenderSettings) -> list[Condition]:
+    """Renderers by the names of `mi-splat compare`.
+
+    Raises:
+        InvalidValueError: There is no such renderer.
+    """
+    return [rendered(name, load_method(name, settings).render) for name in names]
+
+
+def on_background(render: RenderFn, background: tuple[float, float, float]) -> RenderFn:
+    """A renderer of black backgrounds with another one: a white copy of the splat shows how much it covers."""
+
+    def picture(scene: GaussianScene, camera: Camera) -> Tensor:
+        white = scene.replace(sh=colour_to_dc(torch.ones_like(scene.means))[:, None])
+        covered = render(white, camera)
+        return render(scene, camera) + (1 - covered) * torch.tensor(background).to(covered)
+
+    return picture
+
+
+def file_forms(
+    render: RenderFn, *, files: Iterable[str] = (), float16: bool = False, sh_degrees: Iterable[int] = ()
+) -> list[Condition]:
+    """The splat after other formats, with SH in half precision, and with fewer SH bands.
+
+    Args:
+        render: The renderer.
+        files: Of `FORMATS`.
+        float16: Whether its SH is rounded to half precision.
+        sh_degrees: Degrees that its SH is cut to.
+    """
+    return [
+        *(rendered(suffix, render, partial(through_file, suffix=suffix)) for suffix in files),
+        *([rendered("SH in float16", render, half_precision)] if float16 else []),
+        *(rendered(f"SH of degree {degree}", render, partial(fewer_bands, degree=degree)) for degree in sh_degrees),
+    ]
+
+
+def colour_clamps(render: RenderFn) -> list[Condition]:
+    """Renderers that cut colours elsewhere than 3D Gaussian Splatting does."""
+    return [
+        rendered("colours cut to [0, 1]", cut_to_bytes(render)),
+        rendered("colours not cut", not_cut(render)),
+    ]
+
+
+def distances(render: RenderFn, factors: Iterable[float], centre: Point) -> list[Condition]:
+    """Cameras moved towards a centre (3,), world units, or away from it, looking the same way.
+
+    Args:
+        render: The renderer.
+        factors: Distances in units of the cameras' own.
+        centre: What they move towards.
+    """
+    return [
+        replace(rendered(f"{factor:g} x distance", render), move=partial(_moved, factor=factor, centre=centre))
+        for factor in factors
+    ]
+
+
+def _moved(camera: Camera, *, factor: float, centre: Point) -> Camera:
+    pivot = torch.tensor(centre).to(camera.to_world)
+    pose = camera.to_world.clone()
+    pose[:3, 3] = pivot + factor * (pose[:3, 3] - pivot)
+    return replace(camera, to_world=pose)
+
+
+def picture_changes(render: RenderFn, changes: Mapping[str, PictureChange]) -> list[Condition]:
+    """Pictures with noise, blur or JPEG in them, by the name of the condition; noise is another one for each camera."""
+
+    def through(change: PictureChange) -> RenderFn:
+        def picture(scene: GaussianScene, camera: Camera) -> Tensor:
+            seed = change.noise_seed + zlib.crc32(camera.to_world.numpy().tobytes())
+            return change_picture(render(scene, camera), replace(change, noise_seed=seed))
+
+        return picture
+
+    return [rendered(name, through(change)) for name, change in changes.items()]
+
 
 FORMATS = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".splat")
 """Formats that a splat can go through."""
@@ -95,3 +220,25 @@ def street_at(sun: SunTable, hour: float, **parameters: Any) -> MixedScene:
     """
     east, north, up = sun_direction(hour, latitude=sun.latitude, declination=sun.declination)
     return MixedScene(Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up, **parameters)
+
+
+def street_hours(
+    sun: SunTable, cut_out: Callable[[GaussianScene], GaussianScene], *, parameter: str
+) -> Iterator[Condition]:
+    """A street of meshes with another splat in the place of its own, by the hour.
+
+    Args:
+        sun: The street.
+        cut_out: The object alone, of a splat.
+        parameter: Of the scene file, which names the file of the splat: for instance "car".
+    """
+
+    def show(scene: GaussianScene, hour: float) -> Shown:
+        with tempfile.TemporaryDirectory() as folder:
+            path = (Path(folder) / "splat.ply").resolve()
+            save_splat(cut_out(scene), path)
+            street = street_at(sun, hour, **{parameter: str(path)})
+        return street.splats.scene, street
+
+    for hour in sun.hours:
+        yield Condition(name=clock(hour), show=partial(show, hour=hour))

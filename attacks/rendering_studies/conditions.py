@@ -1,47 +1,24 @@
-"""The conditions under which an attacked splat is judged: other renderers, other files, a street under the sun."""
+"""The conditions that a rendering study judges under, as its table names them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from attacks.dagger.jobs import AttackScene
-from attacks.observe.conditions import SunTable, fewer_bands, half_precision, street_at, through_file
+from attacks.observe.conditions import Condition, SunTable, file_forms, rendered, renderers, street_at
 from attacks.rendering_studies.config import JudgeTable
-from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene
 from mi_splat.sun import clock
-
-Change = Callable[[GaussianScene], GaussianScene]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Condition:
-    """One way to look at a splat, itself a `RenderFn`.
-
-    Attributes:
-        render: What makes the picture.
-        change: What becomes of the whole scene before.
-    """
-
-    render: RenderFn
-    change: Change = lambda scene: scene
-
-    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The picture of a scene under this condition, (H, W, 3) sRGB."""
-        return self.render(self.change(scene), camera)
 
 
 def condition_names(judge: JudgeTable) -> tuple[str, ...]:
     """Names of the conditions of a study, in the order of its tables; none where the attack's own renderer judges."""
-    return tuple(_makers(judge))
+    forms = file_forms(lambda scene, camera: scene.means, **_forms(judge))
+    hours = () if judge.sun is None else judge.sun.hours
+    return (*judge.renderers, *(form.name for form in forms), *map(clock, hours))
 
 
 def conditions_of(judge: JudgeTable, place: AttackScene, name: str) -> dict[str, Condition]:
@@ -56,7 +33,11 @@ def conditions_of(judge: JudgeTable, place: AttackScene, name: str) -> dict[str,
         InvalidValueError: There is no such renderer.
         MiSplatError: The street of meshes cannot be read, or does not hold the object alone.
     """
-    return {word: make(place, name) for word, make in _makers(judge).items()}
+    settings = settings_of(place)
+    conditions = [*renderers(judge.renderers, settings), *file_forms(Renderer(settings), **_forms(judge))]
+    if judge.sun is not None:
+        conditions += [_on_street(place, name, sun=judge.sun, hour=hour) for hour in judge.sun.hours]
+    return {condition.name: condition for condition in conditions}
 
 
 def settings_of(place: AttackScene) -> RenderSettings:
@@ -64,27 +45,8 @@ def settings_of(place: AttackScene) -> RenderSettings:
     return place.render.settings if isinstance(place.render, Renderer) else RenderSettings()
 
 
-def _makers(judge: JudgeTable) -> dict[str, Callable[[AttackScene, str], Condition]]:
-    """What makes each condition, for a scene and the id of its object."""
-    changes: dict[str, Change] = {suffix: partial(through_file, suffix=suffix) for suffix in judge.files}
-    if judge.float16:
-        changes["SH in float16"] = half_precision
-    changes |= {f"SH of degree {degree}": partial(fewer_bands, degree=degree) for degree in judge.sh_degrees}
-    makers: dict[str, Callable[[AttackScene, str], Condition]] = {
-        **{method: partial(_in_renderer, method=method) for method in judge.renderers},
-        **{name: partial(_after, change=change) for name, change in changes.items()},
-    }
-    if judge.sun is not None:
-        makers |= {clock(hour): partial(_on_street, sun=judge.sun, hour=hour) for hour in judge.sun.hours}
-    return makers
-
-
-def _in_renderer(place: AttackScene, _: str, *, method: str) -> Condition:
-    return Condition(render=load_method(method, settings_of(place)).render)
-
-
-def _after(place: AttackScene, _: str, *, change: Change) -> Condition:
-    return Condition(render=Renderer(settings_of(place)), change=change)
+def _forms(judge: JudgeTable) -> dict[str, Any]:
+    return {"files": judge.files, "float16": judge.float16, "sh_degrees": judge.sh_degrees}
 
 
 def _on_street(place: AttackScene, name: str, *, sun: SunTable, hour: float) -> Condition:
@@ -94,4 +56,4 @@ def _on_street(place: AttackScene, name: str, *, sun: SunTable, hour: float) -> 
     if len(inside) != len(alone) or not torch.equal(inside.means, alone.means):
         expected, do = f"the Gaussians of {name} and no others", "name the file of that object in the scene"
         raise InvalidValueError(message(sun.scene, expected, f"{len(inside):,} Gaussians", do))
-    return Condition(render=street, change=lambda scene: scene.select(rows))
+    return rendered(clock(hour), street, lambda scene: scene.select(rows))

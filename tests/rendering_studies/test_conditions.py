@@ -106,10 +106,10 @@ def test_the_car_stands_in_the_street_by_the_hour() -> None:
     found = conditions_of(JudgeTable(sun=sun), place, "car")
     assert list(found) == ["08:00", "16:00"]
     for condition in found.values():
-        assert isinstance(condition.render, MixedScene)
-        inside = condition.change(place.scene.with_degree(3))  # the scene's file has degree 1
-        assert inside.sh.shape == (len(condition.render.splats.scene), 16, 3)
-        assert torch.equal(inside.means, condition.render.splats.scene.means)
+        inside, render = condition.show(place.scene.with_degree(3))  # the scene's file has degree 1
+        assert isinstance(render, MixedScene)
+        assert inside.sh.shape == (len(render.splats.scene), 16, 3)
+        assert torch.equal(inside.means, render.splats.scene.means)
     with pytest.raises(InvalidValueError, match="the Gaussians of street and no others"):
         conditions_of(JudgeTable(sun=sun), place, "street")
     with pytest.raises(InvalidValueError, match="when the sun is up"):

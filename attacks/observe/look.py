@@ -1,0 +1,165 @@
+"""Looking: conditions x splats x views x detectors, and the rows of what is seen.
+
+A row is put together from its parts: what it is of (`ids`), where the camera is (`place_cells`), what is reported on
+the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import polars as pl
+import torch
+from torch import Tensor
+
+from attacks.detectors.base import Detections, Detector
+from attacks.objectives import Verdict, confidence, overlap
+from attacks.observe.conditions import Condition
+from attacks.observe.rows import BOX, DETECTION_BOX, Cell, Row, frame_of
+from attacks.observe.views import BATCH, ViewDetections, detect_views
+from mi_splat.cameras import Camera
+from mi_splat.directions import Direction, Point, direction_of
+from mi_splat.scene import GaussianScene
+
+ON_OBJECT, NEAR_OBJECT = 0.5, 0.1
+"""IoU with the object's box from which a detection is on the object, and from which it is at all near it."""
+
+
+def place_cells(camera: Camera, box: Tensor | None, direction: Direction | None = None) -> dict[str, Cell]:
+    """Where a camera is, and where the object is in its picture.
+
+    Args:
+        camera: The camera.
+        box: (4,) of the object in pixels; None where it does not show.
+        direction: Of the camera from the object, if it is known.
+    """
+    angles = {} if direction is None else {"azimuth": direction.azimuth, "elevation": direction.elevation}
+    corners: Sequence[float | None] = (None,) * 4 if box is None else box.tolist()
+    return {**angles, **dict(zip("xyz", camera.position.tolist(), strict=True)), **dict(zip(BOX, corners, strict=True))}
+
+
+def report_cells(
+    detections: Detections, box: Tensor | None, *, original: str | None, target: str | None = None
+) -> dict[str, Cell]:
+    """What is reported on the object: the best detection of any class, and the scores of two classes.
+
+    Args:
+        detections: Of the picture.
+        box: (4,) of the object in pixels; None where it does not show, so that nothing is reported on it.
+        original: Its class; None is any, since it is not known.
+        target: The class that is wanted; None if none is.
+    """
+
+    def score(label: str | None, iou: float = ON_OBJECT) -> float:
+        if box is None:
+            return 0.0
+        return confidence(detections, box, labels=None if label is None else [label], iou=iou)
+
+    return {
+        "original": original,
+        "target": target,
+        **_best(detections, box),
+        "original_score": score(original),
+        "target_score": None if target is None else score(target),
+        "any_overlap": score(original, NEAR_OBJECT),
+    }
+
+
+def _best(detections: Detections, box: Tensor | None) -> dict[str, Cell]:
+    """The most confident detection on the object."""
+    none: dict[str, Cell] = {"label": None, "score": 0.0, **dict.fromkeys((*DETECTION_BOX, "iou"))}
+    if box is None or not len(detections):
+        return none
+    shared = overlap(detections.boxes, box)
+    scores = torch.where(shared >= ON_OBJECT, detections.scores, -1.0)
+    best = int(scores.argmax())
+    return none if float(scores[best]) <= 0 else _detection_cells(detections, best, float(shared[best]))
+
+
+def _detection_cells(detections: Detections, number: int, iou: float | None) -> dict[str, Cell]:
+    corners = dict(zip(DETECTION_BOX, detections.boxes[number].tolist(), strict=True))
+    return {"label": detections.labels[number], "score": float(detections.scores[number]), **corners, "iou": iou}
+
+
+def verdict_cells(verdict: Verdict) -> dict[str, Cell]:
+    """Whether an aim is reached, and how near it is."""
+    return {"success": verdict.success, "unambiguous": verdict.unambiguous, "aim": verdict.score}
+
+
+def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor | None) -> list[Row]:
+    """Every detection of a picture.
+
+    Args:
+        ids: Of the picture: splat, detector, view.
+        detections: Of the picture.
+        box: (4,) of the object in pixels; None where it does not show.
+    """
+    shared = [None] * len(detections) if box is None or not len(detections) else overlap(detections.boxes, box).tolist()
+    return [{**ids, **_detection_cells(detections, number, iou)} for number, iou in enumerate(shared)]
+
+
+def detections_of(rows: pl.DataFrame) -> Detections:
+    """The detections of one picture, of its rows of the table of detections."""
+    boxes = torch.tensor(rows.select(DETECTION_BOX).rows(), dtype=torch.float32).reshape(-1, 4)
+    return Detections(boxes, torch.tensor(rows["score"].to_list(), dtype=torch.float32), tuple(rows["label"]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looked:
+    """What was seen, as two tables.
+
+    Attributes:
+        rows: A row for each condition, splat, view and detector.
+        detections: A row for each detection.
+    """
+
+    rows: pl.DataFrame
+    detections: pl.DataFrame
+
+
+def look(
+    conditions: Iterable[Condition],
+    splats: Mapping[str, GaussianScene],
+    cameras: Sequence[Camera],
+    detectors: Sequence[Detector],
+    *,
+    boxes: Callable[[Camera], Tensor | None],
+    cells: Callable[[ViewDetections], Mapping[str, Cell]],
+    batch: int = BATCH,
+) -> Looked:
+    """Let every detector look at every splat from every camera, under every condition.
+
+    Args:
+        conditions: Ways to look.
+        splats: By their name in the column `splat`, as they were loaded from their files.
+        cameras: Views, numbered in their order; a condition may move them.
+        detectors: Those that look.
+        boxes: Where the object is in the picture of a camera, (4,) pixels; None where it does not show.
+        cells: What else is known of a view, and what is reported in it; usually with `report_cells`.
+        batch: Pictures that a detector gets at once.
+    """
+    rows, detections = list[Row](), list[Row]()
+    for condition in conditions:
+        moved = [condition.move(camera) for camera in cameras]
+        where = [boxes(camera) for camera in moved]
+        for name, splat in splats.items():
+            shown, render = condition.show(splat)
+            for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
+                ids: dict[str, Cell] = {"condition": condition.name, "splat": name}
+                ids |= {"detector": seen.detector, "view": seen.view}
+                rows.append({**ids, **place_cells(seen.camera, seen.box), **cells(seen)})
+                detections += detection_rows(ids, seen.detections, seen.box)
+    return Looked(rows=frame_of(rows), detections=frame_of(detections))
+
+
+def seen_from(centre: Point) -> Callable[[ViewDetections], dict[str, Any]]:
+    """Angles and distance of a view's camera from a centre (3,), world units: a part of the `cells` of `look`."""
+
+    def cells(seen: ViewDetections) -> dict[str, Any]:
+        direction = direction_of(seen.camera, centre)
+        distance = float(torch.linalg.vector_norm(seen.camera.position - torch.tensor(centre).to(seen.camera.position)))
+        return {"azimuth": direction.azimuth, "elevation": direction.elevation, "distance": distance}
+
+    return cells

@@ -1,0 +1,276 @@
+"""What figures count, as tables of measures: one for each question that rows answer.
+
+A measure names columns of the schema (`attacks.observe.rows`). Those that need the clean splat's view of the same thing
+count rows of `with_control`, where its columns stand beside each row with `CONTROL` before their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import polars as pl
+
+from attacks.observe.rates import Group, Measure, blocks_of, count, jointly
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
+from attacks.rate import Rate
+
+Measures = Mapping[str, Measure]
+Confidence = float | Mapping[str, float]
+"""From which a detection counts: of all detectors, or by the name of each."""
+
+REPORTED, DEFAULT_OF_YOLO = 0.5, 0.25
+"""Confidences from which the object's class counts as reported; the second is what YOLO's own programs take."""
+CURVE = tuple(round(0.05 * step, 2) for step in range(1, 20))
+"""Confidences of `threshold_curve`."""
+CONTROL = "clean."
+"""What stands before the columns of the control."""
+CLUSTERS = ("block", "seed")
+"""Columns of `with_control`: rows of one block of cameras, or of one seed, are not independent."""
+
+_SAME = ("attack", "sources", "seed", "condition", "detector", "view")
+"""Columns that say which control a row has."""
+_PLACE = ("azimuth", "elevation", "distance", "x", "y", "z", "camera")
+
+
+def with_control(rows: pl.DataFrame) -> pl.DataFrame:
+    """Each row beside that of the clean splat in the same view, and, where directions are known, the `block` it is in.
+
+    Rows without a control are left out; of where the camera is, one copy stays.
+    """
+    on = [name for name in _SAME if name in rows.columns]
+    once = [name for name in rows.columns if name in (*on, "splat", "draw", *_PLACE) or name.startswith(DEPTH)]
+    control = rows.filter(splat=CLEAN).select(
+        *on, *(pl.col(name).alias(f"{CONTROL}{name}") for name in rows.columns if name not in once)
+    )
+    table = rows.join(control, on=on, how="inner", nulls_equal=True, maintain_order="left")
+    if not {"azimuth", "elevation"} <= set(table.columns):
+        return table
+    return table.with_columns(blocks_of("azimuth", "elevation").alias(CLUSTERS[0]))
+
+
+def of(splat: str) -> pl.Expr:
+    """Rows of a splat."""
+    return pl.col("splat") == splat
+
+
+def reported(column: str, confidence: Confidence = REPORTED) -> pl.Expr:
+    """Whether the score in a column counts."""
+    if isinstance(confidence, Mapping):
+        return pl.col(column) >= pl.col("detector").replace_strict(confidence, return_dtype=pl.Float64)
+    return pl.col(column) >= confidence
+
+
+# DAGGER
+
+STRICT = pl.col("success") & ~(reported("original_score") & pl.col("original").is_not_null()).fill_null(value=False)
+"""Whether the aim is reached in a row, and the object's own class is gone."""
+
+AIMS: Measures = {
+    "success": Measure(holds=pl.col("success"), given=of(ATTACKED)),
+    "strict": Measure(holds=pl.col("strict"), given=of(ATTACKED)),
+    "unambiguous": Measure(holds=pl.col("unambiguous"), given=of(ATTACKED)),
+    "clean_success": Measure(holds=pl.col("success"), given=of(CLEAN)),
+    "noise_success": Measure(holds=pl.col("success"), given=of(NOISE)),
+}
+"""How often the aim is reached in views (`joint_views`) or by attacks (`attacks_of`): attacked, with the object's own
+class gone, with no other class of more confidence, without an attack, and with each draw of random noise."""
+
+FOUND: Measures = {
+    f"found_{splat}": Measure(holds=pl.col("original").is_not_null() & reported("original_score"), given=of(splat))
+    for splat in (CLEAN, ATTACKED)
+}
+"""In how many rows the object is reported as what it is, clean and attacked."""
+
+
+def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
+    """A row for each view of each splat, in which the aim is reached if it is with every detector of the rows."""
+    rows = rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows
+    over = [name for name in ("attack", "seed", "condition", "splat", "draw", "view") if name in rows.columns]
+    return jointly(rows, over, [name for name in ("success", "strict", "unambiguous") if name in rows.columns])
+
+
+def attacks_of(rows: pl.DataFrame, *, required_views: float = 1.0, required_detectors: float = 1.0) -> pl.DataFrame:
+    """A row for each splat of each attack: whether so many views, with so many detectors, reach the aim.
+
+    Args:
+        rows: With the verdict of every view.
+        required_views: Fraction of the views, in (0, 1].
+        required_detectors: Fraction of the detectors.
+
+    Returns:
+        The columns that name the splat, `success`, `strict`, `unambiguous`, and `aim`, which so many reach.
+    """
+    names = [name for name in ("attack", "seed", "condition", "splat", "draw") if name in rows.columns]
+    truths = [pl.col("success"), pl.col("unambiguous").fill_null(pl.col("success")), pl.col("strict"), pl.col("aim")]
+    by_detector = _reached(rows.with_columns(strict=STRICT).with_columns(truths), [*names, "detector"], required_views)
+    return _reached(by_detector, names, required_detectors)
+
+
+def _reached(rows: pl.DataFrame, over: Sequence[str], fraction: float) -> pl.DataFrame:
+    """What at least a fraction of the rows of each group reaches."""
+    # 0.07 * 100 is a little more than 7: rounding must not ask for one more.
+    needed = (fraction * pl.len() - 1e-9).ceil().cast(pl.Int64)
+    return rows.group_by(over, maintain_order=True).agg(
+        *(pl.col(name).sum() >= needed for name in ("success", "unambiguous", "strict")),
+        pl.col("aim").sort(descending=True).gather(needed - 1).first(),
+    )
+
+
+# Transfer, and an attacked splat under other conditions
+
+
+def transfer_measures(confidence: Confidence = REPORTED) -> Measures:
+    """How often attacks, and noise of their sizes, deceive a detector, of the rows whose clean object it finds.
+
+    `found`: the clean object is reported, and not taken for the target. `targeted`: the wanted class is reported on the
+    attacked object; `untargeted`: the object's own class no longer is; `noise_...`: the same of random noise. All but
+    `found` need rows of `with_control`.
+    """
+    clean = reported(f"{CONTROL}original_score", confidence) & ~reported(f"{CONTROL}target_score", confidence)
+    wanted, gone = reported("target_score", confidence), ~reported("original_score", confidence)
+    return {
+        "found": Measure(holds=clean, given=of(CLEAN)),
+        **{
+            f"{before}{name}": Measure(holds=holds, given=of(splat) & clean)
+            for before, splat in (("", ATTACKED), ("noise_", NOISE))
+            for name, holds in (("targeted", wanted), ("untargeted", gone))
+        },
+    }
+
+
+# A clean and an attacked splat
+
+
+def comparison_measures(confidence: Confidence = REPORTED, *, targeted: bool) -> Measures:
+    """How often an object is found, missed or taken for the target, of views in which it shows; of `with_control`.
+
+    `found_clean`, `found_attacked`: it is reported; `missed`: it is not any more, of views where the clean one is;
+    `target_clean`, `target_attacked`: the wanted class is reported.
+    """
+    shown, found = pl.col("x0").is_not_null(), reported("original_score", confidence)
+    wanted = reported("target_score", confidence)
+    both = ((CLEAN, of(CLEAN) & shown), (ATTACKED, of(ATTACKED) & shown))
+    control = reported(f"{CONTROL}original_score", confidence)
+    return {
+        **{f"found_{splat}": Measure(holds=found, given=given) for splat, given in both},
+        "missed": Measure(holds=~found, given=of(ATTACKED) & shown & control),
+        **{f"target_{splat}": Measure(holds=wanted, given=given) for splat, given in both if targeted},
+    }
+
+
+# CLOAK
+
+
+def cloak_measures(
+    attacks: Sequence[str],
+    *,
+    hiding: str | None,
+    showing: str | None,
+    well_inside: float,
+    confidence: Confidence = REPORTED,
+    depth: str = DEPTH,
+) -> Measures:
+    """What the rates of a study of CLOAK count, of `with_control`; without those of which it has no attack.
+
+    `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat is not, of
+    cameras well inside it where the control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
+    first, whether the control is found or not. `..._any_overlap`: as the first, but missed only if nothing of the
+    object's class is reported that overlaps its box by a tenth. `nothing_reported`: as the first, but missed only if
+    nothing of any class is reported on the object. `benign_recall`: the cloaked splat is found outside of all triggers,
+    where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target class is
+    reported on the cloaked splat; `control_target_rate`: on the control.
+
+    Args:
+        attacks: Names of all attacks of the study.
+        hiding: The one that hides the object.
+        showing: The one that has a target class.
+        well_inside: Degrees inside the trigger from which a camera is well inside it.
+        confidence: From which a detection counts.
+        depth: Which depth: inside the trigger (`DEPTH`), or inside the edge of the poison (`POISON_DEPTH`).
+    """
+
+    def inside(name: str, degrees: float = 0.0) -> pl.Expr:
+        return pl.col(f"{depth}{name}") >= degrees
+
+    cloaked, clean = of(ATTACKED), of(ATTACKED) & reported(f"{CONTROL}original_score", confidence)
+    control, found = (reported(f"{before}original_score", confidence) for before in (CONTROL, ""))
+    benign = pl.all_horizontal(~inside(name) for name in attacks)
+    measures = {
+        "benign_recall": Measure(holds=found, given=benign & clean),
+        "control_benign_recall": Measure(holds=control, given=benign & cloaked),
+    }
+    if hiding is not None:
+        every, well = inside(hiding), inside(hiding, well_inside)
+        measures |= {
+            "control_recall": Measure(holds=control, given=every & cloaked),
+            "trigger_miss_rate": Measure(holds=~found, given=well & clean),
+            "trigger_miss_rate_all": Measure(holds=~found, given=every & clean),
+            "trigger_miss_rate_unconditional": Measure(holds=~found, given=well & cloaked),
+            "trigger_miss_rate_any_overlap": Measure(holds=~reported("any_overlap", confidence), given=well & clean),
+            "nothing_reported": Measure(holds=~reported("score", confidence), given=well & clean),
+        }
+    if showing is not None:
+        wanted = f"{TARGET_SCORE}{showing}"
+        measures |= {
+            "target_rate": Measure(holds=reported(wanted, confidence), given=inside(showing) & cloaked),
+            "control_target_rate": Measure(
+                holds=reported(f"{CONTROL}{wanted}", confidence), given=inside(showing) & cloaked
+            ),
+        }
+    return measures
+
+
+# More than one threshold
+
+
+def rates_at(
+    rows: pl.DataFrame,
+    measures: Callable[[Confidence], Measures],
+    confidences: Mapping[str, Confidence],
+    by: Sequence[str] = (),
+    *,
+    clusters: tuple[str, str] | None = None,
+) -> dict[str, dict[Group, dict[str, Rate]]]:
+    """The same rates at several confidences.
+
+    Args:
+        rows: As the measures need them.
+        measures: Of a confidence, for instance `transfer_measures`.
+        confidences: By name, for instance {"0.5": 0.5, "equal false positives": {"yolov8n_small": 0.41}}.
+        by: As in `count`.
+        clusters: As in `count`.
+    """
+    return {name: count(rows, measures(one), by, clusters=clusters) for name, one in confidences.items()}
+
+
+def threshold_curve(
+    rows: pl.DataFrame,
+    measures: Callable[[Confidence], Measures],
+    name: str,
+    confidences: Iterable[float] = CURVE,
+    by: Sequence[str] = (),
+    *,
+    clusters: tuple[str, str] | None = None,
+) -> dict[Group, list[tuple[float, Rate]]]:
+    """A rate over the confidence from which a detection counts, for each group: what a report draws.
+
+    Args:
+        rows: As in `rates_at`.
+        measures: As in `rates_at`.
+        name: Of the measure.
+        confidences: Where.
+        by: As in `count`.
+        clusters: As in `count`.
+    """
+    lines: dict[Group, list[tuple[float, Rate]]] = {}
+    for confidence in confidences:
+        counted = count(rows, {name: measures(confidence)[name]}, by, clusters=clusters)
+        for group, rates in counted.items():
+            lines.setdefault(group, []).append((confidence, rates[name]))
+    return lines
+
+
+def as_json(rates: Mapping[str, Rate]) -> dict[str, Any]:
+    """Rates as JSON can hold them."""
+    return {name: rate.as_dict() for name, rate in rates.items()}
