@@ -119,6 +119,6 @@ def test_the_car_stands_in_the_street_by_the_hour() -> None:
 def test_stored_splats_are_rendered_as_the_scene_is() -> None:
     place = toy()
     condition = conditions_of(JudgeTable(files=(".ply",)), place, "thing")[".ply"]
-    changed = condition.change(place.scene)
+    changed, render = condition.show(place.scene)
     camera = place.cameras[0]
-    torch.testing.assert_close(condition.render(changed, camera), Renderer(SETTINGS)(place.scene, camera))
+    torch.testing.assert_close(render(changed, camera), Renderer(SETTINGS)(place.scene, camera))
