@@ -17,7 +17,7 @@ from torch import Tensor
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import Verdict, confidence, overlap
 from attacks.observe.conditions import Condition
-from attacks.observe.rows import BOX, DETECTION_BOX, Cell, Row, frame_of
+from attacks.observe.rows import BOX, DETECTION_BOX, NOISE, Cell, Row, frame_of
 from attacks.observe.views import BATCH, ViewDetections, detect_views
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, direction_of
@@ -86,6 +86,16 @@ def _detection_cells(detections: Detections, number: int, iou: float | None) -> 
 def verdict_cells(verdict: Verdict) -> dict[str, Cell]:
     """Whether an aim is reached, and how near it is."""
     return {"success": verdict.success, "unambiguous": verdict.unambiguous, "aim": verdict.score}
+
+
+def look_rows(ids: Mapping[str, Cell], look: Mapping[str, Mapping[str, Cell]]) -> list[Row]:
+    """A row for each splat that was looked at in one view.
+
+    Args:
+        ids: Of the view: attack, detector, view.
+        look: What is reported there, by the name of the splat, see `report_cells`.
+    """
+    return [{**ids, "splat": name, "draw": 0 if name == NOISE else None, **cells} for name, cells in look.items()]
 
 
 def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor | None) -> list[Row]:

@@ -7,7 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from attacks.dagger.transfer.matrix import aim_rates, clean_is_found
+import polars as pl
+
+from attacks.observe.look import look_rows
+from attacks.observe.measures import transfer_measures, with_control
+from attacks.observe.rates import count
+from attacks.observe.rows import ATTACKED, frame_of
 from attacks.rate import Rate
 from attacks.rendering_studies.config import OWN
 
@@ -92,11 +97,24 @@ def outcomes(records: Sequence[Record], *, confidence: float) -> list[Outcome]:
         records: The study.
         confidence: From which a class counts as reported.
     """
-    looks: dict[tuple[Group, str], list[Record]] = {}
-    for record in records:
-        for condition, look in record["looks"].items():
-            looks.setdefault((group_of(record), condition), []).append(look)
-    return [_outcome(group, condition, seen, confidence) for (group, condition), seen in looks.items()]
+    groups = list(dict.fromkeys(group_of(record) for record in records))
+    rows = frame_of(
+        row
+        for number, record in enumerate(records)
+        for condition, look in record["looks"].items()
+        for row in look_rows(
+            {"attack": str(number), "condition": condition, "detector": group_of(record).detector}, look
+        )
+    )
+    group_numbers = {str(number): groups.index(group_of(record)) for number, record in enumerate(records)}
+    rows = with_control(rows).with_columns(group=pl.col("attack").replace_strict(group_numbers))
+    by = ("group", "condition")
+    medians = rows.filter(splat=ATTACKED).group_by(by).agg(pl.col("target_score").median())
+    target = {(group, condition): score for group, condition, score in medians.iter_rows()}
+    return [
+        Outcome(group=groups[group], condition=condition, target_confidence=target[group, condition], **rates)
+        for (group, condition), rates in count(rows, transfer_measures(confidence), by).items()
+    ]
 
 
 def group_of(record: Record) -> Group:
@@ -111,16 +129,6 @@ def group_of(record: Record) -> Group:
         sh_degree=config["sh_degree"] if config["attributes"][0] == "sh" else None,
         norm=config["norm"],
         eps=config["eps"][0],
-    )
-
-
-def _outcome(group: Group, condition: str, seen: Sequence[Record], confidence: float) -> Outcome:
-    return Outcome(
-        group=group,
-        condition=condition,
-        found=Rate.of(seen, lambda look: clean_is_found(look, confidence)),
-        target_confidence=statistics.median(look["attacked"]["target"] for look in seen),
-        **aim_rates(seen, confidence),
     )
 
 

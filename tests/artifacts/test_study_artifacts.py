@@ -64,7 +64,10 @@ def write_views(folder: Path) -> Path:
     for attack, mark in (("first", "0123456789"), ("second", "abcdef0123")):
         for detector in ("one", "two"):
             views = [
-                {kind: {"original": 0.9 - 0.3 * i, "target": score} for kind, score in (("clean", 0.0), *later)}
+                {
+                    kind: {"original_score": 0.9 - 0.3 * i, "target_score": score}
+                    for kind, score in (("clean", 0.0), *later)
+                }
                 for i, later in enumerate([(("attacked", 0.8), ("noise", 0.1)), (("attacked", 0.2), ("noise", 0.6))])
             ]
             job = {"attack": attack, "sources": ["one"], "weights": [mark], "seed": 7, "views": 2}

@@ -19,7 +19,7 @@ from attacks.dagger.study import PAIRS, run_jobs
 from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.held_out import HeldOutRunner, held_out_jobs, run_held_out
 from attacks.dagger.transfer.jobs import JudgeJob, SourceJob, TransferRunner, transfer_jobs
-from attacks.dagger.transfer.matrix import attacked, cells, left_out, noise, title
+from attacks.dagger.transfer.matrix import attacked, cells, left_out, looked_rows, noise, title
 from attacks.dagger.transfer.study import run_transfer
 from attacks.dagger.transfer.tables import markdown, write_tables
 from attacks.detectors.base import Detector
@@ -86,11 +86,12 @@ def test_a_judge_sees_what_the_attack_left(study: tuple[Path, list[dict[str, Any
     out, records = study
     first = records[0]
     seen = first["judged"]["fake_colour"]
-    assert first["attack"]["target_confidence"] == pytest.approx(seen["attacked"]["target"], abs=1e-6)
-    assert seen["clean"]["original"] > 0.9 > 0.1 > seen["clean"]["target"]
-    assert seen["attacked"]["target"] > 0.5 > seen["attacked"]["original"]
-    assert seen["noise"]["original"] > 0.5 > seen["noise"]["target"]
-    assert first["judged"]["fake_blind"]["clean"] == {"original": 0.0, "target": 0.0}
+    assert first["attack"]["target_confidence"] == pytest.approx(seen["attacked"]["target_score"], abs=1e-6)
+    assert seen["clean"]["original_score"] > 0.9 > 0.1 > seen["clean"]["target_score"]
+    assert seen["attacked"]["target_score"] > 0.5 > seen["attacked"]["original_score"]
+    assert seen["noise"]["original_score"] > 0.5 > seen["noise"]["target_score"]
+    blind = first["judged"]["fake_blind"]["clean"]
+    assert (blind["label"], blind["score"], blind["original_score"], blind["target_score"]) == (None, 0.0, 0.0, 0.0)
     part = load_splat(out / "attacked" / f"{JOBS[0].name}.ply")
     assert (len(part), part.degree) == (30, 3)
     assert not torch.equal(part.sh[:, :4], toy().scene.sh[10:])
@@ -151,7 +152,7 @@ def test_a_splat_that_was_made_anew_is_judged_anew(tmp_path: Path) -> None:
 
 def test_the_matrix_counts_runs_whose_clean_object_is_found(study: tuple[Path, list[dict[str, Any]]]) -> None:
     _, records = study
-    matrix = {(cell.sources, cell.detector): cell for cell in cells(records)}
+    matrix = {(cell.sources, cell.detector): cell for cell in cells(looked_rows(records))}
     assert len(matrix) == 9
     own = matrix[("fake_colour",), "fake_colour"]
     assert (own.targeted.successes, own.targeted.total, own.white_box) == (2, 2, True)
@@ -165,9 +166,9 @@ def made_up(sources: tuple[str, ...], judged: dict[str, tuple[float, float, floa
     """A record; of each judge its clean and attacked confidence in the object, and in the target after the attack."""
     seen = {
         name: {
-            "clean": {"original": clean, "target": 0.0},
-            "attacked": {"original": original, "target": target},
-            "noise": {"original": clean, "target": 0.0},
+            "clean": {"original_score": clean, "target_score": 0.0},
+            "attacked": {"original_score": original, "target_score": target},
+            "noise": {"original_score": clean, "target_score": 0.0},
         }
         for name, (clean, original, target) in judged.items()
     }
@@ -182,8 +183,8 @@ def test_leave_one_out_is_beside_the_best_single_source() -> None:
         made_up(("b",), {"c": (0.9, 0.49, 0.0), "b": (0.9, 0.1, 0.9)}),
         made_up(("c",), {"c": (0.9, 0.1, 0.9), "only_judges": (0.9, 0.9, 0.0)}),
     ]
-    assert attacked(cells(records)) == ["a", "b", "c"]
-    (row,) = left_out(cells(records))
+    assert attacked(cells(looked_rows(records))) == ["a", "b", "c"]
+    (row,) = left_out(cells(looked_rows(records)))
     assert row["detector"] == "c"
     assert (row["ensemble"]["targeted"]["successes"], row["ensemble"]["targeted"]["total"]) == (1, 1)
     assert row["ensemble"]["runs"] == 2
@@ -206,7 +207,7 @@ def test_tables_and_picture_are_written(study: tuple[Path, list[dict[str, Any]]]
     assert len(values["cells"]) == 9
     assert values["weights"]["fake_coarse"] == [CoarseDetector.fingerprint]
     assert paths[2].read_bytes().startswith(b"\x89PNG")
-    assert draw_heat_maps(cells(records), tmp_path / "again.png")
+    assert draw_heat_maps(cells(looked_rows(records)), tmp_path / "again.png")
 
 
 def test_the_command_takes_what_can_be_loaded(
@@ -262,10 +263,12 @@ def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
     judge = HeldOutRunner(lambda name: renamed(), DETECTORS.__getitem__, study)
     records = run_held_out(jobs, tmp_path / "out", judge)
     assert len(records) == 6
-    matrix = {cell.detector: cell for cell in cells(records)}
+    matrix = {cell.detector: cell for cell in cells(looked_rows(records))}
     assert (matrix["fake_colour"].runs, matrix["fake_colour"].white_box) == (3, True)
     own = [view["target_confidence"] for view in record["result"]["views"][:3]]
-    seen = [one["judged"]["fake_colour"]["attacked"]["target"] for one in records if "fake_colour" in one["judged"]]
+    seen = [
+        one["judged"]["fake_colour"]["attacked"]["target_score"] for one in records if "fake_colour" in one["judged"]
+    ]
     assert seen == pytest.approx(own, abs=1e-4)  # what the study has judged, view by view
     assert matrix["fake_colour"].targeted.successes == sum(score >= 0.5 for score in own) > 0
     assert matrix["fake_colour"].noise_targeted.successes == 0
@@ -275,7 +278,7 @@ def test_splats_of_a_study_over_views_are_judged_on_its_held_out_views(
         fingerprint = "another"
 
     later = HeldOutRunner(lambda name: renamed(), {**DETECTORS, "fake_colour": Retrained()}.__getitem__, study)
-    (cell,) = cells(run_held_out(jobs[:1], tmp_path / "later", later))
+    (cell,) = cells(looked_rows(run_held_out(jobs[:1], tmp_path / "later", later)))
     assert (cell.sources, cell.white_box) == (("fake_colour, weights 000000",), False)
     monkeypatch.setattr(dagger_transfer, "load_detector", DETECTORS.__getitem__)
     register(monkeypatch, DETECTORS)

@@ -12,7 +12,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.sanity import gradient_checks
 from attacks.dagger.sanity.runs import Case, Runs
 from attacks.dagger.transfer.jobs import SourceJob, TransferRunner
-from attacks.dagger.transfer.matrix import cells
+from attacks.dagger.transfer.matrix import cells, looked_rows
 from attacks.dagger.transfer.study import run_transfer
 from attacks.detectors import load_detector
 from attacks.objectives import relabel
@@ -30,13 +30,17 @@ def test_an_attack_is_judged_by_the_detector_attacked_and_by_another(tmp_path: P
         judges.append("yolov8n_small")
     runner = TransferRunner(lambda name: read_attack_scene(SCENES / f"{name}.xml"), load_detector, tmp_path)
     (record,) = run_transfer([job], judges, tmp_path, runner)
-    matrix = {cell.detector: cell for cell in cells([record])}
+    matrix = {cell.detector: cell for cell in cells(looked_rows([record]))}
     own = matrix["fasterrcnn_small"]
     assert (own.targeted.successes, own.targeted.total) == (1, 1)
     assert own.noise_targeted.successes == own.noise_untargeted.successes == 0
     for detector in judges[1:]:  # it does not find the clean car from there, but nor does it see a person
         assert matrix[detector].runs == 1
-        assert record["judged"][detector]["attacked"]["target"] < 0.5 > record["judged"][detector]["noise"]["target"]
+        assert (
+            record["judged"][detector]["attacked"]["target_score"]
+            < 0.5
+            > record["judged"][detector]["noise"]["target_score"]
+        )
 
 
 def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:

@@ -36,7 +36,7 @@ def records(name: str) -> list[dict[str, Any]]:
         job = {**{column: row[column] for column in ("detector", "renderer", "gradient")}, "config": config}
         record = found.setdefault(key, {"job": job, "attack": {"image_psnr": float(row["image_psnr"])}, "looks": {}})
         record["looks"][row["condition"]] = {
-            kind: {what: float(row[f"{kind}_{what}"]) for what in ("original", "target")} for kind in SEEN
+            kind: {f"{what}_score": float(row[f"{kind}_{what}"]) for what in ("original", "target")} for kind in SEEN
         }
     return list(found.values())
 

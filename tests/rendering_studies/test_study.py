@@ -101,9 +101,11 @@ def test_who_looks() -> None:
 def test_attacks_are_judged_where_they_were_not_found(done: tuple[Path, list[dict[str, Any]]]) -> None:
     out, records = done
     strong = next(record for record in records if record["job"]["config"]["eps"] == [12.0])
-    assert strong["looks"]["blobs"]["attacked"]["target"] > 0.5 > strong["looks"]["blobs"]["clean"]["target"]
-    assert strong["looks"]["blobs"]["noise"]["target"] < 0.5
-    assert strong["looks"]["night"]["clean"]["original"] < 0.5
+    assert (
+        strong["looks"]["blobs"]["attacked"]["target_score"] > 0.5 > strong["looks"]["blobs"]["clean"]["target_score"]
+    )
+    assert strong["looks"]["blobs"]["noise"]["target_score"] < 0.5
+    assert strong["looks"]["night"]["clean"]["original_score"] < 0.5
     assert len(load_splat(next((out / "attacked").iterdir()))) == 30
 
 

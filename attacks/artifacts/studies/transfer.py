@@ -17,6 +17,7 @@ from attacks.dagger.transfer.held_out import HELD_OUT
 from attacks.dagger.transfer.matrix import Cell, cells, left_out
 from attacks.dagger.transfer.study import JUDGED
 from attacks.dagger.transfer.tables import left_out_table, rate_tables
+from attacks.observe.rows import frame_of
 
 ROWS = "rows"
 TRANSFER, OVER_VIEWS = "dagger-transfer", "dagger-transfer --eot-study"
@@ -138,7 +139,7 @@ def _table(looks: Sequence[Look], matrix: Sequence[Mapping[str, Any]]) -> dict[s
             "sources": "+".join(group),
             "detector": detector,
             "view": view,
-            **{f"{splat}_{label}": float(seen[splat][label]) for splat in _SPLATS for label in _CLASSES},
+            **{f"{splat}_{label}": float(seen[splat][f"{label}_score"]) for splat in _SPLATS for label in _CLASSES},
         }
         for attack, group, detector, view, seen in looks
     ]
@@ -148,18 +149,13 @@ def _table(looks: Sequence[Look], matrix: Sequence[Mapping[str, Any]]) -> dict[s
 
 def _cells(contents: Contents) -> list[Cell]:
     """The matrix, of the rows alone."""
+    ids = ("attack", "sources", "detector", "view")
     return cells(
-        [
-            {
-                "job": {"sources": str(row["sources"]).split("+")},
-                "judged": {
-                    str(row["detector"]): {
-                        splat: {label: row[f"{splat}_{label}"] for label in _CLASSES} for splat in _SPLATS
-                    }
-                },
-            }
+        frame_of(
+            {**{key: row[key] for key in ids}, "splat": splat, **{f"{x}_score": row[f"{splat}_{x}"] for x in _CLASSES}}
             for row in contents.tables[ROWS].rows
-        ]
+            for splat in _SPLATS
+        )
     )
 
 

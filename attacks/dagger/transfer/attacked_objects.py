@@ -17,6 +17,8 @@ from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective
+from attacks.observe.look import report_cells
+from attacks.observe.rows import Cell
 from attacks.observe.views import detect_views, object_boxes
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, RenderFn
@@ -79,7 +81,7 @@ class AttackedObjects:
         self.detector: Callable[[str], Detector] = functools.cache(load)
         self._scenes, self._out = AttackScenes(read), out
         self._boxes: dict[tuple[str, str, int, int], Tensor] = {}
-        self._clean: dict[tuple[object, ...], dict[str, float]] = {}
+        self._clean: dict[tuple[object, ...], dict[str, Cell]] = {}
 
     def place(self, job: ObjectAttack) -> AttackScene:
         """The scene of an attack, which has its object."""
@@ -132,7 +134,7 @@ class AttackedObjects:
 
     def seen(
         self, job: ObjectAttack, detector: str, *, render: RenderFn, condition: str = ""
-    ) -> dict[str, dict[str, float]]:
+    ) -> dict[str, dict[str, Cell]]:
         """What a detector reports on the object: clean, attacked, and with random noise of the attack's size.
 
         Args:
@@ -142,28 +144,25 @@ class AttackedObjects:
             condition: What these pictures are called, if there are several kinds.
 
         Returns:
-            For each of the three its confidence in the class that the object has (`original`) and in the `target`.
+            For each of the three the cells of `attacks.observe.look.report_cells`.
         """
         place, config = self.place(job), job.config
         saved = load_splat(self.path(job))
         clean, attacked = clean_and_attacked(place.scene, place.objects[job.object], saved, config.attributes)
         reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
         noisy = clean.applied(config.budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
-        look = functools.partial(self._confidences, job=job, detector=self.detector(detector), render=render)
+        look = functools.partial(self._reported, job=job, detector=self.detector(detector), render=render)
         key = (job.scene, job.object, job.target, job.camera, config.seed, detector, condition, clean.scene.degree)
         if key not in self._clean:
             self._clean[key] = look(clean.scene)
         return {"clean": self._clean[key], "attacked": look(attacked.scene), "noise": look(noisy)}
 
-    def _confidences(
+    def _reported(
         self, scene: GaussianScene, *, job: ObjectAttack, detector: Detector, render: RenderFn
-    ) -> dict[str, float]:
+    ) -> dict[str, Cell]:
         camera, box = self.view(job), self._box(job)
         (view,) = detect_views(scene, [camera], [detector], render=render, boxes=[box])
-        return {
-            "original": view.confidence(job.object.replace("_", " ")),
-            "target": view.confidence(job.target),
-        }
+        return report_cells(view.detections, box, original=job.object.replace("_", " "), target=job.target)
 
     def _box(self, job: ObjectAttack) -> Tensor:
         """Where the clean object is in the scene's own picture."""

@@ -22,6 +22,8 @@ from attacks.dagger.transfer.scenes import AttackScenes
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
+from attacks.observe.look import report_cells
+from attacks.observe.rows import Cell
 from attacks.observe.views import detect_views
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from attacks.transformations.pictures import changing
@@ -152,7 +154,7 @@ class HeldOutRunner:
         self._scenes, self._load, self._study = AttackScenes(read), load, study
         self._detectors: dict[str, Detector] = {}
         self._views: dict[tuple[str, str, Transformations], ViewDistribution] = {}
-        self._clean: dict[tuple[Any, ...], list[dict[str, float]]] = {}
+        self._clean: dict[tuple[Any, ...], list[dict[str, Cell]]] = {}
 
     def fingerprint(self, job: HeldOutJob) -> str:
         """Hash of the scene, its cameras and the weights of the detector that looks."""
@@ -190,7 +192,7 @@ class HeldOutRunner:
         """Fingerprint of the weights of each detector that looks."""
         return {name: self._detector(name).fingerprint for name in names}
 
-    def _seen(self, scene: GaussianScene, views: Sequence[DrawnView], job: HeldOutJob) -> list[dict[str, float]]:
+    def _seen(self, scene: GaussianScene, views: Sequence[DrawnView], job: HeldOutJob) -> list[dict[str, Cell]]:
         render = self._scenes.of(job.scene, job.object).render
         found = detect_views(
             scene,
@@ -200,7 +202,7 @@ class HeldOutRunner:
             boxes=[view.box for view in views],
         )
         original = job.object.replace("_", " ")
-        return [{"original": one.confidence(original), "target": one.confidence(job.target)} for one in found]
+        return [report_cells(one.detections, one.box, original=original, target=job.target) for one in found]
 
     def _detector(self, name: str) -> Detector:
         if name not in self._detectors:

@@ -7,10 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import polars as pl
+
 from attacks.dagger.transfer.jobs import SUCCESS
+from attacks.observe.look import look_rows
+from attacks.observe.measures import of, transfer_measures, with_control
+from attacks.observe.rates import Measure, count
+from attacks.observe.rows import ATTACKED, frame_of
 from attacks.rate import Rate
 
 Record = Mapping[str, Any]
+
+_RATES = ("targeted", "untargeted", "noise_targeted", "noise_untargeted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,60 +50,43 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """The cell as JSON can hold it."""
-        names = ("targeted", "untargeted", "noise_targeted", "noise_untargeted")
         return {
             "sources": list(self.sources),
             "detector": self.detector,
             "white_box": self.white_box,
             "runs": self.runs,
-            **{name: getattr(self, name).as_dict() for name in names},
+            **{name: getattr(self, name).as_dict() for name in _RATES},
         }
 
 
-def cells(records: Sequence[Record]) -> list[Cell]:
-    """The matrix, one cell for each group of detectors attacked and each one that judges."""
-    groups: dict[tuple[tuple[str, ...], str], list[Record]] = {}
-    for record in records:
-        for detector, seen in record["judged"].items():
-            groups.setdefault((tuple(record["job"]["sources"]), detector), []).append(seen)
-    return [_cell(sources, detector, seen) for (sources, detector), seen in groups.items()]
-
-
-def _cell(sources: tuple[str, ...], detector: str, seen: Sequence[Record]) -> Cell:
-    return Cell(sources=sources, detector=detector, runs=len(seen), **aim_rates(seen, SUCCESS))
-
-
-def aim_rates(looks: Sequence[Record], confidence: float) -> dict[str, Rate]:
-    """How often attacks reach their aims, and noise of their sizes does, of the runs whose clean object is found.
+def looked_rows(records: Sequence[Record]) -> pl.DataFrame:
+    """What detectors reported, a row for each run, splat and detector.
 
     Args:
-        looks: What `AttackedObjects.seen` returns, for each run.
-        confidence: From which a class counts as reported.
-
-    Returns:
-        `targeted`, `untargeted`, `noise_targeted` and `noise_untargeted`, as in `Cell`.
+        records: Of the study: `job`, and `judged`, by detector what `AttackedObjects.seen` returns.
     """
-
-    def found(look: Record) -> bool:
-        return clean_is_found(look, confidence)
-
-    def targeted(kind: str) -> Rate:
-        return Rate.of(looks, lambda look: bool(look[kind]["target"] >= confidence), given=found)
-
-    def untargeted(kind: str) -> Rate:
-        return Rate.of(looks, lambda look: bool(look[kind]["original"] < confidence), given=found)
-
-    return {
-        "targeted": targeted("attacked"),
-        "untargeted": untargeted("attacked"),
-        "noise_targeted": targeted("noise"),
-        "noise_untargeted": untargeted("noise"),
-    }
+    return frame_of(
+        row
+        for number, record in enumerate(records)
+        for detector, look in record["judged"].items()
+        for row in look_rows(
+            {"attack": str(number), "sources": "+".join(record["job"]["sources"]), "detector": detector}, look
+        )
+    )
 
 
-def clean_is_found(look: Record, confidence: float) -> bool:
-    """Whether the clean object is reported, and not taken for the target."""
-    return bool(look["clean"]["original"] >= confidence > look["clean"]["target"])
+def cells(rows: pl.DataFrame) -> list[Cell]:
+    """The matrix, one cell for each group of detectors attacked and each one that judges.
+
+    Args:
+        rows: From `looked_rows`.
+    """
+    measures = {**transfer_measures(SUCCESS), "runs": Measure(holds=pl.lit(value=True), given=of(ATTACKED))}
+    counted = count(with_control(rows), {name: measures[name] for name in ("runs", *_RATES)}, ("sources", "detector"))
+    return [
+        Cell(sources=tuple(sources.split("+")), detector=detector, runs=rates.pop("runs").total, **rates)
+        for (sources, detector), rates in counted.items()
+    ]
 
 
 def left_out(matrix: Sequence[Cell]) -> list[dict[str, Any]]:

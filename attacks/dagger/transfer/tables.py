@@ -9,7 +9,18 @@ from typing import Any
 from attacks.dagger.tables import grid
 from attacks.dagger.transfer.heat_map import draw_heat_maps
 from attacks.dagger.transfer.jobs import SUCCESS
-from attacks.dagger.transfer.matrix import Cell, Record, attack_rows, attacked, cells, left_out, noise, title, weights
+from attacks.dagger.transfer.matrix import (
+    Cell,
+    Record,
+    attack_rows,
+    attacked,
+    cells,
+    left_out,
+    looked_rows,
+    noise,
+    title,
+    weights,
+)
 from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
@@ -17,7 +28,7 @@ from mi_splat.io.documents import save_json, save_text
 
 def markdown(records: Sequence[Record]) -> str:
     """The tables as one Markdown page."""
-    matrix = cells(records)
+    matrix = cells(looked_rows(records))
     first = records[0]["attack"]
     config = first["config"]
     seeds = sorted({record["job"]["config"]["seed"] for record in records})
@@ -112,7 +123,7 @@ def write_tables(records: Sequence[Record], out: Path) -> list[Path]:
         The files written.
     """
     paths = [out / "transfer.md", out / "transfer.json"]
-    matrix = cells(records)
+    matrix = cells(looked_rows(records))
     save_text(markdown(records), paths[0])
     document = {
         "cells": [cell.as_dict() for cell in matrix],
@@ -142,7 +153,7 @@ def write_held_out(
     Returns:
         The files written.
     """
-    paths, matrix = [out / "held_out.md", out / "held_out.json"], cells(records)
+    paths, matrix = [out / "held_out.md", out / "held_out.json"], cells(looked_rows(records))
     said = (
         f"{attacks} splats that were attacked over a distribution of views, each looked at from {views} views that no "
         f"search has seen. A class counts from {SUCCESS:g}, with every detector. Rates are of the views in which the "
