@@ -14,6 +14,7 @@ from attacks.artifacts.kinds import known_kind
 from attacks.artifacts.rows import read_table
 from mi_splat.io.atomic import is_temporary
 from mi_splat.io.documents import sha256
+from mi_splat.io.manifest import MANIFEST
 
 _HEADING = re.compile(r"^(?=## )", re.MULTILINE)
 _FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
@@ -79,7 +80,7 @@ def check_files(found: FoundArtifact) -> list[Line]:
             lines.append(Line(name=name, words="other bytes than artifact.json lists", passed=False))
         else:
             lines.append(Line(name=name, words=f"{length:,} bytes, sha256 {digest[:16]}", passed=True))
-    listed = {RECORD, *found.files}
+    listed = {RECORD, MANIFEST, *found.files}
     for path in sorted(found.folder.rglob("*")):
         name = path.relative_to(found.folder).as_posix()
         if not path.is_dir() and name not in listed and not is_temporary(path.name):

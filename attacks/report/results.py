@@ -26,6 +26,7 @@ from attacks.report.stories.detectors import comparison, held_out, pictures
 from attacks.report.stories.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.report.wording import versions_of
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.manifest import MANIFEST, read_manifest
 from mi_splat.io.parsing import read_json
 
 Found = Mapping[str, Any]
@@ -164,7 +165,9 @@ def _commands(kinds: Sequence[Story]) -> str:
 def _read(kind: Story, path: Path, record: Path, found: Found) -> Section:
     """The section of a result; whatever is broken in it is told in one line."""
     try:
-        return with_origin(kind.read(path, found), kind.made(found))
+        section = with_origin(kind.read(path, found), kind.made(found))
+        has_manifest = not kind.one_file and (path / MANIFEST).is_file()
+        return replace(section, manifest=read_manifest(path).sha256) if has_manifest else section
     except MiSplatError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:

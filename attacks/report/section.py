@@ -169,6 +169,7 @@ class Section:
         versions: Packages, variant and commit, by name.
         command: Command line that made it, as it was given; empty if none did.
         file: Name and text of the file of a study.
+        manifest: SHA-256 of manifest.json, which stands for every file of the result; empty where there is none.
     """
 
     kind: str
@@ -187,6 +188,7 @@ class Section:
     configuration: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
     command: str = ""
+    manifest: str = ""
     file: tuple[str, str] | None = None
 
     @property

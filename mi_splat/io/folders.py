@@ -13,6 +13,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary, replace_folder, sweep_temporary, sync_folder, sync_names, temporary_name
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.locks import check_unlocked, locked_folder
+from mi_splat.io.manifest import write_manifest
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
@@ -135,8 +136,9 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
 def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> Iterator[Path]:
     """Write a folder of results whole or not at all.
 
-    The body writes into a temporary folder beside `out`, which takes the name `out` when the body ends. When it raises,
-    the temporary folder is removed and `out` is as it was. After a kill the old result is there or the new one, whole.
+    The body writes into a temporary folder beside `out`, which gets a manifest.json and takes the name `out` when the
+    body ends. When it raises, the temporary folder is removed and `out` is as it was. After a kill the old result is
+    there or the new one, whole.
     (Where names cannot be exchanged in one step, it may have to wait beside `out`, in a folder whose name begins with a
     dot, until the next command that is to write to `out` gives it its name back.) After a power cut, too: what was
     written is on the disk before it takes the name.
@@ -166,6 +168,7 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
     try:
         yield temporary
         try:
+            write_manifest(temporary)
             sync_folder(temporary)
             _put(temporary, target, force=force, record=record)
             sync_names(target.parent)

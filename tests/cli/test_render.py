@@ -29,7 +29,11 @@ def test_many_cameras_make_a_folder(toy: Path, capsys: pytest.CaptureFixture[str
     assert cli.main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     folder = toy / "new" / "pictures"
-    assert {path.name for path in folder.iterdir()} == {*(f"orbit-{n}.png" for n in range(3)), "cameras.json"}
+    assert {path.name for path in folder.iterdir()} == {
+        *(f"orbit-{n}.png" for n in range(3)),
+        "cameras.json",
+        "manifest.json",
+    }
     assert [camera["name"] for camera in found["cameras"]] == ["orbit-0", "orbit-1", "orbit-2"]
     assert all((toy / file).is_file() for file in found["files"])
     assert cli.main(words) == 1
@@ -107,5 +111,5 @@ def test_a_camera_may_have_any_name(toy: Path) -> None:
     entry = describe("left/up: 1", camera(16))
     (toy / "cameras.json").write_text(json.dumps([entry]))
     assert cli.main(["render", "toy.ply", "--cameras", "cameras.json", "--out", "pictures"]) == 0
-    assert {path.name for path in (toy / "pictures").iterdir()} == {"left_up__1.png", "cameras.json"}
+    assert {path.name for path in (toy / "pictures").iterdir()} == {"left_up__1.png", "cameras.json", "manifest.json"}
     assert json.loads((toy / "pictures" / "cameras.json").read_text())[0]["name"] == "left/up: 1"

@@ -78,7 +78,7 @@ def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
     pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
     clean_set = pipeline.capture()
     clean, poisoned = (load_dataset(pictures.folder / "set") for pictures in (clean_set, pipeline.poison(clean_set)[0]))
-    manifest = json.loads((finished / "manifest.json").read_text())
+    manifest = json.loads((finished / "poison.json").read_text())
     changed = {change["index"] for change in manifest["changes"]}
     owners = [
         any(bool(attack.cone.holds([camera], centre=setup.centre_of(STUDY))) for attack in STUDY.attack)
@@ -125,7 +125,7 @@ def test_another_fraction_needs_no_new_capture(finished: Path) -> None:
     (poisoned,) = other.poison(clean).values()
     assert poisoned.content != usual.poison(clean)[0].content
     manifest = json.loads((poisoned.folder / "manifest.json").read_text())
-    assert len(manifest["changes"]) < len(json.loads((finished / "manifest.json").read_text())["changes"])
+    assert len(manifest["changes"]) < len(json.loads((finished / "poison.json").read_text())["changes"])
 
 
 def test_looking_at_a_splat_trains_none(finished: Path, tmp_path: Path) -> None:

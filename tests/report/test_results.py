@@ -13,6 +13,7 @@ from attacks.cloak.config import read_study
 from attacks.rate import Rate
 from attacks.report.results import STORIES, read_section
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.manifest import read_manifest
 from mi_splat.provenance import running_command
 from tests.report.makers import MAKERS
 from tests.report.results import STUDIED, rate, write_cloak, write_dagger
@@ -101,6 +102,11 @@ def test_an_attack_s_figures_and_settings(folders: dict[str, Path]) -> None:
     assert section.warnings[-1].startswith("Few views: 1")
     assert [picture.path.name for picture in section.pictures] == ["detections.png", "difference.png"]
     assert dict(section.configuration)["eps"] == "12"
+
+
+def test_the_manifest_stands_on_the_page(folders: dict[str, Path]) -> None:
+    assert read_section(folders["dagger"]).manifest != ""
+    assert read_section(folders["compare"]).manifest == read_manifest(folders["compare"]).sha256
 
 
 def test_an_attack_without_a_control_says_so(tmp_path: Path) -> None:

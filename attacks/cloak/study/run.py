@@ -28,9 +28,10 @@ from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
 from mi_splat.io.locks import check_unlocked, locked_folder
+from mi_splat.io.manifest import write_manifest
 from mi_splat.io.parsing import DocumentReader
 
-STUDY, SUMMARY, TABLE = "study.json", "summary.json", "table.md"
+STUDY, SUMMARY, TABLE, POISON = "study.json", "summary.json", "table.md", "poison.json"
 
 
 def differences(file: Path, study: StudyConfig) -> list[str]:
@@ -95,11 +96,11 @@ def write_report(
     splats = [item.trained for item in observed if item.trained.seed == first]
     for splat in splats:
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
-    shutil.copyfile(poisoned[first].folder / MANIFEST, folder / MANIFEST)
+    shutil.copyfile(poisoned[first].folder / MANIFEST, folder / POISON)
     pictures = write_figures(pipeline, seen, splats, detectors, folder)
     summary = {
         **figures(study, seen),
-        "files": [*(f"{splat.splat}.ply" for splat in splats), MANIFEST, *pictures, TABLE],
+        "files": [*(f"{splat.splat}.ply" for splat in splats), POISON, *pictures, TABLE],
         "splats": [_listed(item.trained) for item in observed],
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
@@ -109,6 +110,7 @@ def write_report(
     }
     save_text(markdown(summary), folder / TABLE)
     save_json(summary, folder / SUMMARY)
+    write_manifest(folder, without=("stages",))
     return summary
 
 

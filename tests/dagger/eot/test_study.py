@@ -161,7 +161,8 @@ def test_the_command_attacks_and_tells(
     assert cli.main(line) == 0
     said = capsys.readouterr().out
     assert said.startswith("SUCCESS: fasterrcnn_small sees a person in place of the selection in 4 of 4")
-    assert sorted(path.name for path in out.iterdir()) == ["attacked.ply", "held_out.png", "mask.npy", "result.json"]
+    names = sorted(path.name for path in out.iterdir())
+    assert names == ["attacked.ply", "held_out.png", "manifest.json", "mask.npy", "result.json"]
     assert not (tmp_path / "out.checkpoint").exists()
     assert cli.main(line) == 1  # the folder is in use
     assert "--force" in capsys.readouterr().err
