@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from attacks.dagger.report import write_report
     from attacks.detectors import load_detector
     from attacks.objectives import hide, relabel, untargeted
-    from attacks.observe.comparison import compare, rates
+    from attacks.observe.comparison import compare, compared_rows
+    from attacks.observe.rates import count
+    from attacks.observe.rows import rows
     from attacks.observe.views import detect_views, evaluate
 
 __all__ = [
@@ -28,13 +30,15 @@ __all__ = [
     "Poisoning",
     "attack",
     "compare",
+    "compared_rows",
+    "count",
     "detect_views",
     "evaluate",
     "hide",
     "load_detector",
     "poison",
-    "rates",
     "relabel",
+    "rows",
     "untargeted",
     "write_report",
 ]
@@ -48,7 +52,9 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.dagger.config": ("DaggerConfig",),
         "attacks.dagger.report": ("write_report",),
         "attacks.detectors": ("load_detector",),
-        "attacks.observe.comparison": ("compare", "rates"),
+        "attacks.observe.comparison": ("compare", "compared_rows"),
+        "attacks.observe.rates": ("count",),
+        "attacks.observe.rows": ("rows",),
         "attacks.observe.views": ("detect_views", "evaluate"),
         "attacks.objectives": ("hide", "relabel", "untargeted"),
     },

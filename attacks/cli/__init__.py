@@ -157,6 +157,13 @@ COMMANDS = {
         "one page of results: figures with intervals and controls, warnings, how to repeat them",
         options_module="report_options",
     ),
+    "rows": Command(
+        "attacks.cli",
+        "RowsOptions",
+        "rows",
+        "the rows of a result, from which its figures are counted: as CSV or JSON",
+        options_module="rows",
+    ),
     "detectors": Command(
         "attacks.cli",
         "DetectorsOptions",

@@ -11,8 +11,7 @@ import torch
 from attacks.cli.loading import load_detectors
 from attacks.cli.names import check_class
 from attacks.cli.options import EvaluateOptions
-from attacks.detectors import Detector
-from attacks.observe.comparison import Comparison, changed_mask, compare, side_by_side
+from attacks.observe.comparison import Comparison, changed_mask, compare, compared_rows, side_by_side
 from attacks.observe.views import CLEAN, ViewDetections, evaluate
 from mi_splat import provenance
 from mi_splat.cameras import Camera
@@ -55,7 +54,10 @@ def run(options: EvaluateOptions) -> int:
         cameras = list(chosen.cameras.values())
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        found = _compared(seen, detectors, options)
+        looked = compared_rows(
+            seen, original=options.original, target=options.target, min_confidence=options.min_confidence
+        )
+        found = compare(looked.rows, confidence=options.min_confidence)
         reasons = [*doubts(chosen.mask, {}), *_doubts(found, chosen.cameras, options.attacked)]
         document = {
             **_asked(options, chosen),
@@ -69,28 +71,12 @@ def run(options: EvaluateOptions) -> int:
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
             _save_pictures(seen, list(chosen.cameras), [one.detector for one in found], options.pictures, folder)
             save_json(document, folder / RECORD)
+            looked.write(folder)
     if options.json:
         show_json({**document, "out": str(options.out)})
     else:
         _tell(found, reasons, options)
     return 0
-
-
-def _compared(
-    seen: Mapping[str, Sequence[ViewDetections]], detectors: Sequence[Detector], options: EvaluateOptions
-) -> list[Comparison]:
-    """What each detector makes of both splats."""
-    return [
-        compare(
-            seen[CLEAN],
-            seen[ATTACKED],
-            detector=detector.name,
-            original=options.original,
-            target=options.target,
-            min_confidence=options.min_confidence,
-        )
-        for detector in detectors
-    ]
 
 
 def _asked(options: EvaluateOptions, chosen: Chosen) -> dict[str, Any]:
@@ -126,8 +112,8 @@ def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Pa
             reasons.append(f"{one.detector}: the object shows in {one.views} of {len(cameras)} views: few")
         if one.original is None:
             reasons.append(f"{one.detector} finds nothing on the clean object, so that it is missed proves nothing")
-        elif one.found_clean.fraction < 0.5:
-            rate = one.found_clean
+        elif one.rates["found_clean"].fraction < 0.5:
+            rate = one.rates["found_clean"]
             reasons.append(f"{one.detector} finds the clean object in {rate.successes} of {rate.total} views only")
     return reasons
 

@@ -71,6 +71,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "report out/dagger --out dagger.html",
         "report out/cloak out/dagger-eot --out page.html",
     ),
+    "rows": ("rows out/dagger", "rows out/cloak --csv", "rows out/cloak --table detections --json"),
     "artifact": (
         "artifact out/cloak --out out/artifact",
         "artifact out/layers --stages out/stages --splats --out out/layers-artifact",
@@ -119,6 +120,7 @@ SEE_ALSO: dict[str, tuple[str, ...]] = {
     "cloak": ("cloak-experiment", "capture", "train"),
     "cloak-experiment": ("cloak",),
     "report": ("view", "evaluate", "dagger", "cloak"),
+    "rows": ("report", "evaluate", "artifact"),
     "artifact": ("artifact-check", "cloak", "dagger-eot"),
     "artifact-check": ("artifact", "evaluate"),
     "detectors": ("dagger", "doctor"),

@@ -1,17 +1,22 @@
-"""A clean and an attacked scene side by side: how often an object is found, missed, or taken for the target."""
+"""A clean and an attacked splat side by side: how often an object is found, missed, or taken for the target."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import polars as pl
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.observe.drawing import annotated, stacked
+from attacks.observe.look import Looked, detection_rows, place_cells, report_cells
+from attacks.observe.measures import REPORTED, Confidence, comparison_measures, with_control
+from attacks.observe.rates import count
+from attacks.observe.rows import ATTACKED, CLEAN, Cell, Row, frame_of
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError, message
@@ -21,43 +26,23 @@ from mi_splat.scene import ATTRIBUTES, GaussianScene
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """One detector on both scenes; rates count the views in which the object shows.
+    """One detector on both splats; rates count the views in which the object shows.
 
     Attributes:
         detector: Its name.
         original: What the object is; None where any class counts, since nothing said what it is.
         target: What the attacker wants it to be; None if nothing certain.
         views: Views in which the object shows.
-        found_clean: The object is found in the clean scene.
-        found_attacked: The object is found in the attacked scene.
-        missed: Of the views where it is found clean, the attacked object is not.
-        target_clean: The target is reported on the object in the clean scene: false positives; None without a target.
-        target_attacked: The same in the attacked scene.
-        psnr: Mean dB between the clean and the attacked pictures; None where they are the same.
+        rates: Those of `attacks.observe.measures.comparison_measures`, by name; none of the target without one.
+        psnr: Mean dB between the clean and the attacked pictures that differ; None where all are the same.
     """
 
     detector: str
     original: str | None
     target: str | None
     views: int
-    found_clean: Rate
-    found_attacked: Rate
-    missed: Rate
-    target_clean: Rate | None
-    target_attacked: Rate | None
+    rates: Mapping[str, Rate]
     psnr: float | None
-
-    @property
-    def rates(self) -> dict[str, Rate]:
-        """The rates by name, in order."""
-        every = {
-            "found_clean": self.found_clean,
-            "found_attacked": self.found_attacked,
-            "missed": self.missed,
-            "target_clean": self.target_clean,
-            "target_attacked": self.target_attacked,
-        }
-        return {name: rate for name, rate in every.items() if rate is not None}
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""
@@ -65,46 +50,64 @@ class Comparison:
         return {**numbers, **{name: rate.as_dict() for name, rate in self.rates.items()}}
 
 
-def compare(
-    clean: Sequence[ViewDetections],
-    attacked: Sequence[ViewDetections],
+def compared_rows(
+    seen: Mapping[str, Sequence[ViewDetections]],
     *,
-    detector: str,
     original: str | None = None,
     target: str | None = None,
-    min_confidence: float = 0.5,
-) -> Comparison:
-    """What one detector makes of both scenes.
+    min_confidence: float = REPORTED,
+) -> Looked:
+    """What detectors report on a clean and an attacked splat, row by row.
 
     Args:
-        clean: The clean scene, from `evaluate`.
-        attacked: The attacked scene, from the same cameras.
-        detector: Name of the detector whose views count.
-        original: What the object is; if None, what the detector calls it in most views of the clean scene.
+        seen: Both splats from the same cameras, from `attacks.observe.views.evaluate`.
+        original: What the object is; if None, what each detector calls it in most views of the clean splat.
         target: What the attacker wants it to be.
-        min_confidence: Confidence from which a detection counts, in [0, 1].
+        min_confidence: Confidence from which a detection says what the object is, in [0, 1].
     """
-    before, after = ([view for view in views if view.detector == detector] for views in (clean, attacked))
-    shown, shown_after = ([view for view in views if view.box is not None] for views in (before, after))
-    original = usual_label(shown, min_confidence) if original is None else original
+    rows, detections = list[Row](), list[Row]()
+    clean = {(view.detector, view.view): view for view in seen[CLEAN]}
+    shown = {
+        name: [view for view in seen[CLEAN] if view.detector == name and view.box is not None] for name, _ in clean
+    }
+    originals = {name: original or usual_label(views, min_confidence) for name, views in shown.items()}
+    for splat, views in seen.items():
+        for view in views:
+            before = clean[view.detector, view.view]
+            same = splat == CLEAN or torch.equal(before.pixels, view.pixels)
+            ids: dict[str, Cell] = {"splat": splat, "detector": view.detector, "view": view.view}
+            known = {"original": originals[view.detector], "target": target}
+            change = None if same else float(psnr(before.image, view.image))
+            cells = report_cells(view.detections, view.box, **known)
+            rows.append({**ids, **place_cells(view.camera, view.box), **cells, "psnr": change})
+            detections += detection_rows(ids, view.detections, view.box)
+    return Looked(rows=frame_of(rows), detections=frame_of(detections))
 
-    def found(view: ViewDetections, label: str | None) -> bool:
-        return view.confidence(label) >= min_confidence
 
-    gone = rates(before, after, original=original, wanted=None, min_confidence=min_confidence)
-    gaps = [psnr(b.image, a.image) for b, a in zip(before, after, strict=True) if not torch.equal(b.pixels, a.pixels)]
-    return Comparison(
-        detector=detector,
-        original=original,
-        target=target,
-        views=len(shown),
-        found_clean=Rate.of(shown, lambda view: found(view, original)),
-        found_attacked=Rate.of(shown_after, lambda view: found(view, original)),
-        missed=gone["given_found"],
-        target_clean=None if target is None else Rate.of(shown, lambda view: found(view, target)),
-        target_attacked=None if target is None else Rate.of(shown_after, lambda view: found(view, target)),
-        psnr=float(torch.stack(gaps).mean()) if gaps else None,
-    )
+def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Comparison]:
+    """What each detector makes of both splats.
+
+    Args:
+        rows: From `compared_rows`.
+        confidence: From which a detection counts, in [0, 1].
+    """
+    targeted = rows["target"].null_count() < len(rows)
+    counted = count(with_control(rows), comparison_measures(confidence, targeted=targeted), ("detector",))
+    found = []
+    for (detector,), rates in counted.items():
+        here = rows.filter(splat=ATTACKED, detector=detector)
+        psnrs = here["psnr"].drop_nulls()
+        found.append(
+            Comparison(
+                detector=detector,
+                original=here["original"][0],
+                target=here["target"][0],
+                views=rates["found_clean"].total,
+                rates=rates,
+                psnr=None if psnrs.is_empty() else float(psnrs.to_numpy().mean()),
+            )
+        )
+    return found
 
 
 def usual_label(views: Sequence[ViewDetections], min_confidence: float = 0.5) -> str | None:
@@ -168,43 +171,3 @@ def side_by_side(
             for row in rows
         ]
     )
-
-
-def rates(
-    clean: Sequence[ViewDetections],
-    attacked: Sequence[ViewDetections],
-    *,
-    original: str | None,
-    wanted: str | None,
-    min_confidence: float = 0.5,
-    detector: str | None = None,
-) -> dict[str, Rate]:
-    """How often an attack reaches its aim.
-
-    Args:
-        clean: The clean scene, from `evaluate` or `detect_views`.
-        attacked: The attacked scene, from the same cameras by the same detectors.
-        original: What the object is; None counts any class.
-        wanted: What the attacker wants it to be; None counts a view as a success when `original` is gone.
-        min_confidence: Confidence from which a detection counts, in [0, 1].
-        detector: Name of the detector whose views count; None counts those of all.
-
-    Returns:
-        `all`: over all views in which the object shows; `given_found`: over those where the clean object is found.
-    """
-    benign = {(view.detector, view.view): view for view in clean}
-    pairs = [
-        (benign[view.detector, view.view], view)
-        for view in attacked
-        if view.box is not None and detector in (None, view.detector)
-    ]
-
-    def reached(pair: tuple[ViewDetections, ViewDetections]) -> bool:
-        if wanted is None:
-            return pair[1].confidence(original) < min_confidence
-        return pair[1].confidence(wanted) >= min_confidence
-
-    def found(pair: tuple[ViewDetections, ViewDetections]) -> bool:
-        return pair[0].confidence(original) >= min_confidence
-
-    return {"all": Rate.of(pairs, reached), "given_found": Rate.of(pairs, reached, given=found)}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import polars as pl
@@ -17,7 +18,7 @@ from torch import Tensor
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import Verdict, confidence, overlap
 from attacks.observe.conditions import Condition
-from attacks.observe.rows import BOX, DETECTION_BOX, NOISE, Cell, Row, frame_of
+from attacks.observe.rows import BOX, DETECTION_BOX, DETECTIONS, NOISE, ROWS, SUFFIX, Cell, Row, frame_of, write_rows
 from attacks.observe.views import BATCH, ViewDetections, detect_views
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, direction_of
@@ -127,6 +128,11 @@ class Looked:
 
     rows: pl.DataFrame
     detections: pl.DataFrame
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write rows.csv.gz and detections.csv.gz; returns their paths."""
+        tables = {ROWS: self.rows, DETECTIONS: self.detections}
+        return [write_rows(table, folder / f"{name}{SUFFIX}") for name, table in tables.items()]
 
 
 def look(

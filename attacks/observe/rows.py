@@ -68,6 +68,11 @@ class Column:
         """As JSON can hold it."""
         return asdict(self)
 
+    @property
+    def words(self) -> str:
+        """The meaning, and the unit if it has one."""
+        return f"{self.meaning}, {self.unit}" if self.unit else self.meaning
+
 
 def _text(name: str, meaning: str, *, optional: bool = False) -> Column:
     return Column(name=name, kind="text", meaning=meaning, optional=optional)
@@ -246,6 +251,24 @@ def read_rows(path: Path, *, needs: Sequence[str] = ()) -> pl.DataFrame:
             for place, column in enumerate(columns)
         }
     )
+
+
+def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
+    """A table of a result.
+
+    Args:
+        result: Folder that a command has written.
+        table: `rows`: what is reported on the object, a row for each splat, view and detector; `detections`: a row for
+            each detection; `fidelity` and `transition`: pictures of CLOAK that no detector looked at.
+
+    Raises:
+        InvalidValueError: The result does not have this table, or its file is none.
+    """
+    path = Path(result) / f"{table}{SUFFIX}"
+    if not path.is_file():
+        do = "pass a folder that mi-splat dagger, dagger-eot, evaluate or cloak has written"
+        raise InvalidValueError(message(str(result), f"a result with {path.name}", "none", do))
+    return read_rows(path)
 
 
 def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:

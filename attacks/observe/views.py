@@ -204,8 +204,8 @@ def evaluate(
         batch: Pictures that a detector gets at once.
 
     Returns:
-        For each scene a value for each view and detector, for `attacks.observe.comparison.rates`. Boxes are those of
-        the object in the clean scene.
+        For each scene a value for each view and detector, for `attacks.observe.comparison.compared_rows`. Boxes
+        are those of the object in the clean scene.
 
     Raises:
         InvalidValueError: No scene is called "clean".

@@ -16,7 +16,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections
 from attacks.objectives import relabel
 from attacks.observe import drawing
-from attacks.observe.comparison import rates
+from attacks.observe.comparison import compare, compared_rows
 from attacks.observe.drawing import annotated, difference, stacked
 from attacks.observe.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
 from attacks.rate import Rate
@@ -35,12 +35,15 @@ def test_an_attack_is_scored_on_other_views_with_its_control() -> None:
     views = [camera(offset=offset) for offset in (-0.2, 0.1, 0.3)]
     seen = evaluate({"clean": scene, "attacked": found.scene}, mask, views, [ColourDetector()], render=blobs)
     assert {name: len(one) for name, one in seen.items()} == {"clean": 3, "attacked": 3}
-    attacked = rates(seen["clean"], seen["attacked"], original="car", wanted="person")
-    control = rates(seen["clean"], seen["clean"], original="car", wanted="person")
-    assert attacked["all"] == attacked["given_found"] == Rate(successes=3, total=3)
-    assert control["all"] == Rate(successes=0, total=3)
-    gone = rates(seen["clean"], seen["attacked"], original="car", wanted=None)
-    assert gone["all"].fraction == 1.0
+    rows = compared_rows(seen, original="car", target="person").rows
+    (found_rates,) = compare(rows)
+    every, none = Rate(successes=3, total=3), Rate(successes=0, total=3)
+    assert found_rates.rates == {
+        **{"found_clean": every, "found_attacked": none, "missed": every},
+        **{"target_clean": none, "target_attacked": every},
+    }
+    assert set(rows["label"]) == {"car", "person"}
+    assert (rows["iou"] >= 0.5).all()
 
 
 def test_views_without_the_object_do_not_count() -> None:
@@ -49,7 +52,9 @@ def test_views_without_the_object_do_not_count() -> None:
     (view,) = evaluate({"clean": hidden}, mask, [camera()], [ColourDetector()], render=blobs)["clean"]
     assert view.box is None
     assert view.confidence("car") == 0.0
-    assert rates([view], [view], original="car", wanted=None)["all"].total == 0
+    looked = compared_rows({"clean": [view], "attacked": [view]}, original="car")
+    assert {rate.total for rate in compare(looked.rows)[0].rates.values()} == {0}
+    assert looked.rows["x0"].to_list() == [None, None]
 
 
 def looked(view: int, label: str, score: float, detector: str = "fake_colour") -> ViewDetections:
@@ -65,15 +70,17 @@ def looked(view: int, label: str, score: float, detector: str = "fake_colour") -
     )
 
 
-def test_rates_with_and_without_the_benign_detection() -> None:
+def test_a_miss_counts_where_the_clean_object_is_found() -> None:
     clean = [looked(0, "car", 0.9), looked(1, "car", 0.4), looked(2, "car", 0.5), looked(0, "car", 0.9, "other")]
     attacked = [looked(0, "person", 0.5), looked(1, "person", 0.9), looked(2, "person", 0.49)]
-    attacked += [looked(0, "car", 0.9, "other")]
-    found = rates(clean, attacked, original="car", wanted="person", detector="fake_colour")
-    assert found == {"all": Rate(successes=2, total=3), "given_found": Rate(successes=1, total=2)}
-    assert rates([clean[2]], [looked(2, "car", 0.5)], original="car", wanted=None)["all"].successes == 0  # still counts
-    gone = rates(clean, attacked, original="car", wanted=None)
-    assert gone == {"all": Rate(successes=3, total=4), "given_found": Rate(successes=2, total=3)}
+    attacked += [looked(0, "car", 0.5, "other")]  # still counts
+    first, other = compare(compared_rows({"clean": clean, "attacked": attacked}, target="person").rows)
+    assert (first.original, first.target, first.views, first.psnr) == ("car", "person", 3, None)
+    assert first.rates["missed"] == Rate(successes=2, total=2)
+    assert first.rates["found_clean"] == first.rates["target_attacked"] == Rate(successes=2, total=3)
+    assert other.rates["missed"] == Rate(successes=0, total=1)
+    lower, _ = compare(compared_rows({"clean": clean, "attacked": attacked}, target="person").rows, confidence=0.25)
+    assert lower.rates["target_attacked"] == Rate(successes=3, total=3)
 
 
 def test_the_rate_of_anything() -> None:

@@ -13,6 +13,8 @@ from PIL import Image
 from attacks import cli
 from attacks.cli import dagger, detect, evaluate
 from attacks.cli.loading import load_detectors
+from attacks.observe.comparison import compare
+from attacks.observe.rows import read_rows
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene, scene_hash
@@ -97,6 +99,9 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert found["target_attacked"][0] >= 9
     assert figures["missed"]["interval"][0] > 0.6
     assert figures["psnr"] < 30
+    rows = read_rows(folder / "judged" / "rows.csv.gz")
+    assert len(rows) == 24
+    assert compare(rows)[0].as_dict() == figures
     with Image.open(folder / "judged" / "fake_colour.png") as drawn:
         assert drawn.size == (1024, 8 * 512)
     assert json.loads((folder / "judged" / "evaluation.json").read_text())["detectors"] == document["detectors"]
@@ -112,7 +117,8 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     told = capsys.readouterr().err
     assert "the object shows in 2 of 2 views: few" in told
     assert "finds the clean object in 0 of 2 views only" in told
-    assert sorted(path.name for path in (folder / "first").iterdir()) == ["evaluation.json", "manifest.json"]
+    names = ["detections.csv.gz", "evaluation.json", "manifest.json", "rows.csv.gz"]
+    assert sorted(path.name for path in (folder / "first").iterdir()) == names
     cameras = json.loads((folder / "first" / "evaluation.json").read_text())["cameras"]
     (folder / "result.json").write_text(json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]}))
     assert cli.main([*words, "--pictures", "0", "--out", "second"]) == 0

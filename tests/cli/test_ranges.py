@@ -35,6 +35,7 @@ NEEDED = {
     "view": ["a.ply"],
     "cloak-experiment": ["surroundings", "study.toml"],
     "artifact": ["out/study"],
+    "rows": ["out/study"],
     "artifact-check": ["out/artifact"],
 }
 """What a command cannot do without."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 from pathlib import Path
 
@@ -11,9 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import attacks
+from attacks import cli
 from attacks.observe import rows
 from attacks.observe.rows import COLUMNS, Cell, column_of, columns_of, frame_of, read_rows, rows_bytes, write_rows
 from mi_splat.errors import InvalidValueError
+from tests.project.layers import ROOT
 
 ROW: dict[str, Cell] = {"splat": "a, b", "view": 3, "iou": 0.1, "success": True}
 HEAD = "splat,view,iou,success\n"
@@ -145,3 +149,27 @@ def test_cells_of_another_kind_are_not_written(cell: dict[str, Cell]) -> None:
 def test_a_table_of_another_type_is_not_written() -> None:
     with pytest.raises(InvalidValueError, match="expected a whole in column view"):
         rows_bytes(pl.DataFrame({"view": [1.0]}))
+
+
+def test_the_page_of_the_documentation_has_every_column() -> None:
+    lines = (ROOT / "docs" / "rows.md").read_text().splitlines()
+    table = [line for line in lines if line.startswith("| `")]
+    named = [f"{one.name}NAME" if one.name.endswith(": ") else one.name for one in COLUMNS]
+    expected = [f"| `{name}` | {one.unit} | {one.meaning} |" for name, one in zip(named, COLUMNS, strict=True)]
+    assert table == expected
+
+
+def test_the_command_shows_the_rows_of_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = frame_of([ROW, {"splat": "clean", "view": 1}])
+    write_rows(table, tmp_path / "rows.csv.gz")
+    assert attacks.rows(tmp_path).equals(table)
+    assert cli.main(["rows", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert "number of the camera in cameras.json, from 0" in told
+    assert "2 rows; --csv or --json prints them." in told
+    assert cli.main(["rows", str(tmp_path), "--csv"]) == 0
+    assert capsys.readouterr().out == rows_bytes(table).decode()
+    assert cli.main(["rows", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == table.to_dicts()
+    assert cli.main(["rows", str(tmp_path), "--table", "detections"]) == 1
+    assert "expected a result with detections.csv.gz, got none" in capsys.readouterr().err

@@ -34,6 +34,7 @@ FAST = {
         "info",
         "render",
         "report",
+        "rows",
         "select",
         "train",
     ),

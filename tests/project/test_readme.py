@@ -38,7 +38,7 @@ def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     capture = "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1 --points 200 --out out/car-alone"
     done = warm.run("-c", dagger, cwd=checkout)
     assert done.returncode == 0, done.stderr
-    assert "person reported from the other cameras, given_found" in done.stdout
+    assert "from the other cameras, target_attacked: " in done.stdout
     assert (checkout / "out" / "person" / "result.json").is_file()
     warm.run("-m", "attacks", *capture.split(), cwd=checkout, check=True)
     short = cloak.replace("iterations=2000", "iterations=8")
