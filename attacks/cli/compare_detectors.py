@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
-from attacks.cli.evaluate_detector import check_suffix, write_tables
-from attacks.cli.training_options import CompareDetectorsOptions
-from attacks.detectors.evaluation.tables import comparison, read_figures
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
 from mi_splat import provenance
 from mi_splat.cli.console import show
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_writable
 
-RECORD = ".compared.json"
-"""Ending of the file with the figures; never that of a file of `mi-splat evaluate-detector`."""
+ENDING = ".compared.json"
+"""Of the file with the figures; never that of a file of `mi-splat evaluate-detector`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareDetectorsOptions:
+    """Put the figures of several detectors side by side: mAP, false positives, and recall by elevation."""
+
+    figures: Positional[tuple[Path, ...]] = ()
+    """Files that `mi-splat evaluate-detector` wrote; at least one."""
+    out: Path = Path("out/detector/comparison.compared.json")
+    """File for all figures, whose name ends in .compared.json; `mi-splat report` makes a page of it."""
 
 
 def run(options: CompareDetectorsOptions) -> int:
-    """Write and print one table of all detectors, draw their recall, and keep their figures in one file."""
+    """Print one table of all detectors, and keep their figures in one file."""
+    from attacks.detectors.evaluation.tables import comparison, read_figures
+    from mi_splat.io.documents import save_json
+    from mi_splat.io.folders import check_writable
+
     if not options.figures:
         raise InvalidValueError(message("files", "at least one", "none", "name what `evaluate-detector` wrote"))
     check_writable(options.out.parent)
-    check_suffix("--out", options.out, ".md")
+    if not options.out.name.endswith(ENDING):
+        do = f"for instance {options.out.with_suffix(ENDING)}"
+        raise InvalidValueError(message("--out", f"a file name that ends in {ENDING}", str(options.out), do))
     several = [read_figures(path) for path in options.figures]
-    text = comparison(several)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    written = write_tables(text, several, options.out)
-    record = options.out.with_suffix(RECORD)
-    save_json({"compared": several, "files": list(map(str, options.figures)), **provenance.origin()}, record)
-    show(text)
-    show(f"{written}; {record}: every figure")
+    save_json({"compared": several, "files": list(map(str, options.figures)), **provenance.origin()}, options.out)
+    show(comparison(several))
+    show(f"{options.out}: every figure")
     return 0

@@ -2,48 +2,94 @@
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-
-from attacks.cli.training_options import EvaluateDetectorOptions
+from attacks.cli.options import OneDetector
 from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.evaluation.held_out import (
-    HeldOutResult,
-    evaluate_sets,
-    figures,
-    held_out_sets,
-    load_for_evaluation,
-    total_false_positives,
-)
-from attacks.detectors.evaluation.plots import draw_recall
-from attacks.detectors.evaluation.recall import recall_by
-from attacks.detectors.evaluation.tables import detector_tables, rate
-from attacks.detectors.training.conditions import viewing_conditions
-from attacks.detectors.training.config import PictureSetConfig
-from attacks.detectors.training.pictures import LabelledPicture
-from attacks.gaussian_subset import GaussianSubset
-from attacks.observe.views import visible_box, visible_weight
+from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from mi_splat import provenance
-from mi_splat.cli.console import progress, show, show_json, show_table
-from mi_splat.errors import InvalidValueError, install, message
-from mi_splat.io.atomic import atomic_write
-from mi_splat.io.documents import save_json, save_text
-from mi_splat.io.folders import check_writable
-from mi_splat.io.images import to_bytes
+from mi_splat.cli.console import progress, show, show_json
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.locks import locked_folder
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import open_scene
+
+if TYPE_CHECKING:
+    from attacks.detectors.training.pictures import LabelledPicture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluateDetectorOptions:
+    """Score a detector on objects, cameras, lights and surroundings that the project's own were not trained on.
+
+    Average precision by class; recall by elevation, distance, size, brightness and sun; and false positives per
+    picture: of pictures with objects, and of streets, parks, rooms, grounds and random surroundings without any. A
+    detector of more classes, for instance one trained on COCO, is scored on the project's eight; what else it reports
+    is listed.
+    """
+
+    detector: OneDetector = "fasterrcnn_small"
+    """Name of a detector that knows the eight classes (see `mi-splat detectors`)."""
+    weights: Path | None = None
+    """Weights to score; None takes the usual ones."""
+    data: Path = Path("out/detector-data")
+    """Folder of the pictures; what is missing in it is made first."""
+    out: Path = Path("out/detector/held-out.json")
+    """JSON file for the figures; `mi-splat report` makes a page of it."""
+    pictures: int = 240
+    """Path-traced pictures with objects."""
+    samples: int = 24
+    """Samples per pixel in them."""
+    splats: int = 32
+    """Scenes that are made into splats; 0 leaves them out."""
+    splat: SplatConfig = field(default_factory=SplatConfig)
+    """How splats are made."""
+    backgrounds: BackgroundConfig = field(default_factory=BackgroundConfig)
+    """Pictures without any object."""
+    confidence: float = 0.5
+    """Least confidence of an object that is found, and of a false positive."""
+    scenes: tuple[Path, ...] = ()
+    """Scene XMLs of splats to score as well, from all their cameras; shapes whose id is a class are their objects."""
+    processes: int = 2
+    """Processes that make pictures; 0 makes them in this one."""
+    threads: int = 1
+    """Threads of torch."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
 
 
 def run(options: EvaluateDetectorOptions) -> int:
-    """Make what is missing, score every set, print a table and write the figures."""
+    """Make what is missing, score every set, write the figures and print them as tables."""
+    from attacks.detectors.evaluation.tables import detector_tables
+    from mi_splat.io.documents import save_json
+    from mi_splat.io.folders import check_writable
+
     check_writable(options.out.parent)
-    check_suffix("--out", options.out, ".json")
+    if options.out.suffix != ".json":
+        do = f"for instance {options.out.with_suffix('.json')}"
+        raise InvalidValueError(message("--out", "a file name that ends in .json", str(options.out), do))
+    figures = _figures(options)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    save_json(figures, options.out)
+    if options.json:
+        show_json(figures)
+    else:
+        show(detector_tables(figures))
+        show(f"{options.out}: every figure")
+    return 0
+
+
+def _figures(options: EvaluateDetectorOptions) -> dict[str, Any]:
+    """Everything that is measured, and on what."""
+    import torch
+
+    from attacks.detectors.evaluation.held_out import (
+        held_out_sets,
+        load_for_evaluation,
+        measure_sets,
+        total_false_positives,
+    )
+
     torch.set_num_threads(options.threads)
     pictures = PictureSetConfig(split="held-out", count=options.pictures, samples=options.samples)
     with progress("loading the detector") as advance:
@@ -61,14 +107,14 @@ def run(options: EvaluateDetectorOptions) -> int:
         for path in options.scenes:
             sets[str(path)] = scene_pictures(path)
         advance("detecting")
-        results = evaluate_sets(detector, sets, confidence=options.confidence)
-    found = {
+        measured = measure_sets(detector, sets, confidence=options.confidence)
+    return {
         "detector": detector.name,
         "fingerprint": detector.fingerprint,
         "min_confidence": detector.min_confidence,
         "confidence": options.confidence,
-        "false_positives": total_false_positives(results),
-        "sets": figures(results),
+        "false_positives": total_false_positives(measured),
+        "sets": {name: measurement.as_dict() for name, measurement in measured.items()},
         "pictures": {
             "path_traced": asdict(pictures),
             "splats": options.splats,
@@ -79,48 +125,20 @@ def run(options: EvaluateDetectorOptions) -> int:
         "scenes": list(map(str, options.scenes)),
         **provenance.origin(),
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    save_json(found, options.out)
-    written = write_tables(detector_tables(found), [found], options.out)
-    if options.json:
-        show_json(found)
-    else:
-        for name, result in results.items():
-            _tell(name, result)
-        show(f"{options.out}: every figure; {written}")
-    return 0
-
-
-def write_tables(text: str, several: Sequence[Mapping[str, Any]], path: Path) -> str:
-    """Write tables beside a file, and recall as a picture where matplotlib is installed.
-
-    Args:
-        text: The tables in Markdown.
-        several: What to draw, one document a detector.
-        path: The ending is replaced by .md and .png.
-
-    Returns:
-        What was written, in words.
-    """
-    tables, picture = path.with_suffix(".md"), path.with_suffix(".png")
-    save_text(text, tables)
-    if importlib.util.find_spec("matplotlib") is None:
-        return f"{tables}: tables (no picture: {install('figures')})"
-    figure = draw_recall(several)
-    with atomic_write(picture) as file:
-        figure.savefig(file, format="png")
-    return f"{tables}: tables; {picture}: recall"
-
-
-def check_suffix(option: str, path: Path, suffix: str) -> None:
-    """Raise unless a file ends as it has to, so that what is written beside it does not replace it."""
-    if path.suffix != suffix:
-        do = f"for instance {path.with_suffix(suffix)}"
-        raise InvalidValueError(message(option, f"a file name that ends in {suffix}", str(path), do))
 
 
 def scene_pictures(path: Path) -> list[LabelledPicture]:
     """A splat scene XML from each of its cameras at 8 bits; shapes whose id is a class (or stop_sign) are objects."""
+    import torch
+
+    from attacks.detectors.training.conditions import viewing_conditions
+    from attacks.detectors.training.pictures import LabelledPicture
+    from attacks.gaussian_subset import GaussianSubset
+    from attacks.observe.views import visible_box, visible_weight
+    from mi_splat.io.images import to_bytes
+    from mi_splat.rendering import Renderer
+    from mi_splat.scene_files import open_scene
+
     loaded = open_scene(path)
     render, pictures = Renderer(loaded.settings), []
     for camera in loaded.cameras.values():
@@ -137,30 +155,6 @@ def scene_pictures(path: Path) -> list[LabelledPicture]:
                     labels.append(number)
                     points = loaded.scene.means[rows].numpy()
                     conditions.append(viewing_conditions(points, camera))
-        found = torch.tensor(labels, dtype=torch.int64)
-        pictures.append(LabelledPicture(image, torch.cat(boxes), found, tuple(conditions)))
+        numbers = torch.tensor(labels, dtype=torch.int64)
+        pictures.append(LabelledPicture(image, torch.cat(boxes), numbers, tuple(conditions)))
     return pictures
-
-
-def _tell(name: str, result: HeldOutResult) -> None:
-    """One set: its false positives, and average precision by class where there are objects."""
-    found = result.false_positives
-    low, high = found.interval
-    classes = ", ".join(f"{label} {count}" for label, count in found.by_class.items() if count)
-    show(f"{name}: {found.pictures} pictures")
-    show(
-        f"  false positives per picture: {found.total} / {found.pictures} = {found.rate:.2f} ({low:.2f} to {high:.2f})"
-        f", in {found.pictures_with} pictures{': ' + classes if classes else ''}"
-    )
-    if result.score is not None:
-        score = result.score
-        rows = [(f"  AP {label}", f"{ap:.3f} of {score.counts[label]}") for label, ap in score.ap.items()]
-        bins = [
-            (f"  recall at {one.low:g} to {one.high:g} degrees", rate(one.as_dict()))
-            for one in recall_by(result.objects, "elevation")
-            if one.rate.total
-        ]
-        show_table([*rows, ("  mAP", f"{score.mean:.3f}"), *bins])
-    if result.other_classes:
-        often = list(result.other_classes.items())[:8]
-        show(f"  other classes reported: {', '.join(f'{label} {count}' for label, count in often)}")

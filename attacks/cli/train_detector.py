@@ -3,21 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from attacks.cli.training_options import TrainDetectorOptions
-from attacks.detectors.training.loop import Training
-from attacks.detectors.training.train import train, trainer_of, training_pictures
+from tyro.conf import arg
+
+from attacks.detectors.training.config import TrainConfig, TrainingSetConfig
 from mi_splat.cli.console import progress, show, warn
-from mi_splat.io.folders import check_writable, own_folder
 from mi_splat.io.locks import locked_folder
 
 RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")
 """What a training leaves in its folder."""
+SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainDetectorOptions:
+    """Train a small detector from nothing, on path-traced pictures and splats that are made first.
+
+    A training that was interrupted goes on where it stopped when the same command is given again.
+    """
+
+    detector: Annotated[SmallDetector, arg(name="detectors")] = "fasterrcnn_small"
+    """Which one; yolov8n_small needs the extra `yolo`."""
+    data: Path = Path("out/detector-data")
+    """Folder of the pictures; what is missing in it is made first."""
+    out: Path = Path("out/detector")
+    """Folder of checkpoint.safetensors, curves.json and best.safetensors, the best weights so far."""
+    sets: TrainingSetConfig = field(default_factory=TrainingSetConfig)
+    """How many pictures of each kind."""
+    validate_every: int = 2
+    """Epochs between two validations."""
+    processes: int = 2
+    """Processes that make pictures; 0 makes them in this one."""
+    threads: int = 2
+    """Threads that train."""
+    only_data: bool = False
+    """Stop when the pictures are made."""
+    start: Path | None = None
+    """Weights to begin from instead of pretraining."""
+    config: TrainConfig = field(default_factory=TrainConfig)
+    """The training itself."""
 
 
 def run(options: TrainDetectorOptions) -> int:
     """Train, continuing an earlier training with the same folders."""
+    from mi_splat.io.folders import check_writable, own_folder
+
     check_writable(options.data)
     with own_folder(options.out, *RECORDS):
         return _train(options)
@@ -26,6 +59,9 @@ def run(options: TrainDetectorOptions) -> int:
 def _train(options: TrainDetectorOptions) -> int:
     """As `run`, in a folder that is this process's own."""
     import torch
+
+    from attacks.detectors.training.loop import Training
+    from attacks.detectors.training.train import train, trainer_of, training_pictures
 
     torch.set_num_threads(options.threads)
     with progress("starting") as advance:

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.detectors.evaluation.plots import draw_recall
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from attacks.detectors.evaluation.held_out import PATH_TRACED
+from attacks.detectors.evaluation.measure import CONDITIONS
 from attacks.detectors.evaluation.tables import USUAL_CONFIDENCE, comparison, detector_tables, read_figures
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,6 +36,7 @@ TABLES = ROOT / "docs" / "tables" / "detectors"
 PAGE = ROOT / "docs" / "detectors.md"
 PICTURE = ROOT / "docs" / "images" / "detectors_recall.png"
 _END = "<!-- end -->"
+_DRAWN = ("elevation", "distance", "size", "brightness")
 
 
 def put_away(path: Path) -> None:
@@ -57,6 +62,42 @@ def write_between_marks(path: Path, command: str, text: str) -> None:
     page, begin = path.read_text(), f"<!-- written by `mi-splat {command}` -->"
     start = page.index(begin) + len(begin)
     path.write_text(f"{page[:start]}\n\n{text.strip()}\n\n{page[page.index(_END, start) :]}")
+
+
+def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
+    """Recall on path-traced pictures in the bins of four conditions, a line for each detector; empty bins left out."""
+    figure = Figure(figsize=(11, 3.1), dpi=100, layout="constrained")
+    for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
+        for number, figures in enumerate(several):
+            bins = figures["sets"][PATH_TRACED]["recall_by"].get(condition, {}).get("all", [])
+            name = f"{figures['detector']} at {figures['confidence']:g}"
+            draw_line(axes, bins, name, shift=0.06 * (number - (len(several) - 1) / 2))
+        names = [name.replace(" or more", "+").replace(" to ", "-") for name in CONDITIONS[condition].bins]
+        axes.set_xticks(range(len(names)), names, fontsize=7)
+        axes.set(xlabel=f"{condition}, {CONDITIONS[condition].unit}", ylim=(-0.02, 1.02))
+        axes.grid(alpha=0.3)
+    first = figure.axes[0]
+    first.set_ylabel("recall at IoU 0.5")
+    handles, labels = first.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 6), fontsize=8)
+    return figure
+
+
+def draw_line(axes: Axes, bins: Sequence[Mapping[str, Any]], name: str, *, shift: float) -> None:
+    """One line with its 95 % Wilson intervals, each bin at its number."""
+    known = [(number, rate) for number, rate in enumerate(bins) if rate["total"]]
+    below = [max(0.0, rate["rate"] - rate["interval"][0]) for _, rate in known]
+    above = [max(0.0, rate["interval"][1] - rate["rate"]) for _, rate in known]
+    axes.errorbar(
+        [number + shift for number, _ in known],
+        [rate["rate"] for _, rate in known],
+        yerr=[below, above],
+        marker="o",
+        markersize=3,
+        linewidth=1,
+        capsize=2,
+        label=name,
+    )
 
 
 def main(paths: Sequence[Path]) -> None:

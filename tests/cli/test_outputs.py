@@ -44,8 +44,8 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.cloak.run_study",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.detect.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.evaluate.load_detectors",)),
-    "train-detector": (["train-detector"], "{}", ("attacks.cli.train_detector.training_pictures",)),
-    "evaluate-detector": (["evaluate-detector"], "{}/x.json", ("attacks.cli.evaluate_detector.held_out_sets",)),
+    "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.train.training_pictures",)),
+    "evaluate-detector": (["evaluate-detector"], "{}/x.json", ("attacks.detectors.evaluation.held_out.held_out_sets",)),
 }
 """Words of each command that writes, what its --out is in a folder, and what must not be reached."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'

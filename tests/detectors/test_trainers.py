@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 import torch
 
-from attacks.cli.training_options import SmallDetector
+from attacks.cli.train_detector import SmallDetector
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.training.config import TrainConfig
@@ -17,7 +17,7 @@ from attacks.detectors.training.loop import Training
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.train import trainer_of
 from attacks.detectors.weight_files import SMALL_WEIGHTS
-from tests.detectors.pictures import drawn
+from tests.detectors.made import drawn
 
 CONFIG = TrainConfig(pretraining=1, epochs=2, batch=2, low_resolution=64, low_resolution_fraction=0.5)
 

@@ -12,15 +12,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.detectors.base import Detections
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
-from attacks.detectors.training.average_precision import average_precision, match, score
 from attacks.detectors.training.config import SPLITS, PictureSetConfig
 from attacks.detectors.training.dataset import check_note, load, make, save_pictures
 from attacks.detectors.training.pictures import LabelledPicture, SceneRenderer, random_scene, scene_pictures
 from mi_splat.errors import InvalidValueError
-from tests.detectors.pictures import drawn
+from tests.detectors.made import drawn
 
 pytestmark = pytest.mark.usefixtures("scalar")
 
@@ -186,39 +184,6 @@ def test_softening_keeps_a_plain_picture_plain() -> None:
     torch.testing.assert_close(coarsen(plain, 2.2), plain)
     assert like_a_splat(plain, seeded()).shape == plain.shape
     assert torch.isfinite(relight(plain, seeded())).all()
-
-
-# Scoring
-
-
-def test_average_precision_of_cases_done_by_hand() -> None:
-    scores = torch.tensor([0.9, 0.8, 0.7, 0.6])
-    assert average_precision(scores, torch.tensor([True, True, False, False]), 2) == 1.0
-    assert average_precision(scores, torch.tensor([False, False, True, True]), 2) == pytest.approx(0.5)
-    # Right, wrong, right, wrong of two: precision 1 up to recall 1/2, then 2/3.
-    assert average_precision(scores, torch.tensor([True, False, True, False]), 2) == pytest.approx((1 + 2 / 3) / 2)
-    assert average_precision(scores.flip(0), torch.tensor([False, True, False, True]), 4) == pytest.approx(
-        (1 + 2 / 3) / 4
-    )
-    assert average_precision(torch.empty(0), torch.empty(0, dtype=torch.bool), 3) == 0.0
-
-
-def test_an_object_is_found_once() -> None:
-    truth = torch.tensor([[0.0, 0.0, 10.0, 10.0]])
-    boxes = torch.tensor([[0.0, 0.0, 10.0, 9.0], [0.0, 0.0, 10.0, 10.0], [20.0, 0.0, 30.0, 10.0]])
-    assert match(boxes, torch.tensor([0.5, 0.9, 0.99]), truth).tolist() == [False, True, False]
-    assert match(boxes, torch.tensor([0.5, 0.9, 0.99]), torch.empty(0, 4)).tolist() == [False] * 3
-
-
-def test_scores_are_kept_apart_by_class_and_picture() -> None:
-    samples = [drawn((10, 10, 50, 50), label=1), drawn((10, 10, 50, 50), label=2)]
-    box = torch.tensor([[10.0, 10.0, 50.0, 50.0]])
-    right, wrong = Detections(box, torch.tensor([0.8]), ("car",)), Detections(box, torch.tensor([0.9]), ("car",))
-    result = score([right, wrong], samples, SMALL_CLASSES)
-    assert result.counts == {"car": 1, "person": 1}
-    assert result.ap == {"car": 0.5, "person": 0.0}
-    assert result.recall == {"car": 1.0, "person": 0.0}
-    assert result.mean == 0.25
 
 
 def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from attacks.detectors.training.loop import Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.train import train
 from attacks.detectors.weights import read_weights
-from tests.detectors.pictures import drawn
+from tests.detectors.made import drawn
 from tests.io.noted import Change, changed
 
 

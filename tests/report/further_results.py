@@ -13,7 +13,7 @@ import numpy as np
 from mi_splat import provenance
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
-from tests.detectors.test_evaluation_tables import document
+from tests.detectors.made import document
 from tests.fakes import camera
 from tests.report.results import STUDIED, rate
 

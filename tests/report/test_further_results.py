@@ -74,7 +74,7 @@ def test_a_detector_s_figures(tmp_path: Path) -> None:
     assert section.control.rate == Rate(successes=2, total=16)
     assert "Few objects (path traced; car)" in said(section)
     words = {figure.label: figure.words for figure in section.figures}
-    assert words["mean average precision at an overlap of 0.5, path traced"] == "0.750"
+    assert words["mean average precision at an overlap of 0.5, path traced"] == "0.500"
     assert words["false positives per picture, pictures without objects"].startswith("0.12 (2 in 16; ")
     chart = next(chart for chart in section.charts if chart.title.endswith("by elevation"))
     assert [point.y for point in chart.lines[0].points] == [0.5]
@@ -93,10 +93,12 @@ def test_compare_detectors_stores_what_its_page_shows(tmp_path: Path, capsys: py
         save_json(figures_of(name), tmp_path / f"{name}.json")
     before = (tmp_path / "one.json").read_bytes()
     files = [str(tmp_path / f"{name}.json") for name in ("one", "two")]
-    assert cli.main(["compare-detectors", *files, "--out", str(tmp_path / "one.md")]) == 0
+    assert cli.main(["compare-detectors", *files, "--out", str(tmp_path / "one.compared.json")]) == 0
     section = read_section(tmp_path / "one.compared.json")
     assert (tmp_path / "one.json").read_bytes() == before
-    assert section.command == shlex.join(["mi-splat", "compare-detectors", *files, "--out", str(tmp_path / "one.md")])
+    assert section.command == shlex.join(
+        ["mi-splat", "compare-detectors", *files, "--out", str(tmp_path / "one.compared.json")]
+    )
     assert section.versions
 
 

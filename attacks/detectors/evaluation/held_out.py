@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import reduce
-from operator import add
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.evaluation.recall import (
-    CONDITIONS,
-    ObjectResult,
-    object_results,
-    other_classes,
-    recall_by,
-    reported_as,
-)
+from attacks.detectors.evaluation.measure import Measurement, false_positives, measure_detector
 from attacks.detectors.registry import load_detector
-from attacks.detectors.training.average_precision import Score, detect_all, score
 from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from attacks.detectors.training.dataset import fill_conditions, load, make
-from attacks.detectors.training.false_positives import FalsePositives, false_positives
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.splat_pictures import splat_set
 from mi_splat.errors import message
@@ -47,46 +36,6 @@ OnWork = Callable[[str, int, int], None]
 """Called with what is going on, the units of it that are done, and the number wanted."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOutResult:
-    """A detector on one set of pictures.
-
-    Attributes:
-        score: Average precision and recall; None for a set without objects.
-        false_positives: At an intersection over union of 0.5.
-        objects: What it makes of each object, by the same thresholds.
-        other_classes: Class that no object of the project has to the number of detections.
-    """
-
-    score: Score | None
-    false_positives: FalsePositives
-    objects: tuple[ObjectResult, ...] = ()
-    other_classes: Mapping[str, int]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The result as JSON can hold it."""
-        found: dict[str, Any] = {}
-        if self.score is not None:
-            found = {**asdict(self.score), "map": self.score.mean, "recall_by": _recall_by(self.objects)}
-            found["reported_as"] = reported_as(self.objects)
-        counted = {"pictures": self.false_positives.pictures, "false_positives": self.false_positives.as_dict()}
-        return {**found, **counted, "other_classes": dict(self.other_classes)}
-
-
-def _recall_by(objects: Sequence[ObjectResult]) -> dict[str, dict[str, Any]]:
-    """Condition to recall by its bins: of all objects, and of cars where there are any."""
-    groups = {"all": list(objects), "car": [one for one in objects if one.label == "car"]}
-    return {
-        condition: {
-            group: [one.as_dict() for one in recall_by(some, condition)]
-            for group, some in groups.items()
-            if any(condition in one.seen for one in some)
-        }
-        for condition in CONDITIONS
-        if any(condition in one.seen for one in objects)
-    }
-
-
 def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
     """A detector of the project's classes that keeps its unlikely detections too, as an average precision needs them.
 
@@ -103,8 +52,7 @@ def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
         raise DetectorError(message(f"detector {name}", f"one of {', '.join(SMALL_CLASSES)}", got, do))
     if "min_confidence" in getattr(detector, "__dict__", {}):
         detector.min_confidence = MIN_CONFIDENCE
-    found: Detector = detector
-    return found
+    return detector  # type: ignore[no-any-return]
 
 
 def held_out_sets(
@@ -170,39 +118,22 @@ def _all_known(pictures: Sequence[LabelledPicture]) -> bool:
     return all(len(picture.conditions) == len(picture.labels) for picture in pictures)
 
 
-def evaluate_sets(
+def measure_sets(
     detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]], *, confidence: float = 0.5
-) -> dict[str, HeldOutResult]:
+) -> dict[str, Measurement]:
     """Run a detector over sets of labelled pictures, whose labels count from 1 in SMALL_CLASSES.
-
-    Detections of other classes count neither in an average precision nor as false positives; they are listed.
 
     Args:
         detector: Knows these classes, and others if it likes.
         sets: Name to pictures of one size.
         confidence: Least confidence of a false positive, and of an object that is found.
     """
-    found = {}
-    for name, pictures in sets.items():
-        results = detect_all(detector, pictures)
-        any_object = any(len(picture.labels) for picture in pictures)
-        found[name] = HeldOutResult(
-            score=score(results, pictures, SMALL_CLASSES, confidence=confidence) if any_object else None,
-            false_positives=false_positives(results, pictures, SMALL_CLASSES, confidence=confidence),
-            objects=tuple(object_results(results, pictures, SMALL_CLASSES, confidence=confidence)),
-            other_classes=other_classes(results, SMALL_CLASSES, confidence=confidence),
-        )
-    return found
+    return {name: measure_detector(detector, pictures, confidence=confidence) for name, pictures in sets.items()}
 
 
-def figures(results: Mapping[str, HeldOutResult]) -> dict[str, dict[str, Any]]:
-    """The results of each set as JSON can hold them."""
-    return {name: result.as_dict() for name, result in results.items()}
-
-
-def total_false_positives(results: Mapping[str, HeldOutResult]) -> dict[str, dict[str, Any]]:
+def total_false_positives(measured: Mapping[str, Measurement]) -> dict[str, dict[str, Any]]:
     """False positives of the project's sets together: with objects, without any, and all; empty ones are absent."""
-    with_objects = [one.false_positives for name, one in results.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
-    without = [one.false_positives for name, one in results.items() if name.startswith(BACKGROUND)]
-    groups = {"with objects": with_objects, "without objects": without, "all": [*with_objects, *without]}
-    return {name: reduce(add, some).as_dict() for name, some in groups.items() if some}
+    with_objects = [one for name, one in measured.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
+    without = [one for name, one in measured.items() if name.startswith(BACKGROUND)]
+    totals = {"with objects": with_objects, "without objects": without, "all": [*with_objects, *without]}
+    return {name: false_positives(sets) for name, sets in totals.items() if sets}

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.training.average_precision import detect_all, evaluate
+from attacks.detectors.evaluation.measure import false_positives, measure_detector
 from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import (
     BACKGROUNDS,
@@ -23,7 +23,6 @@ from attacks.detectors.training.config import (
     TrainingSetConfig,
 )
 from attacks.detectors.training.dataset import load, make
-from attacks.detectors.training.false_positives import false_positives
 from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.splat_pictures import splat_set
@@ -190,9 +189,10 @@ def validated(training: Training, validation: Sequence[LabelledPicture], folder:
     """
     detector = training.snapshot()
     empty = [picture for picture in validation if not len(picture.labels)]
-    result = evaluate(detector, validation)
-    rate = false_positives(detect_all(detector, empty), empty, detector.classes).rate
-    record: dict[str, object] = {"validation": asdict(result), "map": result.mean, "false_positives": rate}
+    measured = measure_detector(detector, validation)
+    rate = false_positives([measure_detector(detector, empty)])["per_picture"] if empty else 0.0
+    figures = {"ap": measured.ap, "recall": measured.recall, "counts": measured.counts}
+    record: dict[str, object] = {"validation": figures, "map": measured.mean, "false_positives": rate}
     if _merit(record) >= max((_merit(r) for r in training.history if "map" in r), default=-math.inf):
         notes = {"epoch": str(training.epoch), "seed": str(training.config.seed)}
         folder.mkdir(parents=True, exist_ok=True)

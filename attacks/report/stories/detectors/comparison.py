@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, shown
+from attacks.report.section import Chart, Figure, Line, Point, Section, Table
 from attacks.report.stories.detectors.held_out import (
     CONDITIONS,
     bin_name,
@@ -20,8 +20,6 @@ from attacks.report.stories.detectors.held_out import (
 from attacks.report.wording import counted, known, listed, percent, plural, sentence, settings
 
 KIND = "detectors compared"
-ENDING = ".compared.json"
-"""How the name of such a file ends."""
 
 Document = Mapping[str, Any]
 
@@ -63,7 +61,6 @@ def read(path: Path, found: Document) -> Section:
             for name, own in objects_of(one).items()
         ),
         warnings=tuple(map(sentence, _doubts(several))),
-        pictures=_pictures(path),
         charts=tuple(_charts(several, sets)),
         tables=tuple(_tables(several, sets)),
         configuration=settings(
@@ -94,16 +91,6 @@ def _doubts(several: Sequence[Document]) -> Iterator[str]:
     made = [one.get("pictures") for one in several]
     if any(one != made[0] for one in made):
         yield "The detectors looked at different pictures: their figures cannot be compared"
-
-
-def _pictures(path: Path) -> tuple[Picture, ...]:
-    recall = Picture(
-        path=path.with_name(path.name.removesuffix(ENDING) + ".png"),
-        caption="Recall by how objects are seen, a line for each detector.",
-        alt="Plots of the recall of each detector, whose numbers are in the tables below",
-        wide=True,
-    )
-    return shown([recall])
 
 
 def _charts(several: Sequence[Document], sets: Sequence[str]) -> Iterator[Chart]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, shown
+from attacks.report.section import Chart, Figure, Line, Point, Section, Table
 from attacks.report.wording import counted, known, listed, number, plural, pooled, sentence, settings
 
 KIND = "a detector on held-out pictures"
@@ -61,7 +61,6 @@ def read(path: Path, found: Document) -> Section:
         attacked=False,
         figures=tuple(_figures(found, hits)),
         warnings=tuple(map(sentence, _doubts(sets, empty))),
-        pictures=_pictures(path),
         charts=tuple(_charts(sets)),
         tables=tuple(_tables(found, sets)),
         configuration=settings({name: found[name] for name in _SETTINGS if name in found}),
@@ -130,16 +129,6 @@ def _doubts(sets: Mapping[str, Document], empty: Rate) -> Iterator[str]:
         few = [label for label, count in one["counts"].items() if count < FEW_OBJECTS]
         if few:
             yield f"Few objects ({name}; {listed(few)}): fewer than {FEW_OBJECTS}, so their figures may be chance"
-
-
-def _pictures(path: Path) -> tuple[Picture, ...]:
-    recall = Picture(
-        path=path.with_suffix(".png"),
-        caption="Recall by how objects are seen.",
-        alt="Plots of the recall, whose numbers are in the tables below",
-        wide=True,
-    )
-    return shown([recall])
 
 
 def _charts(sets: Mapping[str, Document]) -> Iterator[Chart]:
