@@ -1,16 +1,16 @@
 """What a step of projected gradient descent does with the gradient: momentum, and steps that become shorter.
 
-They go into `pgd(optimiser=...)`. A run's memory is a value (`OptimiserState`), so that a run can be taken up again.
+They go into `pgd(optimiser=...)`. A run's memory is a value (`attacks.pgd.OptimiserState`), so that a run can be taken up
+again.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 
 from attacks.limits import Schedule
-from attacks.pgd import Ball, Optimiser, Parameters, Update
+from attacks.pgd import START, Ball, Optimiser, OptimiserState, Parameters, Update
 
 LENGTHS: dict[Schedule, Callable[[float], float]] = {
     "constant": lambda share: 1.0,
@@ -20,30 +20,12 @@ LENGTHS: dict[Schedule, Callable[[float], float]] = {
 """Factor of the step's length by the share of the steps that are done, in [0, 1)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class OptimiserState:
-    """What a run remembers between two steps.
-
-    Attributes:
-        index: Number of steps done.
-        velocity: Decaying sum of normalised gradients, by parameter; empty before the first step.
-        square: Decaying sum of their squares (Adam); empty where nothing needs it.
-    """
-
-    index: int
-    velocity: Parameters
-    square: Parameters = field(default_factory=dict)
-
-
-START = OptimiserState(index=0, velocity={})
-
-
 class MomentumDescent:
     """Steps against the steepest direction of a decaying sum of gradients: MI-FGSM (Dong et al. 2018) in any norm.
 
     Each gradient is divided by its mean absolute value before it is added, so that no single picture outweighs the
     others; the paper divides by the sum, which only scales. Without decay there is nothing to add, and gradients stay
-    as they are: with the constant schedule the steps are those of `attacks.pgd.steepest_descent`, to the bit. A power
+    as they are: with the constant schedule these are plain steps of fixed length (Madry et al. 2018). A power
     between 0 and 1 makes small gradients count for more: the direction is then the steepest one of the l_p norm with
     p = 1 + 1 / power, between that of l2 (1) and that of linf (0).
 
@@ -147,7 +129,22 @@ def momentum(*, decay: float, schedule: Schedule, steps: int, power: float = 1.0
         power: Of the gradients' absolute values, in [0, 1]; see `MomentumDescent`.
     """
 
-    def optimiser(ball: Ball, step: Mapping[str, float]) -> Update:
-        return MomentumDescent(ball, step, decay=decay, schedule=schedule, steps=steps, power=power)
+    def optimiser(ball: Ball, step: Mapping[str, float], state: OptimiserState) -> Update:
+        return MomentumDescent(ball, step, decay=decay, schedule=schedule, steps=steps, power=power, state=state)
+
+    return optimiser
+
+
+def adam(*, decay: float, schedule: Schedule, steps: int) -> Optimiser:
+    """Adam with steps of falling length, for `pgd`.
+
+    Args:
+        decay: Share of the earlier gradients that is kept at each step, in [0, 1).
+        schedule: How the steps become shorter.
+        steps: Number of steps of a run.
+    """
+
+    def optimiser(ball: Ball, step: Mapping[str, float], state: OptimiserState) -> Update:
+        return AdamDescent(step, decay=decay, schedule=schedule, steps=steps, state=state)
 
     return optimiser

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import torch
@@ -18,6 +18,9 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError, message
 
 Parameters = dict[str, Tensor]
+
+NOT_JUDGED = -1.0
+"""Score of a point that nothing judged."""
 
 
 class Ball(Protocol):
@@ -44,12 +47,29 @@ class Evaluation:
         loss: Lower is better for the attacker.
         gradients: Derivative of the loss by each parameter.
         success: Whether the attack has its aim here, judged by what counts, which is not the loss.
-        score: How near it is, in [0, 1]; -1 where nothing judged the point.
+        score: How near it is, in [0, 1]; `NOT_JUDGED` where nothing judged the point.
         unambiguous: Whether it has its aim and nothing speaks against it; an early stop waits for this.
     """
 
     loss: float
     gradients: Parameters
+    success: bool = False
+    score: float = NOT_JUDGED
+    unambiguous: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Judgement:
+    """What a judge says, who looks at some points only.
+
+    Attributes:
+        point: The point judged: the one of the search, or what the judge made of it. It may become the outcome.
+        success: As in `Evaluation`.
+        score: As in `Evaluation`.
+        unambiguous: As in `Evaluation`.
+    """
+
+    point: Parameters
     success: bool
     score: float
     unambiguous: bool
@@ -62,7 +82,7 @@ class Step:
     Attributes:
         index: 0 is the start of a run; after n steps the index is n.
         loss: Lower is better for the attacker.
-        score: In [0, 1], higher is better for the attacker; -1 where nothing judged the point.
+        score: In [0, 1], higher is better for the attacker; `NOT_JUDGED` where nothing judged the point.
         success: Whether the attack has its aim here.
         unambiguous: Whether it has its aim and nothing speaks against it.
         zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero.
@@ -93,20 +113,76 @@ class Outcome:
     trace: tuple[Step, ...]
 
 
-Update = Callable[[Parameters], Parameters]
-"""From the gradients at a point to the change of the parameters. It may remember the gradients of its run."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OptimiserState:
+    """What a run remembers between two steps.
 
-Optimiser = Callable[[Ball, Mapping[str, float]], Update]
-"""Makes the `Update` of one run from the ball and the length of a step by parameter."""
+    Attributes:
+        index: Number of steps done.
+        velocity: Decaying sum of normalised gradients, by parameter; empty before the first step.
+        square: Decaying sum of their squares (Adam); empty where nothing needs it.
+    """
+
+    index: int
+    velocity: Parameters
+    square: Parameters = field(default_factory=dict)
 
 
-def steepest_descent(ball: Ball, step: Mapping[str, float]) -> Update:
-    """Steps of fixed length against the steepest direction of the ball's norm (Madry et al. 2018)."""
+START = OptimiserState(index=0, velocity={})
 
-    def update(gradients: Parameters) -> Parameters:
-        return {name: -step[name] * direction for name, direction in ball.steepest(gradients).items()}
 
-    return update
+class Update(Protocol):
+    """From the gradients at a point to the change of the parameters; it may remember the gradients of its run."""
+
+    @property
+    def state(self) -> OptimiserState:
+        """What it remembers."""
+        ...
+
+    def __call__(self, gradients: Parameters) -> Parameters:
+        """The change of the parameters."""
+        ...
+
+
+Optimiser = Callable[[Ball, Mapping[str, float], OptimiserState], Update]
+"""Makes the `Update` of one run from the ball, the length of a step by parameter, and what it remembers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SearchState:
+    """A search between two steps: all that the rest of it depends on.
+
+    Attributes:
+        point: Where it is.
+        optimiser: What the optimiser remembers; its index is the number of steps done.
+        best: The best point so far; `point` before anything was judged.
+        best_line: Its line of the trace; None before anything was judged.
+        trace: Every point before `point`.
+    """
+
+    point: Parameters
+    optimiser: OptimiserState
+    best: Parameters
+    best_line: Step | None
+    trace: tuple[Step, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Hooks:
+    """What a search calls while it runs.
+
+    Attributes:
+        judge: Judges the point of every `every`-th step and of the last one; then these points alone may become the
+            outcome. None leaves the judgement to each evaluation.
+        every: Steps between two judgements.
+        on_step: Called with every line of the trace as it happens.
+        on_state: Called with the search as it stands before every step but the first.
+    """
+
+    judge: Callable[[Parameters], Judgement] | None = None
+    every: int = 1
+    on_step: Callable[[Step], None] | None = None
+    on_state: Callable[[SearchState], None] | None = None
 
 
 def pgd(
@@ -116,10 +192,11 @@ def pgd(
     *,
     step: Mapping[str, float],
     steps: int,
+    optimiser: Optimiser,
     starts: Iterable[Parameters] | None = None,
-    optimiser: Optimiser = steepest_descent,
     early_stop: bool = True,
-    on_step: Callable[[Step], None] | None = None,
+    hooks: Hooks | None = None,
+    begun: SearchState | None = None,
 ) -> Outcome:
     """Descend from every start, project after every step, and keep the best point of all.
 
@@ -129,10 +206,11 @@ def pgd(
         ball: Projection and direction; `Budget` is one.
         step: Length of a step for each parameter, in the ball's norm.
         steps: Number of steps from each start.
+        optimiser: What makes a step of the gradient (`attacks.optimisers`); asked anew for each run.
         starts: First point of each run, taken when the run begins; the reference alone if None.
-        optimiser: What makes a step of the gradient; asked anew for each run.
         early_stop: End everything at the first unambiguous success; otherwise take all steps from all starts.
-        on_step: Called with every line of the trace as it happens.
+        hooks: What is called while the search runs.
+        begun: A search with one start that goes on from here.
 
     Raises:
         InvalidValueError: A gradient or the loss is not finite, steps is negative, or there is no start.
@@ -140,28 +218,52 @@ def pgd(
     """
     if steps < 0:
         raise InvalidValueError(message("steps", "a number >= 0", steps, "ask for at least one step"))
-    best, found, trace = None, reference, list[Step]()
-    for restart, start in enumerate([reference] if starts is None else starts):
-        update = optimiser(ball, step)
+    hooks = hooks or Hooks()
+    if begun is None:
+        begun = SearchState(point=reference, optimiser=START, best=reference, best_line=None, trace=())
+        starts = [reference] if starts is None else starts
+    else:
+        starts = [begun.point]
+    best, best_line, trace = begun.best, begun.best_line, list(begun.trace)
+    for restart, start in enumerate(starts):
+        update = optimiser(ball, step, begun.optimiser)
         point = ball.project({name: value.detach().clone() for name, value in start.items()}, reference)
-        for index in range(steps + 1):
-            here = evaluate(point)
+        for index in range(begun.optimiser.index, steps + 1):
+            if hooks.on_state is not None and index > begun.optimiser.index:
+                memory = update.state
+                hooks.on_state(
+                    SearchState(point=point, optimiser=memory, best=best, best_line=best_line, trace=tuple(trace))
+                )
+            here, judged = _judged(evaluate(point), point, index, steps, hooks)
             line = _line(here, index, restart)
             trace.append(line)
-            if on_step is not None:
-                on_step(line)
-            if best is None or rank(line) > rank(best):
-                best, found = line, point
+            if hooks.on_step is not None:
+                hooks.on_step(line)
+            if judged is not None and (best_line is None or rank(line) > rank(best_line)):
+                best_line, best = line, judged
             if index == steps or (early_stop and _ended(line)):
                 break
             change = update(here.gradients)
             point = ball.project({name: value + change[name] for name, value in point.items()}, reference)
-        if early_stop and best is not None and _ended(best):
+        if early_stop and best_line is not None and _ended(best_line):
             break
-    if best is None:
+    if best_line is None:
         raise InvalidValueError(message("starts", "at least one point", "none", "pass the reference, or nothing"))
-    ball.check(found, reference)
-    return Outcome(parameters=found, best=best, trace=tuple(trace))
+    ball.check(best, reference)
+    return Outcome(parameters=best, best=best_line, trace=tuple(trace))
+
+
+def _judged(
+    here: Evaluation, point: Parameters, index: int, steps: int, hooks: Hooks
+) -> tuple[Evaluation, Parameters | None]:
+    """An evaluation with its judgement, and the point that may become the outcome; None where nothing judged it."""
+    if hooks.judge is None:
+        return here, point
+    if index != steps and (index == 0 or index % hooks.every):
+        return here, None
+    found = hooks.judge(point)
+    marks = {"success": found.success, "score": found.score, "unambiguous": found.unambiguous}
+    return replace(here, **marks), found.point
 
 
 def rank(line: Step) -> tuple[bool, bool, float, float]:
