@@ -7,6 +7,7 @@ whose box in the picture is known: candidates and detections belong to it when t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -58,6 +59,26 @@ class Verdict:
     success: bool
     score: float
     unambiguous: bool
+
+
+def joint_verdict(verdicts: Sequence[Verdict], required: float) -> Verdict:
+    """Success in at least a fraction of the verdicts, and the score that so many reach."""
+    needed = _needed(len(verdicts), required)
+    return Verdict(
+        success=sum(verdict.success for verdict in verdicts) >= needed,
+        score=reached_by([verdict.score for verdict in verdicts], required),
+        unambiguous=sum(verdict.unambiguous for verdict in verdicts) >= needed,
+    )
+
+
+def reached_by(values: Sequence[float], required: float) -> float:
+    """The largest value that at least a fraction of the values reach."""
+    return sorted(values, reverse=True)[_needed(len(values), required) - 1]
+
+
+def _needed(count: int, required: float) -> int:
+    # 0.07 * 100 is a little more than 7: rounding must not ask for one more.
+    return math.ceil(required * count - 1e-9)
 
 
 class Objective(Protocol):

@@ -1,7 +1,6 @@
 """What a step of projected gradient descent does with the gradient: momentum, and steps that become shorter.
 
-They go into `pgd(optimiser=...)`. A run's memory is a value (`attacks.pgd.OptimiserState`), so that a run can be taken up
-again.
+They go into `pgd(optimiser=...)`. A run's memory is a value (`OptimiserState`), so that a run can be taken up again.
 """
 
 from __future__ import annotations

@@ -260,10 +260,10 @@ def _judged(
     if hooks.judge is None:
         return here, point
     if index != steps and (index == 0 or index % hooks.every):
-        return here, None
+        return replace(here, success=False, score=NOT_JUDGED, unambiguous=False), None
     found = hooks.judge(point)
-    marks = {"success": found.success, "score": found.score, "unambiguous": found.unambiguous}
-    return replace(here, **marks), found.point
+    judged = replace(here, success=found.success, score=found.score, unambiguous=found.unambiguous)
+    return judged, found.point
 
 
 def rank(line: Step) -> tuple[bool, bool, float, float]:

@@ -29,8 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from render import shell
 
 from attacks.cloak.layers import Layering
+from attacks.dagger.attack import fixed_problem
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.ensemble import Ensemble
+from attacks.dagger.search import frozen as freeze
 from attacks.detectors.base import Candidates, Detections, Detector
 from attacks.detectors.given import as_detectors
 from attacks.gaussian_subset import GaussianSubset
@@ -89,9 +90,12 @@ def dagger(detector: Detector, rounds: int) -> dict[str, Any]:
     subset, camera = GaussianSubset.of(loaded.scene, loaded.objects["car"]), next(iter(loaded.cameras.values()))
     config, runs = DaggerConfig(), []
     for render in (other(Renderer(loaded.settings)), Renderer(loaded.settings)):
-        clean = Ensemble.of([detector], subset, [camera], untargeted(), render=render, config=config)
-        runs.append(clean.frozen(config))
-    without, frozen = ((lambda one=one: one.evaluate(subset.parameters(config.attributes))) for one in runs)
+        problem, views, _ = fixed_problem(subset, [camera], (detector,), untargeted(), render=render)
+        runs.append((freeze(problem, views, config), views))
+    without, frozen = (
+        (lambda problem=problem, views=views: problem.evaluate(subset.parameters(config.attributes), views, config))
+        for problem, views in runs
+    )
     return {"what": f"DAGGER, {detector.name}", **compare(without, frozen, rounds)}
 
 

@@ -12,11 +12,10 @@ from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, ma
 from attacks.artifacts.detection_rows import DETECTION, OBJECT, detection_cells, detections_of, object_box
 from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Column, Row, Table
-from attacks.dagger.problem import joint_verdict, reached_by
 from attacks.dagger.report import confidences
 from attacks.dagger.result import STILL_REPORTED
 from attacks.detectors.base import Detections
-from attacks.objectives import Target, Verdict, confidence
+from attacks.objectives import Target, Verdict, confidence, joint_verdict, reached_by
 from mi_splat.io.folders import RECORD as RESULT
 
 ROWS, NOISE = "rows", "noise"

@@ -14,7 +14,7 @@ from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, ma
 from attacks.artifacts.detection_rows import OBJECT
 from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Cell, Column, Row, Table
-from attacks.dagger.eot.rates import NOISE, eot_figures
+from attacks.dagger.rates import NOISE, rate_figures
 from attacks.objectives import Relabel
 from mi_splat.io.folders import RECORD as RESULT
 
@@ -45,7 +45,7 @@ def pack(folder: Path, stages: Path | None) -> Packed:
         contents = contents_of(
             result,
             tables_of(result),
-            result["detectors"],
+            {entry["detector"]: entry["detector_fingerprint"] for entry in result["detectors"]},
             _STATED,
             folder=folder,
         )
@@ -83,7 +83,7 @@ def derive(contents: Contents) -> Mapping[str, Any]:
     try:
         config = contents.configuration["config"]
         low, high = map(float, config["judged"]["cameras"]["elevations"])
-        figures = eot_figures(_frame(contents), list(contents.detectors), (low, high))
+        figures = rate_figures(_frame(contents), list(contents.detectors), (low, high))
         rate = figures["rate"]
         return {"success": rate["successes"] >= (config["required_views"] - 1e-9) * rate["total"], **figures}
     except (KeyError, TypeError, ValueError, IndexError, pl.exceptions.PolarsError) as error:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from attacks.detectors.base import Detector
 from attacks.observe.views import BATCH, ViewDetections, detect_views
-from attacks.transformations.pictures import PictureChange, changing
+from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat

@@ -89,7 +89,7 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     several = len(result.detectors) > 1
     counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
     reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
-    names = [one.detector for one in result.detectors if one.verdict.success == result.success]
+    names = [name for name in result.detectors if result.verdict_of(name).success == result.success]
     name, clear = object_name(options.selection), result.verdict.unambiguous
     said = sentence(result.objective, names, name, success=result.success, clear=clear)
     show(f"{'SUCCESS' if result.success else 'FAILED'}: {said}; {reached}.")

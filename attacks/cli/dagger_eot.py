@@ -10,13 +10,13 @@ from pathlib import Path
 from attacks.cli.aims import aim, chosen_object, object_name, sentence, write_parts
 from attacks.cli.eot_options import DaggerEotOptions
 from attacks.cli.loading import load_detectors
-from attacks.dagger.eot.attack import attack_views
-from attacks.dagger.eot.rates import NOISE
-from attacks.dagger.eot.report import CONTACT, eot_summary, write_eot_files
-from attacks.dagger.eot.result import EotResult
-from attacks.dagger.eot.search import NOT_JUDGED, Checkpoint
-from attacks.dagger.eot.views import ViewDistribution
-from attacks.pgd import Step
+from attacks.dagger.attack import attack_views
+from attacks.dagger.checkpoint import Checkpoint
+from attacks.dagger.rates import NOISE
+from attacks.dagger.report import CONTACT, summary, write_files
+from attacks.dagger.result import Result
+from attacks.dagger.views import ViewDistribution
+from attacks.pgd import NOT_JUDGED, Step
 from attacks.rate import Rate
 from attacks.transformations.config import Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
@@ -61,10 +61,10 @@ def run(options: DaggerEotOptions) -> int:
         }
         result = dataclasses.replace(result, origin={**result.origin, **origin})
         with new_folder(options.out, force=options.force) as folder:
-            written = [*write_eot_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
+            written = [*write_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
         files = {path.name: options.out / path.name for path in written}
     if options.json:
-        show_json({**eot_summary(result), "files": {name: str(path) for name, path in files.items()}})
+        show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
     else:
         _tell(result, options)
     return 0
@@ -88,7 +88,7 @@ def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
     return note
 
 
-def _tell(result: EotResult, options: DaggerEotOptions) -> None:
+def _tell(result: Result, options: DaggerEotOptions) -> None:
     """What happened, warnings if there are some, and where to look."""
     radii = ", ".join(f"{name} {eps:g}" for name, eps in result.config.radius.items())
     objective = aim(options.objective, options.target, options.confidence)
@@ -101,7 +101,7 @@ def _tell(result: EotResult, options: DaggerEotOptions) -> None:
         f"Step {result.best.index} of {result.config.steps} was best by the validation views "
         f"(budget in {result.config.norm}: {radii}; {result.seconds:.0f} s)."
     )
-    psnr, rates = result.judgement.image.psnr, result.rates
+    psnr, rates = result.image.psnr, result.rates
     change = "No picture changed" if psnr is None else f"The held-out pictures changed to a PSNR of {psnr:.1f} dB"
     noise, clean = _words(rates[NOISE]), _words(rates["clean_success"])
     show(f"{change}; random noise of the same size: {noise}; no attack: {clean}.")

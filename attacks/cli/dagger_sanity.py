@@ -10,9 +10,8 @@ from attacks.cli.dagger_transfer import loadable
 from attacks.cli.transfer_options import DaggerSanityOptions
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import jittered
-from attacks.dagger.sanity.finding import Finding
+from attacks.dagger.sanity.checks import CHECKS, Finding, run_checks, write_findings
 from attacks.dagger.sanity.runs import Case, Runs
-from attacks.dagger.sanity.suite import CHECKS, run_checks, write_findings
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.objectives import relabel

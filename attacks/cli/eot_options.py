@@ -8,7 +8,7 @@ from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.config import EotConfig
 from attacks.limits import SearchName
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.cli.camera_options import CameraOptions

@@ -2,31 +2,40 @@
 
 After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector (white box) and edits only the
 Gaussians of one object. The paper's text takes eleven steps of length 2 eps / steps in one l2 ball of radius 5 over the
-SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.pgd`).
+SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.pgd`), over fixed views (`attack`) or over a
+distribution of them (`attack_views`: expectation over transformation, Athalye et al. 2018).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Generator
 
-from attacks.dagger.config import DaggerConfig
-from attacks.dagger.ensemble import Ensemble
-from attacks.dagger.result import NoiseControl, Result, find_warnings
-from attacks.detectors.base import Detector
+from attacks.dagger.checkpoint import Checkpoint
+from attacks.dagger.config import Config, DaggerConfig, EotConfig
+from attacks.dagger.judging import Judgement, Reports, clean_reports, judge, look
+from attacks.dagger.problem import Problem, check_detectors
+from attacks.dagger.result import Result, find_warnings, noise_verdicts
+from attacks.dagger.search import VALIDATION_SEED_OFFSET, OnStep, search_drawn, search_fixed
+from attacks.dagger.views import View, ViewDistribution, fixed_views
+from attacks.detectors.base import Detections, Detector
 from attacks.detectors.given import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import Objective, check_objective
-from attacks.observe.views import as_saved, clamped_fraction, image_change
-from attacks.optimisers import momentum
-from attacks.pgd import Outcome, Parameters, Step, pgd
+from attacks.objectives import Objective, check_objective, overlap
+from attacks.observe.comparison import usual_label
+from attacks.observe.views import as_saved, clamped_fraction
+from attacks.pgd import Outcome, Parameters
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
 
 
@@ -39,7 +48,7 @@ def attack(
     *,
     render: RenderFn,
     config: DaggerConfig | None = None,
-    on_step: Callable[[Step], None] | None = None,
+    on_step: OnStep | None = None,
 ) -> Result:
     """Attack one object of a scene in one view or many.
 
@@ -58,47 +67,84 @@ def attack(
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
             a detector does not know the target class, two have one name, or a gradient is not finite.
     """
-    config = config or DaggerConfig()
-    begun = time.perf_counter()
+    config, begun = config or DaggerConfig(), time.perf_counter()
     cameras, detectors = as_cameras(cameras), as_detectors(detector)
     check_scene("scene", scene)
     check_objective(objective)
     _check_views(cameras, render)
-    clean_hash = scene_hash(scene)
-    if config.sh_degree is not None and "sh" in config.attributes and scene.degree < config.sh_degree:
-        scene = scene.with_degree(config.sh_degree)
-    subset = GaussianSubset.of(scene, mask)
-    ensemble = Ensemble.of(detectors, subset, cameras, objective, render=render, config=config)
-    reference = subset.parameters(config.attributes)
-    outcome = _search(ensemble.frozen(config), reference, config, on_step)
-    attacked = subset.applied(outcome.parameters)
-    saved = as_saved(attacked)
-    in_file = GaussianSubset.of(saved, subset.rows).parameters(config.attributes)
-    results = ensemble.judge(saved)
-    clean_views = ensemble.views[0]  # the pictures are the same for every detector
-    result = Result(
-        scene=attacked,
-        verdict=ensemble.verdict(results),
-        detectors=results,
-        trace=outcome.trace,
-        best=outcome.best,
-        used=config.budget.measure(outcome.parameters, reference),
-        used_in_file=config.budget.measure(in_file, reference),
-        object_gaussians=len(subset.rows),
-        changed_gaussians=subset.changed(attacked),
-        image=image_change(
-            [view.image for view in clean_views],
-            [view.after.image for view in results[0].views],
-            [view.weight for view in clean_views],
-        ),
-        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in clean_views) / len(clean_views),
-        noise=_noise_control(ensemble, subset, outcome.parameters, config),
-        warnings=(),
+    subset = GaussianSubset.of(widened(scene, config), mask)
+    check_detectors(detectors, objective)
+    problem, views, reports = fixed_problem(subset, cameras, detectors, objective, render=render)
+    outcome = search_fixed(problem, views, config, on_step)
+    attacked, saved, noisy = _scenes(problem, outcome, config)
+    judgement = judge(problem, views, (subset.scene, reports), saved, noisy)
+    origin = {
+        "detector": " + ".join(detector.name for detector in detectors),
+        "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
+        "scene_hash": scene_hash(scene),
+    }
+    result = _result(problem, config, outcome, (attacked, saved), judgement, origin)
+    result = dataclasses.replace(result, seconds=time.perf_counter() - begun)
+    return dataclasses.replace(result, warnings=find_warnings(result))
+
+
+def attack_views(
+    views: ViewDistribution,
+    detectors: Detector | str | Sequence[Detector | str],
+    objective: Objective,
+    *,
+    config: EotConfig | None = None,
+    judged: ViewDistribution | None = None,
+    checkpoint: Checkpoint | None = None,
+    on_step: OnStep | None = None,
+) -> Result:
+    """Attack one object so that it deceives from all views of a distribution, and judge that on held-out views.
+
+    Args:
+        views: The object and the distribution of its views.
+        detectors: Those attacked, all at once: the loss is the mean over them, and a view is a success when every
+            one is deceived. Their weights are known (white box).
+        objective: What they shall see, for instance `relabel("person")` or `hide()`.
+        config: Budget, steps, views and seeds.
+        judged: Where the held-out views are drawn from, for instance with pictures that change; None is `views`.
+        checkpoint: Where to keep the search while it runs; one that is there is taken up again.
+        on_step: Called with every line of the trace as it happens.
+
+    Raises:
+        InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the
+            object, or a gradient is not finite.
+        CheckpointError: The checkpoint is one of another attack.
+    """
+    config, judged, detectors = config or EotConfig(), judged or views, as_detectors(detectors)
+    check_objective(objective)
+    check_detectors(detectors, objective)
+    originals = _originals(views, detectors, config)
+    problem = Problem(
+        subset=GaussianSubset.of(widened(views.scene, config), views.mask),
+        detectors=detectors,
         objective=objective,
-        config=config,
-        origin=_origin(clean_hash, detectors, render),
-        seconds=time.perf_counter() - begun,
+        originals=lambda view, name: originals[name],
+        render=views.render,
+        clean=views.picture,
+        sh_degree=config.sh_degree,
     )
+    key = _key(views, problem, config)
+    outcome, seconds = search_drawn(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)
+    begun = time.perf_counter()
+    attacked, saved, noisy = _scenes(problem, outcome, config)
+    reports = clean_reports(judged, detectors, seed=config.judge_seed, count=config.held_out)
+    held_out, clean = judged.views(config.judge_seed, config.held_out), (as_saved(judged.scene), reports)
+    judgement = judge(problem, held_out, clean, saved, [as_saved(scene) for scene in noisy])
+    origin = {"scene_hash": scene_hash(views.scene), "reference": values_of(views.reference)}
+    result = dataclasses.replace(
+        _result(problem, config, outcome, (attacked, saved), judgement, origin),
+        redraws=_redraws(views, config, held_out),
+        transformations=views.transformations,
+        judged=judged.transformations,
+        seconds=seconds + time.perf_counter() - begun,
+    )
+    if checkpoint is not None:
+        checkpoint.path.unlink(missing_ok=True)
     return dataclasses.replace(result, warnings=find_warnings(result))
 
 
@@ -111,58 +157,131 @@ def _check_views(cameras: Sequence[Camera], render: object) -> None:
         raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the detector looks from"))
 
 
-def _search(
-    ensemble: Ensemble,
-    reference: Parameters,
-    config: DaggerConfig,
-    on_step: Callable[[Step], None] | None,
-) -> Outcome:
-    """The attacker's search, on pictures as the renderer makes them."""
-    budget, generator = config.budget, Generator().manual_seed(config.seed)
+def fixed_problem(
+    subset: GaussianSubset,
+    cameras: Sequence[Camera],
+    detectors: tuple[Detector, ...],
+    objective: Objective,
+    *,
+    render: RenderFn,
+) -> tuple[Problem, list[View], Reports]:
+    """The problem of an attack from fixed cameras, its views, and what the detectors report on the clean scene.
 
-    def starts() -> Iterator[Parameters]:
-        for restart in range(config.restarts):
-            yield budget.uniform(reference, generator) if restart or config.random_start else reference
-
-    return pgd(
-        ensemble.evaluate,
-        reference,
-        budget,
-        step=config.step,
-        steps=config.steps,
-        starts=starts(),
-        optimiser=momentum(
-            decay=config.momentum, schedule=config.schedule, steps=config.steps, power=config.gradient_power
-        ),
-        early_stop=config.early_stop,
-        on_step=on_step,
+    Raises:
+        InvalidValueError: A view does not show the object.
+    """
+    views = fixed_views(subset, cameras, render=render)
+    reports = look(detectors, subset.scene, views, render)
+    originals = {key: _label_on(seen.detections, views[key[0]].box) for key, seen in reports.items()}
+    problem = Problem(
+        subset=subset,
+        detectors=detectors,
+        objective=objective,
+        originals=lambda view, name: originals[view.index, name],
+        render=render,
+        clean=lambda camera: render(subset.scene, camera),
     )
+    return problem, views, reports
 
 
-def _noise_control(
-    ensemble: Ensemble, subset: GaussianSubset, parameters: Parameters, config: DaggerConfig
-) -> NoiseControl:
-    """Random noise of the same size in the same norm, judged on 8-bit pictures."""
+def widened(scene: GaussianScene, config: Config) -> GaussianScene:
+    """The scene with as many SH coefficients as the attacked file shall have."""
+    degree = config.sh_degree
+    wider = degree is not None and "sh" in config.attributes and scene.degree < degree
+    return scene.with_degree(degree) if wider and degree is not None else scene
+
+
+def _scenes(
+    problem: Problem, outcome: Outcome, config: Config
+) -> tuple[GaussianScene, GaussianScene, list[GaussianScene]]:
+    """The attacked splat, the same as its file holds it, and splats with random noise of the same size."""
+    reference = problem.parameters(config.attributes)
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
-    reference = subset.parameters(config.attributes)
-    verdicts, views = [], []
-    for _ in range(config.noise_draws):
-        noisy = config.budget.noise(parameters, reference, generator)
-        judged = ensemble.judge(subset.applied(noisy))
-        verdicts.append(ensemble.verdict(judged))
-        views.append(tuple(view.verdict for one in judged for view in one.views))
-    return NoiseControl(
-        scores=tuple(verdict.score for verdict in verdicts),
-        successes=sum(verdict.success for verdict in verdicts),
-        views=tuple(views),
+    attacked = problem.applied(outcome.parameters)
+
+    def noisy() -> Parameters:
+        return config.budget.noise(outcome.parameters, reference, generator)
+
+    return attacked, as_saved(attacked), [problem.applied(noisy()) for _ in range(config.noise_draws)]
+
+
+def _result(
+    problem: Problem,
+    config: Config,
+    outcome: Outcome,
+    scenes: tuple[GaussianScene, GaussianScene],
+    judgement: Judgement,
+    origin: dict[str, Any],
+) -> Result:
+    """What a search has found, judged; without its warnings and its time."""
+    subset, budget, views = problem.subset, config.budget, judgement.views
+    reference = problem.parameters(config.attributes)
+    in_file = problem.parameters(config.attributes, GaussianSubset.of(scenes[1], subset.rows))
+    each = len(views) // len(problem.detectors)
+    cameras = [judged.view.camera for judged in views[:each]]
+    rows = [[judged.attacked.verdict for judged in views[place::each]] for place in range(each)]
+    return Result(
+        scene=scenes[0],
+        verdict=config.verdict(rows),
+        judgement=judgement,
+        fingerprints={detector.name: detector.fingerprint for detector in problem.detectors},
+        trace=outcome.trace,
+        best=outcome.best,
+        used=budget.measure(outcome.parameters, reference),
+        used_in_file=budget.measure(in_file, reference),
+        object_gaussians=len(subset.rows),
+        changed_gaussians=subset.changed(scenes[0]),
+        clamped_fraction=sum(clamped_fraction(subset, camera) for camera in cameras) / len(cameras),
+        noise=noise_verdicts(views, each, config),
+        warnings=(),
+        objective=problem.objective,
+        config=config,
+        origin={**origin, **provenance.rendered_with(problem.render), **provenance.origin()},
+        seconds=0.0,
     )
 
 
-def _origin(clean_hash: str, detectors: Sequence[Detector], render: RenderFn) -> dict[str, Any]:
+def _label_on(detections: Detections, box: torch.Tensor) -> str | None:
+    """What the detector calls the object: the most confident detection on it."""
+    if not len(detections):
+        return None
+    scores = torch.where(overlap(detections.boxes, box) >= 0.5, detections.scores, -1.0)
+    best = int(scores.argmax())
+    return detections.labels[best] if float(scores[best]) > 0 else None
+
+
+def _originals(views: ViewDistribution, detectors: Sequence[Detector], config: EotConfig) -> dict[str, str | None]:
+    """What each detector calls the clean object in most of the validation views."""
+    reports = clean_reports(views, detectors, seed=config.seed + VALIDATION_SEED_OFFSET, count=config.validation)
     return {
-        "detector": " + ".join(detector.name for detector in detectors),
-        "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
-        "scene_hash": clean_hash,
-        **provenance.rendered_with(render),
-        **provenance.origin(),
+        detector.name: usual_label([seen for (_, name), seen in reports.items() if name == detector.name])
+        for detector in detectors
     }
+
+
+def _redraws(views: ViewDistribution, config: EotConfig, held_out: Sequence[View]) -> dict[str, int]:
+    """Cameras drawn in vain, by what they were drawn for; of an unlimited pool nothing is known."""
+    groups = {
+        "held_out": held_out,
+        "validation": views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation),
+        "attacked": views.views(config.seed, min(config.pool, config.batch * (config.steps + 1))),
+    }
+    return {name: sum(view.redraws for view in drawn) for name, drawn in groups.items()}
+
+
+def _key(views: ViewDistribution, problem: Problem, config: EotConfig) -> str:
+    """Hash of everything that the search depends on; what only judges it does not count."""
+    settings = {
+        **dataclasses.asdict(config),
+        **dict.fromkeys(("held_out", "judge_seed", "noise_draws")),
+        "transformations": dataclasses.asdict(views.transformations),
+        "objective": repr(problem.objective),
+        "detectors": {detector.name: detector.fingerprint for detector in problem.detectors},
+        "scene": scene_hash(views.scene),
+        "rows": hashlib.sha256(problem.subset.rows.cpu().numpy().tobytes()).hexdigest(),
+        "reference": [*views.reference.to_world.flatten().tolist(), views.reference.fx, views.reference.fy],
+        "size": [views.reference.width, views.reference.height],
+        "render": repr(getattr(views.render, "settings", None)),
+        "threads": torch.get_num_threads(),
+    }
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()

@@ -10,9 +10,8 @@ from pathlib import Path
 import torch
 from safetensors.torch import save
 
-from attacks.dagger.eot.image_budget import ImagePrice
-from attacks.optimisers import OptimiserState
-from attacks.pgd import Parameters, Step
+from attacks.dagger.image_budget import ImagePrice
+from attacks.pgd import OptimiserState, Parameters, SearchState, Step
 from mi_splat.errors import MiSplatError
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
@@ -29,40 +28,46 @@ class CheckpointError(MiSplatError):
 _READER = DocumentReader(expected="a checkpoint", do="delete it, or pass another name", error=CheckpointError)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SearchState:
-    """A search between two steps.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint:
+    """Where a search is kept while it runs.
 
     Attributes:
-        point: Where it is.
-        optimiser: What the optimiser remembers; its index is the number of steps done.
-        best: The best point so far; `point` before anything was judged.
-        best_line: Its line of the trace; None before anything was judged.
+        path: The file; removed when the search has ended.
+        every: Steps between two writings.
+    """
+
+    path: Path
+    every: int = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class KeptSearch:
+    """A search between two steps, as its file holds it.
+
+    Attributes:
+        search: Where it is and what it remembers.
         price: Of the pictures' squared error; None where it costs nothing.
-        trace: Every point before `point`.
         seconds: Time spent so far.
     """
 
-    point: Parameters
-    optimiser: OptimiserState
-    best: Parameters
-    best_line: Step | None
+    search: SearchState
     price: ImagePrice | None
-    trace: tuple[Step, ...]
     seconds: float
 
 
-def save_state(state: SearchState, path: Path, *, key: str) -> None:
+def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
     """Write a search; the old checkpoint stays until the new one is on the disk.
 
     Args:
-        state: The search.
+        kept: The search.
         path: The file.
         key: What tells this attack from others.
 
     Raises:
         SplatFileError: The file cannot be written.
     """
+    state = kept.search
     groups = (state.point, state.optimiser.velocity, state.optimiser.square, state.best)
     tensors = {
         f"{group}/{name}": value.detach().contiguous().clone()
@@ -74,9 +79,9 @@ def save_state(state: SearchState, path: Path, *, key: str) -> None:
         "key": key,
         "index": state.optimiser.index,
         "best_line": None if state.best_line is None else dataclasses.asdict(state.best_line),
-        "price": None if state.price is None else dataclasses.asdict(state.price),
+        "price": None if kept.price is None else dataclasses.asdict(kept.price),
         "trace": [dataclasses.asdict(line) for line in state.trace],
-        "seconds": state.seconds,
+        "seconds": kept.seconds,
         "threads": torch.get_num_threads(),
     }
     packed = save(tensors, metadata={NOTES: json.dumps(notes)})
@@ -84,7 +89,7 @@ def save_state(state: SearchState, path: Path, *, key: str) -> None:
         write_all(file, memoryview(packed))
 
 
-def load_state(path: Path, *, key: str) -> SearchState | None:
+def load_state(path: Path, *, key: str) -> KeptSearch | None:
     """Read a search; None if there is none.
 
     Args:
@@ -108,13 +113,16 @@ def load_state(path: Path, *, key: str) -> SearchState | None:
         if memory:  # nothing before the first step, or where nothing needs it
             check_like(memory, point, f"{notes.where}, {group}", _READER)
     line, price = notes.values.get("best_line"), notes.values.get("price")
-    return SearchState(
+    search = SearchState(
         point=point,
         optimiser=OptimiserState(index=notes.whole("index", 0, 1 << 31), velocity=velocity, square=square),
         best=best,
         best_line=None if line is None else read_line(Step, notes.object("best_line")),
+        trace=tuple(read_line(Step, entry) for entry in notes.objects("trace")),
+    )
+    return KeptSearch(
+        search=search,
         price=None if price is None else read_line(ImagePrice, notes.object("price")),
-        trace=tuple(read_line(Step, one) for one in notes.objects("trace")),
         seconds=notes.number("seconds"),
     )
 

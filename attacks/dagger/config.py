@@ -5,16 +5,19 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
-from attacks.limits import SCHEDULES, NormName, Schedule, check_limits
+from attacks.limits import OPTIMISERS, SCHEDULES, NormName, OptimiserName, Schedule, check_limits
 from mi_splat.attributes import Attribute
 from mi_splat.config_values import check_numbers, several
 from mi_splat.errors import InvalidValueError, message
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
+    from attacks.objectives import Verdict
 
 EnsembleLoss = Literal["mean", "max"]
 """How the losses of several detectors become one."""
@@ -149,3 +152,109 @@ class DaggerConfig(Perturbation):
             raise InvalidValueError(message("ensemble", expected, self.ensemble, "mean is the usual one"))
         check_momentum(self.momentum, self.schedule)
         check_power(self.gradient_power)
+
+    def verdict(self, rows: Sequence[Sequence[Verdict]]) -> Verdict:
+        """Success with enough detectors, each in enough views, and the score that so many reach."""
+        from attacks.objectives import joint_verdict
+
+        each = [joint_verdict(verdicts, self.required_views) for verdicts in zip(*rows, strict=True)]
+        return joint_verdict(each, self.required_detectors)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EotConfig(Perturbation):
+    """How to attack a distribution of views (EOT).
+
+    The defaults were tuned on a few pairs of the example scenes (see docs/dagger-eot.md).
+
+    Attributes:
+        attributes: What of the object's Gaussians may change.
+        eps: Radius of the ball in the units of the splat file: one for all attributes, or one for each.
+        norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
+        steps: Number of steps.
+        step_factor: The first step is eps * step_factor / steps long.
+        optimiser: What makes a step of the gradients: their steepest direction with momentum (MI-FGSM), or Adam.
+        schedule: How the steps become shorter.
+        momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
+        gradient_power: Power of the gradients' absolute values before a step with momentum, in [0, 1]; below 1, small
+            ones count for more (see `attacks.optimisers.MomentumDescent`).
+        batch: Views drawn for each step.
+        pool: Number of views that they are drawn from; 0 draws new ones at each step.
+        validation: Views, no others, that decide which step was best.
+        validate_every: Steps between two such decisions.
+        stop_at: Fraction of the validation views whose success ends the search; None takes every step.
+        required_views: Fraction of the held-out views in which the attack has to succeed.
+        held_out: Number of held-out views that judge the result.
+        noise_draws: Draws of random noise of the same size, as a control.
+        sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less.
+            0 changes a Gaussian's colour by the same from everywhere. None keeps the scene's own.
+        image_psnr: PSNR that the pictures keep, dB, over the validation views; None asks for nothing. The search then
+            pays for the pictures' squared error (`attacks.dagger.image_budget`); the ball is a second bound.
+        seed: Seed of the attack's views, of its validation views, and of the noise.
+        judge_seed: Seed of the held-out views; another one.
+
+    Raises:
+        InvalidValueError: A value is out of its range, there are not as many radii as attributes, or the judge would
+            look at the attack's views.
+    """
+
+    eps: tuple[float, ...] = (1.0,)
+    norm: NormName = "linf"
+    steps: int = 150
+    step_factor: float = 13.0
+    noise_draws: int = 1
+    sh_degree: int | None = 1
+    optimiser: OptimiserName = "adam"
+    schedule: Schedule = "linear"
+    momentum: float = 0.8
+    gradient_power: float = 1.0
+    batch: int = 3
+    pool: int = 200
+    validation: int = 12
+    validate_every: int = 50
+    stop_at: float | None = None
+    required_views: float = 0.8
+    held_out: int = 60
+    judge_seed: int = 1000
+    image_psnr: float | None = 26.3
+
+    def __post_init__(self) -> None:
+        Perturbation.__post_init__(self)
+        check_numbers(self, {"batch": 1, "pool": 0, "validation": 1, "validate_every": 1, "held_out": 1})
+        check_share(self, "required_views", *([] if self.stop_at is None else ["stop_at"]))
+        check_momentum(self.momentum, self.schedule)
+        check_power(self.gradient_power)
+        if self.image_psnr is not None and not 0 < self.image_psnr < math.inf:
+            expected = "a number of dB > 0, or None"
+            raise InvalidValueError(message("image_psnr", expected, self.image_psnr, "26 is easily seen, 40 hardly"))
+        if self.optimiser not in OPTIMISERS:
+            expected = f"one of {', '.join(OPTIMISERS)}"
+            raise InvalidValueError(message("optimiser", expected, self.optimiser, "choose one"))
+        if self.judge_seed == self.seed:
+            raise InvalidValueError(message("judge_seed", "another seed than the attack's", self.seed, "change one"))
+
+    @property
+    def required_detectors(self) -> float:
+        """Fraction of the detectors that have to be deceived in a view: all."""
+        return 1.0
+
+    def verdict(self, rows: Sequence[Sequence[Verdict]]) -> Verdict:
+        """Success where every detector is deceived in enough views; the score orders by the number of these views.
+
+        Between equals it orders by the mean of the verdicts' scores.
+        """
+        from attacks.objectives import Verdict
+
+        successes, unambiguous = (
+            sum(all(getattr(verdict, name) for verdict in row) for row in rows) for name in ("success", "unambiguous")
+        )
+        mean = sum(min(verdict.score for verdict in row) for row in rows) / len(rows)
+        return Verdict(
+            success=successes / len(rows) >= self.required_views - 1e-9,
+            score=(successes + mean) / (len(rows) + 1),
+            unambiguous=unambiguous / len(rows) >= self.required_views - 1e-9,
+        )
+
+
+Config = DaggerConfig | EotConfig
+"""How fixed views are attacked, or a distribution of them."""

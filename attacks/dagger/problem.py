@@ -1,183 +1,228 @@
-"""The problem that an attack solves: one object, the detector, the aim; as the attacker sees it and as it is judged.
+"""The problem that an attack solves: one object, the detectors, the aim; as the attacker sees it.
 
-The attacker differentiates what the detector considers in the picture as it is rendered. Judged are the detections in
-pictures of 8 bits.
+The attacker differentiates what detectors consider in the picture as it is rendered. What they report, in pictures of 8
+bits, decides.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
-from attacks.detectors.base import Detections, Detector
+from attacks.dagger.config import DaggerConfig, EnsembleLoss
+from attacks.dagger.views import View
+from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Objective, Target, Verdict, confidence, overlap
-from attacks.observe.views import ViewDetections, detect_views, visible_box, visible_weight
+from attacks.objectives import Objective, Target, Verdict
 from attacks.pgd import Evaluation, Parameters
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.frozen_view import FrozenView
 
+_LOOKED_AT_ONCE = 4
+"""Pictures that a detector gets together when nothing is differentiated."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AttackView:
-    """One view before the attack.
+class Estimate:
+    """What the views of one step say of a point.
 
     Attributes:
-        camera: Where from.
-        target: The object's box and classes in this view.
-        weight: (H, W) fraction of each pixel that the object makes up.
-        image: (H, W, 3) clean picture, 8 bits in [0, 1].
-        detections: What is reported in it.
+        loss: Lower is better for the attacker.
+        gradients: Of the loss by each parameter.
+        error: Mean squared error of the pictures; 0 where nothing asked for it.
     """
 
-    camera: Camera
-    target: Target
-    weight: Tensor
-    image: Tensor
-    detections: Detections
+    loss: float
+    gradients: Parameters
+    error: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ViewResult:
-    """One view before and after an attack.
-
-    Attributes:
-        before: The clean scene.
-        after: The attacked scene, from the same camera.
-        verdict: Success and score.
-    """
-
-    before: AttackView
-    after: ViewDetections
-    verdict: Verdict
-
-    def confidence(self, label: str | None, *, attacked: bool) -> float:
-        """Highest score with which `label` (any class if None) is detected on the object, clean or attacked."""
-        detections = self.after.detections if attacked else self.before.detections
-        return confidence(detections, self.before.target.box, labels=None if label is None else [label])
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AttackProblem:
+class Problem:
     """Everything about an attack that stays the same while it runs.
 
     Attributes:
         subset: The object in its scene.
-        detector: The one attacked.
+        detectors: Those attacked, all at once.
         objective: The aim.
+        originals: What a detector calls the clean object in a view, by the detector's name; None for nothing.
         render: The renderer.
-        required_views: Fraction of the views in which the aim has to be reached.
+        clean: The clean scene's picture from a camera.
+        sh_degree: Highest degree of the SH coefficients that may change; None for all.
         frozen: The search's pictures from these cameras, while SH alone changes; from all others they are `render`'s,
             as all that are judged.
     """
 
     subset: GaussianSubset
-    detector: Detector
+    detectors: tuple[Detector, ...]
     objective: Objective
+    originals: Callable[[View, str], str | None]
     render: RenderFn
-    required_views: float = 1.0
+    clean: Callable[[Camera], Tensor]
+    sh_degree: int | None = None
     frozen: Mapping[Camera, FrozenView] = field(default_factory=dict)
 
-    def view(self, camera: Camera) -> AttackView:
-        """The clean scene as seen from `camera`.
+    def parameters(self, attributes: Sequence[str], subset: GaussianSubset | None = None) -> Parameters:
+        """What may change: the object's rows of the attributes, of SH only the coefficients up to the degree.
 
-        Raises:
-            InvalidValueError: The object is not visible from there.
+        Args:
+            attributes: Which.
+            subset: The object in another scene, for instance the attacked one; the clean one if None.
         """
-        weight = visible_weight(self.subset, camera, self.render)
-        box = visible_box(weight)
-        if box is None:
-            raise InvalidValueError(
-                message(
-                    "camera", "a view in which the object is visible", "none of it", "turn the camera or choose another"
-                )
-            )
-        (seen,) = detect_views(self.subset.scene, [camera], [self.detector], render=self.render)
-        target = Target(
-            box=box,
-            label=self.objective.label,
-            classes=self.detector.classes,
-            original=_label_on(seen.detections, box),
-        )
-        return AttackView(camera=camera, target=target, weight=weight, image=seen.image, detections=seen.detections)
+        values = (subset or self.subset).parameters(attributes)
+        if "sh" in values and self.sh_degree is not None:
+            values["sh"] = values["sh"][:, : (self.sh_degree + 1) ** 2]
+        return values
 
-    def judge(self, scene: GaussianScene, views: Sequence[AttackView]) -> tuple[ViewResult, ...]:
-        """Judge a scene from every camera, on 8-bit pictures that went through PNG."""
-        # One picture at a time: the same bits whatever the number of views.
-        cameras = [view.camera for view in views]
-        seen = detect_views(scene, cameras, [self.detector], render=self.render, batch=1)
-        return tuple(
-            ViewResult(before=view, after=after, verdict=self.objective.verdict(after.detections, view.target))
-            for view, after in zip(views, seen, strict=True)
-        )
+    def complete(self, parameters: Parameters) -> Parameters:
+        """The parameters with the SH coefficients that may not change."""
+        sh = parameters.get("sh")
+        if sh is None or sh.shape[1] == self.subset.clean["sh"].shape[1]:
+            return parameters
+        return {**parameters, "sh": torch.cat([sh, self.subset.clean["sh"][:, sh.shape[1] :]], 1)}
 
-    def evaluate(self, parameters: Parameters, views: Sequence[AttackView]) -> Evaluation:
-        """Loss and gradients (mean over the views), success and score at one point of the search.
+    def applied(self, parameters: Parameters) -> GaussianScene:
+        """The attacked scene; what did not move keeps the very bits it had."""
+        return self.subset.applied(self.complete(parameters))
 
-        Views are differentiated one after the other, so that memory does not grow with their number.
+    def target(self, view: View, detector: Detector) -> Target:
+        """The object in a view, as an objective wants it."""
+        original = self.originals(view, detector.name)
+        return Target(box=view.box, label=self.objective.label, classes=detector.classes, original=original)
+
+    def evaluate(self, parameters: Parameters, views: Sequence[View], config: DaggerConfig) -> Evaluation:
+        """Loss, gradients, success and score over all of some views.
+
+        Views are differentiated one after the other, so that memory does not grow with their number. The loss is the
+        mean of the detectors' losses (Liu et al., "Delving into Transferable Adversarial Examples and Black-box
+        Attacks", ICLR 2017), or that of the detector that resists most.
         """
-        loss, verdicts = 0.0, []
-        gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
-        for view in views:
-            leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
-            picture = bounded(self._picture(leaves, view.camera))
-            candidates = self.detector.candidates(picture[None])[0]
-            here = self.objective(candidates, view.target) / len(views)
-            found = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
-            for name, gradient in zip(leaves, found, strict=True):
-                gradients[name] += gradient
-            loss += float(here.detach())
-            with torch.no_grad():
-                detections = self.detector.detect(quantise(picture)[None])[0]
-            verdicts.append(self.objective.verdict(detections, view.target))
-        whole = joint_verdict(verdicts, self.required_views)
+        each = [self._evaluate(detector, parameters, views) for detector in self.detectors]
+        loss, gradients = _LOSSES[config.ensemble]([estimate for estimate, _ in each])
+        whole = config.verdict(list(zip(*(verdicts for _, verdicts in each), strict=True)))
         return Evaluation(
             loss=loss, gradients=gradients, success=whole.success, score=whole.score, unambiguous=whole.unambiguous
         )
 
-    def _picture(self, parameters: Parameters, camera: Camera) -> Tensor:
-        """The scene with these parameters of the object, differentiable."""
+    def _evaluate(
+        self, detector: Detector, parameters: Parameters, views: Sequence[View]
+    ) -> tuple[Estimate, list[Verdict]]:
+        """Mean loss of one detector over the views, its gradients, and the verdict of each view."""
+        loss, verdicts = 0.0, []
+        gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
+        for view in views:
+            leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
+            picture = bounded(self._differentiable(leaves, view.camera))
+            target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
+            here = self.objective(candidates, target) / len(views)
+            parts = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
+            for name, gradient in zip(leaves, parts, strict=True):
+                gradients[name] += gradient
+            loss += float(here.detach())
+            with torch.no_grad():
+                detections = detector.detect(quantise(picture)[None])[0]
+            verdicts.append(self.objective.verdict(detections, target))
+        return Estimate(loss=loss, gradients=gradients, error=0.0), verdicts
+
+    def _differentiable(self, parameters: Parameters, camera: Camera) -> Tensor:
+        """The picture of the scene with these parameters of the object."""
         frozen = self.frozen.get(camera) if parameters.keys() == {"sh"} else None
         return self.render(self.subset.scene_with(parameters), camera) if frozen is None else frozen(parameters["sh"])
 
+    def estimate(self, parameters: Parameters, views: Sequence[View], weight: float = 0.0) -> Estimate:
+        """Mean loss over the views of one step and all detectors, and its gradients.
 
-def joint_verdict(verdicts: Sequence[Verdict], required_views: float) -> Verdict:
-    """Success in at least a fraction of the views, and the score that so many views reach."""
-    needed = _needed(len(verdicts), required_views)
-    return Verdict(
-        success=sum(verdict.success for verdict in verdicts) >= needed,
-        score=reached_by([verdict.score for verdict in verdicts], required_views),
-        unambiguous=sum(verdict.unambiguous for verdict in verdicts) >= needed,
-    )
+        Every picture is rendered once for all detectors, and a detector gets all pictures together.
+
+        Args:
+            parameters: A point of the search.
+            views: Those of one step, whose pictures have one size.
+            weight: Of the mean squared error of the pictures, before anything happens to them, in the loss.
+        """
+        leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
+        scene = self.subset.scene_with(self.complete(leaves))
+        rendered = [bounded(self.render(scene, view.camera)) for view in views]
+        pictures = torch.stack([view.changed(picture) for picture, view in zip(rendered, views, strict=True)])
+        total = pictures.new_zeros(())
+        for detector in self.detectors:
+            for view, candidates in zip(views, detector.candidates(pictures), strict=True):
+                total = total + self.objective(candidates, self.target(view, detector))
+        total = total / (len(views) * len(self.detectors))
+        error = 0.0
+        if weight:
+            errors = [self._error(picture, view) for picture, view in zip(rendered, views, strict=True)]
+            squares = torch.stack(errors).mean()
+            total, error = total + weight * squares, float(squares.detach())
+        parts = torch.autograd.grad(total, list(leaves.values()), materialize_grads=True)
+        return Estimate(loss=float(total.detach()), gradients=dict(zip(leaves, parts, strict=True)), error=error)
+
+    def error(self, parameters: Parameters, views: Sequence[View]) -> float:
+        """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
+        with torch.no_grad():
+            scene = self.subset.scene_with(self.complete(parameters))
+            errors = [self._error(self.render(scene, view.camera).clamp(0, 1), view) for view in views]
+            return float(torch.stack(errors).mean())
+
+    def _error(self, picture: Tensor, view: View) -> Tensor:
+        return (picture - self.clean(view.camera)).square().mean()
+
+    def verdicts(self, parameters: Parameters, views: Sequence[View]) -> list[list[Verdict]]:
+        """For each view the verdict of every detector, on 8-bit pictures."""
+        rows: list[list[Verdict]] = []
+        with torch.no_grad():
+            scene = self.subset.scene_with(self.complete(parameters))
+            for first in range(0, len(views), _LOOKED_AT_ONCE):
+                batch = views[first : first + _LOOKED_AT_ONCE]
+                rendered = [self.render(scene, view.camera).clamp(0, 1) for view in batch]
+                pictures = [quantise(view.changed(picture)) for picture, view in zip(rendered, batch, strict=True)]
+                reports = [detector.detect(torch.stack(pictures)) for detector in self.detectors]
+                rows += [
+                    [
+                        self.objective.verdict(seen[place], self.target(view, detector))
+                        for detector, seen in zip(self.detectors, reports, strict=True)
+                    ]
+                    for place, view in enumerate(batch)
+                ]
+        return rows
 
 
-def reached_by(values: Sequence[float], required_views: float) -> float:
-    """The largest value that at least a fraction of the views reach."""
-    return sorted(values, reverse=True)[_needed(len(values), required_views) - 1]
+def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None:
+    """Raise unless there are detectors of different names that know the target class."""
+    names = [detector.name for detector in detectors]
+    if not names or len(set(names)) < len(names):
+        do = "name each one once"
+        raise InvalidValueError(message("detector", "one detector, or several with different names", names, do))
+    for detector in detectors:
+        if objective.label is not None and objective.label not in detector.classes:
+            of = "" if len(detectors) == 1 else f" of {detector.name}"
+            expected = f"one of {', '.join(detector.classes)}"
+            do = nearest(objective.label, detector.classes, "choose one of them")
+            raise InvalidValueError(message(f"target{of}", expected, objective.label, do))
 
 
-def _needed(views: int, required_views: float) -> int:
-    # 0.07 * 100 is a little more than 7: rounding must not ask for one view more.
-    return math.ceil(required_views * views - 1e-9)
+def _mean(each: Sequence[Estimate]) -> tuple[float, Parameters]:
+    if len(each) == 1:
+        return each[0].loss, each[0].gradients
+    names = each[0].gradients
+    gradients = {name: torch.stack([estimate.gradients[name] for estimate in each]).mean(0) for name in names}
+    return sum(estimate.loss for estimate in each) / len(each), gradients
 
 
-def _label_on(detections: Detections, box: Tensor) -> str | None:
-    """What the detector calls the object: the most confident detection on it."""
-    if not len(detections):
-        return None
-    scores = torch.where(overlap(detections.boxes, box) >= 0.5, detections.scores, -1.0)
-    best = int(scores.argmax())
-    return detections.labels[best] if float(scores[best]) > 0 else None
+def _max(each: Sequence[Estimate]) -> tuple[float, Parameters]:
+    hardest = max(each, key=lambda estimate: estimate.loss)
+    return hardest.loss, hardest.gradients
+
+
+_LOSSES: dict[EnsembleLoss, Callable[[Sequence[Estimate]], tuple[float, Parameters]]] = {"mean": _mean, "max": _max}
 
 
 class _Bounded(torch.autograd.Function):

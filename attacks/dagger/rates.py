@@ -1,4 +1,4 @@
-"""The rates of an attack on a distribution of views, counted from its rows."""
+"""The rates of an attack, counted from its rows."""
 
 from __future__ import annotations
 
@@ -46,21 +46,29 @@ def found_rates(rows: pl.DataFrame) -> dict[str, Rate]:
     return count(rows, _FOUND)[()]
 
 
-def eot_figures(rows: pl.DataFrame, detectors: Sequence[str], elevations: tuple[float, float]) -> dict[str, Any]:
+def rate_figures(
+    rows: pl.DataFrame, detectors: Sequence[str], elevations: tuple[float, float] | None = None
+) -> dict[str, Any]:
     """Every rate of an attack, as JSON can hold it.
 
     Args:
         rows: As in `aim_rates`, with the columns detector, original, azimuth, elevation, and confidences.
         detectors: Names of those attacked.
-        elevations: Interval of the judged cameras, degrees.
+        elevations: Interval of the cameras that judge it, degrees; None where they are not drawn, so that nothing is
+            told by angles.
     """
     together, success = aim_rates(rows), Measure(holds=pl.col("success"))
-    return {
+    told = {
         "rate": together["success"].as_dict(),
         "rates": {name: _of_detector(rows.filter(detector=name)) for name in detectors},
         "clean_rate": together["clean_success"].as_dict(),
         "noise_rate": together[NOISE].as_dict(),
         "unambiguous_rate": together["unambiguous"].as_dict(),
+    }
+    if elevations is None:
+        return told
+    return {
+        **told,
         "by_azimuth": banded(rows, "azimuth", (0.0, 360.0), AZIMUTHS, success),
         "by_elevation": banded(rows, "elevation", elevations, ELEVATIONS, success),
     }

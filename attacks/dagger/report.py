@@ -9,23 +9,35 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-from attacks.dagger.ensemble import DetectorResult
-from attacks.dagger.problem import ViewResult
+from attacks.dagger.config import EotConfig
+from attacks.dagger.judging import JudgedView, Seen
+from attacks.dagger.rates import rate_figures
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
+from attacks.pgd import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import values_of
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.images import to_bytes
 
+CONTACT = "held_out.png"
+"""Held-out views of an attack on a distribution."""
+
+ATTACKED = "attacked.ply"
+
+FIXED, DRAWN = "dagger", "dagger-eot"
+"""Kinds of results, by where views come from."""
+
 
 def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
-    """Write before.png, after.png, difference.png, detections.png, attacked.ply and result.json.
+    """Write pictures, attacked.ply and result.json.
 
-    Several views make one picture each, below one another; in detections.png several detectors do so, too. The folder
-    appears whole or not at all.
+    The pictures of fixed views are before.png, after.png, difference.png and detections.png: several views make one
+    picture each, below one another; in detections.png several detectors do so, too. Those of drawn views are
+    held_out.png. The folder appears whole or not at all.
 
     Args:
         result: What the attack did.
@@ -38,33 +50,28 @@ def write_report(result: Result, folder: str | Path, *, force: bool = False) -> 
     Raises:
         SplatFileError: The folder is in use or cannot be written.
     """
-    with new_folder(folder, force=force) as place:
-        names = [path.name for path in write_files(result, place)]
+    with new_folder(folder, force=force) as made:
+        names = [path.name for path in write_files(result, made)]
     return {name: Path(folder) / name for name in names}
 
 
 def write_files(result: Result, folder: Path) -> list[Path]:
     """Write the files of `write_report` into a folder that is there; returns their paths."""
-    several = len(result.detectors) > 1
-    views = result.detectors[0].views  # every detector looked at the same pictures
-    images = {
-        "before.png": stacked([to_bytes(view.before.image) for view in views]),
-        "after.png": stacked([to_bytes(view.after.image) for view in views]),
-        "difference.png": difference([view.before.image for view in views], [view.after.image for view in views]),
-        "detections.png": stacked([before_and_after(view, named=several) for view in result.views]),
-    }
+    drawn = isinstance(result.config, EotConfig)
+    images = {CONTACT: contact_sheet(result)} if drawn else _pictures(result)
     for name, pixels in images.items():
         save_png(pixels, folder / name)
-    save_splat(result.scene, folder / "attacked.ply")
+    save_splat(result.scene, folder / ATTACKED)
     save_json(summary(result), folder / RECORD)
-    return [folder / name for name in (*images, "attacked.ply", RECORD)]
+    return [folder / name for name in (*images, ATTACKED, RECORD)]
 
 
 def summary(result: Result) -> dict[str, Any]:
-    """The result as JSON can hold it; keys are explained in `Result` and `DaggerConfig`."""
+    """The result as JSON can hold it; keys are explained in `Result` and in its configuration."""
     config, image = result.config, result.image
+    judged = None if result.judged is None else result.judged.cameras.elevations
     return {
-        "attack": "dagger",
+        "attack": DRAWN if isinstance(config, EotConfig) else FIXED,
         "objective": result.objective.name,
         "success": result.success,
         "unambiguous": result.verdict.unambiguous,
@@ -72,6 +79,7 @@ def summary(result: Result) -> dict[str, Any]:
         "target": result.objective.label,
         "target_confidence": result.target_confidence,
         "score": result.score,
+        **rate_figures(result.frame, result.detectors, judged),
         "steps": result.best.index,
         "norm": config.norm,
         "eps": config.eps[0] if len(config.eps) == 1 else None,
@@ -82,39 +90,52 @@ def summary(result: Result) -> dict[str, Any]:
         "changed_gaussians": result.changed_gaussians,
         "object_gaussians": result.object_gaussians,
         "image_psnr": image.psnr,
+        "psnr_definition": "of the mean squared error over all pixels of all views that judge, 8 bits, in dB",
         "image": dataclasses.asdict(image),
         "clamped_fraction": result.clamped_fraction,
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
         "noise": {
-            "scores": list(result.noise.scores),
-            "successes": result.noise.successes,
-            "draws": len(result.noise.scores),
+            "scores": [verdict.score for verdict in result.noise],
+            "successes": sum(verdict.success for verdict in result.noise),
+            "draws": len(result.noise),
         },
+        "noise_psnr": [change.psnr for change in result.judgement.noise_images],
+        "redraws": result.redraws,
         "warnings": list(result.warnings),
-        "detectors": [_detector(result, one) for one in result.detectors],
-        "views": [
-            {**_view(view, result.objective.label), **_noise(result, place)} for place, view in enumerate(result.views)
-        ],
-        "trace": [dataclasses.asdict(line) for line in result.trace],
+        "detectors": [_detector(result, name) for name in result.detectors],
+        "views": [view_record(view) for view in result.views],
+        "trace": [_line(dataclasses.asdict(line)) for line in result.trace],
         "seed": config.seed,
-        "config": {
-            **dataclasses.asdict(config),
-            "objective": dataclasses.asdict(result.objective) if dataclasses.is_dataclass(result.objective) else {},
-        },
+        "config": {**dataclasses.asdict(config), **_settings(result)},
         **result.origin,
         "seconds": round(result.seconds, 3),
     }
 
 
-def _detector(result: Result, one: DetectorResult) -> dict[str, Any]:
-    wanted = result.objective.label is not None
+def _settings(result: Result) -> dict[str, Any]:
+    """The aim, and where views are drawn from if they are."""
+    parts = {"objective": result.objective, "transformations": result.transformations, "judged": result.judged}
+    plain = {name: value for name, value in parts.items() if name == "objective" or value is not None}
     return {
-        "detector": one.detector,
-        "detector_fingerprint": one.fingerprint,
-        "success": one.verdict.success,
-        "unambiguous": one.verdict.unambiguous,
-        "score": one.verdict.score,
-        "target_confidence": result.target_confidence_of(one) if wanted else None,
+        name: dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else {}
+        for name, value in plain.items()
+    }
+
+
+def _line(line: dict[str, Any]) -> dict[str, Any]:
+    """A line of the trace; what was not judged has no verdict."""
+    return {"index": line["index"], "loss": line["loss"]} if line["score"] == NOT_JUDGED else line
+
+
+def _detector(result: Result, name: str) -> dict[str, Any]:
+    verdict = result.verdict_of(name)
+    return {
+        "detector": name,
+        "detector_fingerprint": result.fingerprints[name],
+        "success": verdict.success,
+        "unambiguous": verdict.unambiguous,
+        "score": verdict.score,
+        "target_confidence": None if result.objective.label is None else result.target_confidence_of(name),
     }
 
 
@@ -135,31 +156,45 @@ def confidences(confidence: Callable[..., float], original: str | None, label: s
     }
 
 
-def _view(view: ViewResult, label: str | None) -> dict[str, Any]:
-    target = view.before.target
-    original = target.original
+def view_record(judged: JudgedView) -> dict[str, Any]:
+    """What a detector saw in a view, as JSON can hold it."""
+    view, attacked = judged.view, judged.attacked.verdict
     return {
-        "detector": view.after.detector,
-        "success": view.verdict.success,
-        "unambiguous": view.verdict.unambiguous,
-        **confidences(view.confidence, original, label),
-        "box": [round(float(x), 2) for x in target.box],
-        "clean": listed(view.before.detections),
-        "attacked": listed(view.after.detections),
-        "camera": values_of(view.before.camera),
+        "index": view.index,
+        "detector": judged.detector,
+        "azimuth": view.direction.azimuth,
+        "elevation": view.direction.elevation,
+        "position": view.camera.position.tolist(),
+        "camera": values_of(view.camera),
+        "change": dataclasses.asdict(view.change),
+        "success": attacked.success,
+        "unambiguous": attacked.unambiguous,
+        "score": attacked.score,
+        "clean_success": judged.clean.verdict.success,
+        "clean_score": judged.clean.verdict.score,
+        "noise_successes": [seen.verdict.success for seen in judged.noise],
+        "noise_scores": [seen.verdict.score for seen in judged.noise],
+        **confidences(judged.confidence, judged.target.original, judged.target.label),
+        "box": [round(float(corner), 2) for corner in judged.target.box],
+        "clean": listed(judged.clean.detections),
+        "attacked": listed(judged.attacked.detections),
     }
 
 
-def _noise(result: Result, place: int) -> dict[str, Any]:
-    """What each draw of noise reached in one of the views."""
-    verdicts = [draw[place] for draw in result.noise.views]
+def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
+    """The pictures of fixed views, by the names of their files."""
+    views = result.views_of(result.detectors[0])  # every detector looked at the same pictures
+    before, after = [view.clean.image for view in views], [view.attacked.image for view in views]
+    named = len(result.detectors) > 1
     return {
-        "noise_scores": [verdict.score for verdict in verdicts],
-        "noise_successes": [verdict.success for verdict in verdicts],
+        "before.png": stacked([to_bytes(image) for image in before]),
+        "after.png": stacked([to_bytes(image) for image in after]),
+        "difference.png": difference(before, after),
+        "detections.png": stacked([before_and_after(view, named=named) for view in result.views]),
     }
 
 
-def before_and_after(view: ViewResult, *, min_confidence: float = 0.3, named: bool = False) -> NDArray[np.uint8]:
+def before_and_after(view: JudgedView, *, min_confidence: float = 0.3, named: bool = False) -> NDArray[np.uint8]:
     """Boxes and confidences before (left) and after (right).
 
     Args:
@@ -167,9 +202,40 @@ def before_and_after(view: ViewResult, *, min_confidence: float = 0.3, named: bo
         min_confidence: Confidence from which a detection is drawn, in [0, 1].
         named: Whether to write the detector's name into the pictures.
     """
-    of = f" ({view.after.detector})" if named else ""
-    sides = ((view.before.image, view.before.detections, "before"), (view.after.image, view.after.detections, "after"))
-    drawn = [
-        annotated(image, detections, f"{when}{of}", min_confidence=min_confidence) for image, detections, when in sides
-    ]
-    return np.concatenate(drawn, axis=1)
+    of = f" ({view.detector})" if named else ""
+    sides = [_boxes(view.clean, f"before{of}", min_confidence), _boxes(view.attacked, f"after{of}", min_confidence)]
+    return np.concatenate(sides, axis=1)
+
+
+def _boxes(seen: Seen, title: str, min_confidence: float) -> NDArray[np.uint8]:
+    return annotated(seen.image, seen.detections, title, min_confidence=min_confidence)
+
+
+def contact_sheet(
+    result: Result, *, most: int = 8, columns: int = 2, side: int = 384, min_confidence: float = 0.3
+) -> NDArray[np.uint8]:
+    """Held-out views with boxes, evenly around the object: the clean picture beside the attacked one.
+
+    Args:
+        result: The attack.
+        most: Views shown, by the first detector.
+        columns: Pairs of pictures beside each other.
+        side: Width of a picture, pixels.
+        min_confidence: Confidence from which a detection is drawn, in [0, 1].
+    """
+    views = sorted(result.views_of(result.detectors[0]), key=lambda judged: judged.view.direction.azimuth)
+    count = min(most, len(views))
+    pairs = [_pair(views[place * len(views) // count], side, min_confidence) for place in range(count)]
+    rows = [pairs[first : first + columns] for first in range(0, count, columns)]
+    return stacked([np.concatenate(row, axis=1) for row in rows])
+
+
+def _pair(judged: JudgedView, side: int, min_confidence: float) -> NDArray[np.uint8]:
+    """One view: clean beside attacked, each `side` pixels wide."""
+    direction, sides = judged.view.direction, []
+    for seen, name in ((judged.clean, "clean"), (judged.attacked, "attacked")):
+        title = f"{name}, {direction.azimuth:.0f} / {direction.elevation:.0f}"
+        large = Image.fromarray(_boxes(seen, title, min_confidence))
+        small = large.resize((side, max(1, round(large.height * side / large.width))), Image.Resampling.LANCZOS)
+        sides.append(np.asarray(small))
+    return np.concatenate(sides, axis=1)

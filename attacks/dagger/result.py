@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from attacks.dagger.config import DaggerConfig
-from attacks.dagger.ensemble import DetectorResult
-from attacks.dagger.problem import ViewResult, joint_verdict, reached_by
-from attacks.objectives import Objective, Verdict
+import polars as pl
+
+from attacks.dagger.config import Config, EotConfig
+from attacks.dagger.judging import JudgedView, Judgement
+from attacks.dagger.rates import NOISE, aim_rates, found_rates
+from attacks.objectives import Objective, Verdict, reached_by
 from attacks.observe.views import ImageChange
 from attacks.pgd import Step
+from attacks.rate import Rate
+from attacks.transformations.config import Transformations
 from mi_splat.scene import GaussianScene
 
 _ZERO_GRADIENT_LIMIT = 0.9
@@ -23,70 +28,82 @@ _CLAMPED_LIMIT = 0.25
 STILL_REPORTED = 0.5
 """Confidence from which the object's own class counts as reported beside the one that was wanted."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseControl:
-    """Random noise of the size of the attack in the same norm; an attack has to do better.
-
-    Attributes:
-        scores: Score of every draw, as `Verdict.score`.
-        successes: Number of draws that reached the attacker's aim.
-        views: Of every draw the verdict of each view, in the order of `Result.views`.
-    """
-
-    scores: tuple[float, ...]
-    successes: int
-    views: tuple[tuple[Verdict, ...], ...] = ()
+PSNR_SLACK = 0.5
+"""How far the held-out pictures may be below the image budget before a result warns of it, dB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Result:
-    """What an attack did, judged on the saved file and 8-bit pictures.
+    """What an attack did, judged on the saved file and 8-bit pictures, from its own views or from held-out ones.
 
     Attributes:
         scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
-        verdict: Whether the aim was reached in enough views, whether without ambiguity, and the score that enough views
-            reach: the confidence in the wanted class, or 1 minus the confidence in what is still detected. With several
-            detectors, whether so with enough of them, and the score that so many reach.
-        detectors: The same of each detector, with every view before and after.
-        trace: Every point that was looked at, all runs, in order.
+        verdict: Over all views and detectors (see `DaggerConfig.verdict` and `EotConfig.verdict`): whether the aim was
+            reached, whether without ambiguity, and a score. Of fixed views it is the score that enough views reach: the
+            confidence in the wanted class, or 1 minus the confidence in what is still detected.
+        judgement: Every view as every detector sees it, before and after.
+        fingerprints: What stands for the weights of each attacked detector, by its name.
+        trace: Every point that was looked at, all runs, in order; of drawn views only some were judged.
         best: The line of the trace whose point was kept.
         used: Size of the perturbation by attribute; never above its radius.
         used_in_file: The same, measured on the saved file, where quaternions have been normalised and logits rounded.
         object_gaussians: Number of Gaussians of the object.
         changed_gaussians: Number of Gaussians that differ.
-        image: Size of the change in the pictures.
         clamped_fraction: Fraction of the object's colour channels at the clamp (clean, mean over views).
-        noise: The control.
+        noise: The control: the verdict of each draw of random noise of the attack's size in the same norm.
         warnings: Reasons to look twice before the result is believed, in words.
         objective: The aim and its settings.
         config: The full configuration.
-        origin: Detector, versions, variant, commit, scene hash.
+        origin: Detectors, versions, variant, commit, scene hash.
         seconds: Wall time of the attack.
+        transformations: The distribution that it was made for; None for fixed views.
+        judged: The distribution that judged it.
+        redraws: Cameras drawn in vain, as they did not show the object: held-out, validation and attacked views.
     """
 
     scene: GaussianScene
     verdict: Verdict
-    detectors: tuple[DetectorResult, ...]
+    judgement: Judgement
+    fingerprints: dict[str, str]
     trace: tuple[Step, ...]
     best: Step
     used: dict[str, float]
     used_in_file: dict[str, float]
     object_gaussians: int
     changed_gaussians: int
-    image: ImageChange
     clamped_fraction: float
-    noise: NoiseControl
+    noise: tuple[Verdict, ...]
     warnings: tuple[str, ...]
     objective: Objective
-    config: DaggerConfig
+    config: Config
     origin: dict[str, Any]
     seconds: float
+    transformations: Transformations | None = None
+    judged: Transformations | None = None
+    redraws: dict[str, int] = field(default_factory=dict)
 
     @property
-    def views(self) -> tuple[ViewResult, ...]:
+    def views(self) -> tuple[JudgedView, ...]:
         """Every view before and after, detector by detector."""
-        return tuple(view for one in self.detectors for view in one.views)
+        return self.judgement.views
+
+    @property
+    def image(self) -> ImageChange:
+        """Size of the change in the pictures."""
+        return self.judgement.image
+
+    @property
+    def detectors(self) -> tuple[str, ...]:
+        """Names of the attacked detectors."""
+        return tuple(self.fingerprints)
+
+    def views_of(self, detector: str) -> list[JudgedView]:
+        """Every view as one detector sees it."""
+        return [view for view in self.views if view.detector == detector]
+
+    def verdict_of(self, detector: str) -> Verdict:
+        """What one detector makes of the attack, over its views."""
+        return self.config.verdict([[view.attacked.verdict] for view in self.views_of(detector)])
 
     @property
     def success(self) -> bool:
@@ -96,15 +113,12 @@ class Result:
     @property
     def strict(self) -> bool:
         """Whether so where the object's own class has to be gone, too: reported with less than `STILL_REPORTED`."""
-        config = self.config
-        by_detector = [
-            joint_verdict([strictly(view) for view in one.views], config.required_views) for one in self.detectors
-        ]
-        return joint_verdict(by_detector, config.required_detectors).success
+        each = [[_strictly(view) for view in self.views_of(name)] for name in self.detectors]
+        return self.config.verdict(list(zip(*each, strict=True))).success
 
     @property
     def score(self) -> float:
-        """Score that enough views reach, in [0, 1]."""
+        """Score of the verdict, in [0, 1]."""
         return self.verdict.score
 
     @property
@@ -112,51 +126,125 @@ class Result:
         """Confidence in the wanted class on the object that enough views reach; None when no class was wanted."""
         if self.objective.label is None:
             return None
-        return reached_by([self.target_confidence_of(one) for one in self.detectors], self.config.required_detectors)
+        return reached_by([self.target_confidence_of(name) for name in self.detectors], self.config.required_detectors)
 
-    def target_confidence_of(self, one: DetectorResult) -> float:
-        """Confidence of one of `detectors` in the wanted class, or in any class, that enough views reach."""
-        scores = [view.confidence(self.objective.label, attacked=True) for view in one.views]
+    def target_confidence_of(self, detector: str) -> float:
+        """Confidence of one of the detectors in the wanted class, or in any class, that enough views reach."""
+        scores = [view.confidence(self.objective.label, attacked=True) for view in self.views_of(detector)]
         return reached_by(scores, self.config.required_views)
 
+    @property
+    def frame(self) -> pl.DataFrame:
+        """A row for each view and detector, of which rates are counted, see `attacks.dagger.rates`."""
+        schema: dict[str, pl.DataType] = {"original": pl.String(), NOISE: pl.List(pl.Boolean)}
+        return pl.DataFrame([_counted(view) for view in self.views], schema_overrides=schema, infer_schema_length=None)
 
-def strictly(view: ViewResult) -> Verdict:
+    @property
+    def rates(self) -> dict[str, Rate]:
+        """How often the aim is reached, see `attacks.dagger.rates.aim_rates`."""
+        return aim_rates(self.frame)
+
+    @property
+    def rate(self) -> Rate:
+        """Views in which every detector is deceived."""
+        return self.rates["success"]
+
+
+def noise_verdicts(views: Sequence[JudgedView], each: int, config: Config) -> tuple[Verdict, ...]:
+    """The verdict of each draw of random noise.
+
+    Args:
+        views: Detector by detector.
+        each: Number of views of each detector.
+        config: Of the attack.
+    """
+    draws = len(views[0].noise)
+    return tuple(
+        config.verdict([[view.noise[draw].verdict for view in views[place::each]] for place in range(each)])
+        for draw in range(draws)
+    )
+
+
+def _strictly(view: JudgedView) -> Verdict:
     """The verdict of a view in which the object's own class has to be gone, too, for a success."""
-    original = view.before.target.original
+    original, verdict = view.target.original, view.attacked.verdict
     gone = original is None or view.confidence(original, attacked=True) < STILL_REPORTED
-    return dataclasses.replace(view.verdict, success=view.verdict.success and gone)
+    return dataclasses.replace(verdict, success=verdict.success and gone)
+
+
+def _counted(view: JudgedView) -> dict[str, Any]:
+    """What rates are counted from."""
+    original, attacked, direction = view.target.original, view.attacked.verdict, view.view.direction
+    return {
+        "index": view.view.index,
+        "detector": view.detector,
+        "azimuth": direction.azimuth,
+        "elevation": direction.elevation,
+        "original": original,
+        "success": attacked.success,
+        "unambiguous": attacked.unambiguous,
+        "clean_success": view.clean.verdict.success,
+        NOISE: [seen.verdict.success for seen in view.noise],
+        "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
+        "original_confidence": view.confidence(original, attacked=True) if original else 0.0,
+    }
 
 
 def find_warnings(result: Result) -> tuple[str, ...]:
     """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
-    found = []
-    for one in result.detectors:
-        by = "" if len(result.detectors) == 1 else f" by {one.detector}"
-        for index, view in enumerate(one.views):
-            if view.confidence(view.before.target.original, attacked=False) < 0.5:
-                found.append(f"the clean picture of view {index} has no detection{by} of 0.5 or more on the object")
-    first = result.trace[0]
+    return tuple(_warnings_of_drawn(result) if isinstance(result.config, EotConfig) else _warnings_of_fixed(result))
+
+
+def _warnings_of_fixed(result: Result) -> list[str]:
+    warnings = []
+    for view in result.views:
+        if view.confidence(view.target.original, attacked=False) < 0.5:
+            by = "" if len(result.detectors) == 1 else f" by {view.detector}"
+            number = view.view.index
+            warnings.append(f"the clean picture of view {number} has no detection{by} of 0.5 or more on the object")
+    first, zeros = result.trace[0], max(line.zero_gradient_fraction for line in result.trace)
     if first.success:
-        found.append("the aim is reached without any attack")
-    if max(line.zero_gradient_fraction for line in result.trace) > _ZERO_GRADIENT_LIMIT:
-        fraction = max(line.zero_gradient_fraction for line in result.trace)
-        found.append(f"up to {fraction:.0%} of the gradient's elements are exactly zero")
+        warnings.append("the aim is reached without any attack")
+    if zeros > _ZERO_GRADIENT_LIMIT:
+        warnings.append(f"up to {zeros:.0%} of the gradient's elements are exactly zero")
     if len(result.trace) > 1 and min(line.loss for line in result.trace[1:]) >= first.loss:
-        found.append("the loss did not fall")
+        warnings.append("the loss did not fall")
     if "sh" in result.config.attributes and result.clamped_fraction > _CLAMPED_LIMIT:
-        found.append(
-            f"{result.clamped_fraction:.0%} of the object's colour channels are clamped at 0, where SH has no gradient"
-        )
+        clamped = f"{result.clamped_fraction:.0%} of the object's colour channels"
+        warnings.append(f"{clamped} are clamped at 0, where SH has no gradient")
     if result.best.success and not result.success:
-        found.append("success in the search did not survive the saved file and 8-bit pictures")
+        warnings.append("success in the search did not survive the saved file and 8-bit pictures")
     if result.success and not result.verdict.unambiguous:
-        found.append("another class is still detected on the object with more confidence")
+        warnings.append("another class is still detected on the object with more confidence")
     if result.success and not result.strict:
-        known = [view for view in result.views if view.before.target.original is not None]
-        left = max(view.confidence(view.before.target.original, attacked=True) for view in known)
-        found.append(f"the object's own class is still reported on it, at up to {left:.0%}")
-    if result.noise.scores and (
-        (result.success and result.noise.successes) or max(result.noise.scores) >= result.score > 0
-    ):
-        found.append("random noise of the same size does as well")
-    return tuple(found)
+        known = [view for view in result.views if view.target.original is not None]
+        left = max(view.confidence(view.target.original, attacked=True) for view in known)
+        warnings.append(f"the object's own class is still reported on it, at up to {left:.0%}")
+    lucky, best = sum(verdict.success for verdict in result.noise), max((one.score for one in result.noise), default=-1)
+    if result.noise and ((result.success and lucky) or best >= result.score > 0):
+        warnings.append("random noise of the same size does as well")
+    return warnings
+
+
+def _warnings_of_drawn(result: Result) -> list[str]:
+    warnings, rows, rates, config = [], result.frame, result.rates, result.config
+    for name in result.detectors:
+        seen = found_rates(rows.filter(detector=name))["found_clean"]
+        if seen.fraction < 0.5:
+            warnings.append(f"{name} finds the clean object in {seen.successes} of {seen.total} held-out views only")
+    clean, noise, rate = rates["clean_success"], rates[NOISE], rates["unambiguous"]
+    if clean.successes:
+        warnings.append(f"the aim is reached without any attack in {clean.successes} of {clean.total} views")
+    if result.best.success and not result.success:
+        warnings.append("success on the validation views did not carry over to the held-out views")
+    if noise.total and result.rate.successes and noise.fraction >= result.rate.fraction:
+        warnings.append("random noise of the same size does as well")
+    if result.success and rate.fraction < config.required_views:
+        few = f"{rate.successes} of {rate.total} views only"
+        warnings.append(f"without another class of more confidence on the object: {few}")
+    wanted, psnr = config.image_psnr if isinstance(config, EotConfig) else None, result.image.psnr
+    if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
+        warnings.append(
+            f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of the validation views"
+        )
+    return warnings

@@ -1,49 +1,88 @@
-"""The search for a perturbation that holds over a distribution of views: PGD on mini-batches, resumable to the bit."""
+"""The two searches of DAGGER, both PGD: over fixed views all at once, and over a few drawn views at each step.
+
+The second is resumable to the bit; some views, no others, judge every few of its steps (Athalye et al., "Synthesizing
+Robust Adversarial Examples", ICML 2018).
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 
-from attacks.dagger.eot.checkpoint import SearchState, check_point, load_state, save_state
-from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.image_budget import ImagePrice, fitted, stretched
-from attacks.dagger.eot.problem import EotProblem, joined
-from attacks.dagger.eot.views import DrawnView, ViewDistribution, batch_indices
-from attacks.optimisers import START, AdamDescent, MomentumDescent
-from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd, rank
+from torch import Generator
 
-NOT_JUDGED = -1.0
-"""Score of a step that the validation views did not look at."""
+from attacks.dagger.checkpoint import Checkpoint, KeptSearch, check_point, load_state, save_state
+from attacks.dagger.config import DaggerConfig, EotConfig
+from attacks.dagger.image_budget import ImagePrice, fitted, stretched
+from attacks.dagger.problem import Problem
+from attacks.dagger.views import View, ViewDistribution, batch_indices
+from attacks.optimisers import adam, momentum
+from attacks.pgd import Evaluation, Hooks, Judgement, Optimiser, Outcome, Parameters, SearchState, Step, pgd
+from mi_splat.view_freezing import freeze_views
 
 VALIDATION_SEED_OFFSET = 500_000_000
 """Added to the attack's seed for its validation views."""
 
+OnStep = Callable[[Step], None]
+"""Called with every line of the trace as it happens."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Checkpoint:
-    """Where a search is kept while it runs.
 
-    Attributes:
-        path: The file; removed when the search has ended.
-        every: Steps between two writings.
+def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, on_step: OnStep | None) -> Outcome:
+    """Search over the pictures of fixed views, which judge every step themselves.
+
+    Args:
+        problem: The object, the detectors and the aim.
+        views: All that are attacked.
+        config: How to attack.
+        on_step: Called with every line of the trace as it happens.
+
+    Raises:
+        BudgetError: The best point is outside the ball.
     """
+    budget, generator = config.budget, Generator().manual_seed(config.seed)
+    problem, reference = frozen(problem, views, config), problem.parameters(config.attributes)
 
-    path: Path
-    every: int = 10
+    def starts() -> Iterator[Parameters]:
+        for restart in range(config.restarts):
+            yield budget.uniform(reference, generator) if restart or config.random_start else reference
+
+    return pgd(
+        lambda point: problem.evaluate(point, views, config),
+        reference,
+        budget,
+        step=config.step,
+        steps=config.steps,
+        starts=starts(),
+        optimiser=_momentum(config),
+        early_stop=config.early_stop,
+        hooks=Hooks(on_step=on_step),
+    )
 
 
-def search(
-    problem: EotProblem,
+def frozen(problem: Problem, views: Sequence[View], config: DaggerConfig) -> Problem:
+    """The problem with frozen views for a search with this configuration, if it changes SH alone."""
+    if config.attributes != ("sh",):
+        return problem
+    made = freeze_views(
+        problem.subset.scene,
+        [view.camera for view in views],
+        render=problem.render,
+        pictures=len(problem.detectors) * config.restarts * (config.steps + 1),
+        rows=problem.subset.rows,
+    )
+    return dataclasses.replace(problem, frozen=made)
+
+
+def search_drawn(
+    problem: Problem,
     views: ViewDistribution,
     config: EotConfig,
     *,
     key: str = "",
     checkpoint: Checkpoint | None = None,
-    on_step: Callable[[Step], None] | None = None,
-) -> SearchState:
+    on_step: OnStep | None = None,
+) -> tuple[Outcome, float]:
     """Search until the last step, or until enough validation views are deceived.
 
     A search whose checkpoint is there goes on from it, to the bits that it would have found without the break, on the
@@ -58,157 +97,102 @@ def search(
         on_step: Called with every line of the trace as it happens.
 
     Returns:
-        The state at the end; its `best` is the outcome.
+        The best point, and the seconds of all runs.
 
     Raises:
         CheckpointError: The checkpoint is one of another attack.
         BudgetError: The best point is outside the ball.
     """
-    reference, budget = problem.reference(config.attributes, config.sh_degree), config.budget
-    begun = None if checkpoint is None else load_state(checkpoint.path, key=key)
-    if begun is not None:
-        check_point(begun, reference, config.steps)
-    else:
+    clock, reference = time.perf_counter(), problem.parameters(config.attributes)
+    kept = None if checkpoint is None else load_state(checkpoint.path, key=key)
+    if kept is None:
         price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
-        begun = SearchState(
-            point=reference, optimiser=START, best=reference, best_line=None, price=price, trace=(), seconds=0.0
-        )
-    update = _update(config, begun)
-    run = _Run(problem, views, config, begun, update, on_step)
-    if checkpoint is not None:
-        run.keep(checkpoint, key)
+        begun, seconds = None, 0.0
+    else:
+        check_point(kept.search, reference, config.steps)
+        begun, price, seconds = kept.search, kept.price, kept.seconds
+    batches = _Batches(problem, views, config, 0 if begun is None else begun.optimiser.index, price)
 
-    def same_memory(ball: Ball, step: object) -> Update:
-        return update
+    def keep(search: SearchState) -> None:
+        if checkpoint is not None and search.optimiser.index % checkpoint.every == 0:
+            spent = seconds + time.perf_counter() - clock
+            save_state(KeptSearch(search=search, price=batches.price, seconds=spent), checkpoint.path, key=key)
 
-    pgd(
-        run.evaluate,
+    outcome = pgd(
+        batches,
         reference,
-        budget,
-        step=config.step,
-        steps=config.steps - begun.optimiser.index,
-        starts=[begun.point],
-        optimiser=same_memory,
-        early_stop=config.stop_at is not None,
-        on_step=run.note,
-    )
-    budget.check(run.best, reference)
-    return run.state()
-
-
-def _update(config: EotConfig, begun: SearchState) -> MomentumDescent | AdamDescent:
-    """What makes the steps, with the memory of the state."""
-    if config.optimiser == "adam":
-        return AdamDescent(
-            config.step, decay=config.momentum, schedule=config.schedule, steps=config.steps, state=begun.optimiser
-        )
-    return MomentumDescent(
         config.budget,
-        config.step,
-        decay=config.momentum,
-        schedule=config.schedule,
+        step=config.step,
         steps=config.steps,
-        power=config.gradient_power,
-        state=begun.optimiser,
+        optimiser=_momentum(config) if config.optimiser == "momentum" else _adam(config),
+        early_stop=config.stop_at is not None,
+        hooks=Hooks(
+            judge=_judge(problem, views, config, reference),
+            every=config.validate_every,
+            on_step=on_step,
+            on_state=keep,
+        ),
+        begun=begun,
     )
+    return outcome, seconds + time.perf_counter() - clock
 
 
-class _Run:
-    """What a search has found so far, and what `pgd` asks of it."""
+def _momentum(config: DaggerConfig | EotConfig) -> Optimiser:
+    return momentum(decay=config.momentum, schedule=config.schedule, steps=config.steps, power=config.gradient_power)
+
+
+def _adam(config: EotConfig) -> Optimiser:
+    return adam(decay=config.momentum, schedule=config.schedule, steps=config.steps)
+
+
+class _Batches:
+    """Loss and gradients over the views of each step in turn; the price of their pictures' error follows it."""
 
     def __init__(
-        self,
-        problem: EotProblem,
-        views: ViewDistribution,
-        config: EotConfig,
-        begun: SearchState,
-        update: MomentumDescent | AdamDescent,
-        on_step: Callable[[Step], None] | None,
+        self, problem: Problem, views: ViewDistribution, config: EotConfig, first: int, price: ImagePrice | None
     ) -> None:
         self._problem, self._views, self._config = problem, views, config
-        self._update, self._on_step = update, on_step
-        self._checkpoint: Checkpoint | None = None
-        self._key = ""
-        self._first, self._earlier, self._clock = begun.optimiser.index, begun.seconds, time.perf_counter()
-        self._trace, self.best, self._best_line = list(begun.trace), begun.best, begun.best_line
-        self._point = self._judged = begun.point
-        self._price = begun.price
-        self._validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
+        self._index, self.price = first, price
 
-    def keep(self, checkpoint: Checkpoint, key: str) -> None:
-        """Write the search from now on."""
-        self._checkpoint, self._key = checkpoint, key
+    def __call__(self, point: Parameters) -> Evaluation:
+        estimate = self._problem.estimate(point, self._batch(), 0.0 if self.price is None else self.price.now)
+        self._index += 1
+        if self.price is not None:
+            self.price = self.price.after(estimate.error)
+        return Evaluation(loss=estimate.loss, gradients=estimate.gradients)
 
-    def state(self) -> SearchState:
-        """The search as it stands."""
-        return SearchState(
-            point=self._point,
-            optimiser=self._update.state,
-            best=self.best,
-            best_line=self._best_line,
-            price=self._price,
-            trace=tuple(self._trace),
-            seconds=self._earlier + time.perf_counter() - self._clock,
-        )
-
-    def evaluate(self, point: Parameters) -> Evaluation:
-        """Loss and gradients over the step's views; the verdict where the step is one of those that are judged."""
-        self._point, config = point, self._config
-        index = self._update.state.index
-        kept = self._checkpoint
-        if kept is not None and index > self._first and index % kept.every == 0:
-            save_state(self.state(), kept.path, key=self._key)
-        found = self._problem.loss(point, self._batch(index), 0.0 if self._price is None else self._price.now)
-        if self._price is not None:
-            self._price = self._price.after(found.error)
-        loss, gradients = found.loss, found.gradients
-        if (index == 0 or index % config.validate_every) and index != config.steps:
-            return Evaluation(loss=loss, gradients=gradients, success=False, score=NOT_JUDGED, unambiguous=False)
-        successes, score, self._judged = self._judge(point)
-        share = successes / len(self._validation)
-        enough = config.stop_at is not None and share >= config.stop_at - 1e-9
-        success = share >= config.required_views - 1e-9
-        return Evaluation(loss=loss, gradients=gradients, success=success, score=score, unambiguous=success and enough)
-
-    def note(self, line: Step) -> None:
-        """A line of the trace, numbered from the beginning of the search."""
-        numbered = Step(
-            index=self._first + line.index,
-            loss=line.loss,
-            score=line.score,
-            success=line.success,
-            unambiguous=line.unambiguous,
-            zero_gradient_fraction=line.zero_gradient_fraction,
-        )
-        self._trace.append(numbered)
-        judged = line.score != NOT_JUDGED
-        if judged and (self._best_line is None or rank(numbered) > rank(self._best_line)):
-            self.best, self._best_line = self._judged, numbered
-        if self._on_step is not None:
-            self._on_step(numbered)
-
-    def _judge(self, point: Parameters) -> tuple[int, float, Parameters]:
-        """Validation views that are deceived, the score, and the point judged: what the image budget makes of it."""
-
-        def judged(one: Parameters) -> tuple[int, float, Parameters]:
-            return (*joined(self._problem.verdicts(one, self._validation)), one)
-
-        if self._price is None:
-            return judged(point)
-
-        def error(one: Parameters) -> float:
-            return self._problem.error(one, self._validation)
-
-        reference = self._problem.reference(self._config.attributes, self._config.sh_degree)
-        within = fitted(point, reference, self._price.limit, error)
-        found = judged(within)
-        if within is not point or found[0] == len(self._validation):
-            return found
-        farther = judged(stretched(point, reference, self._config.budget, self._price.limit, error))
-        return farther if farther[1] > found[1] else found
-
-    def _batch(self, index: int) -> Sequence[DrawnView]:
-        """The views of a step."""
+    def _batch(self) -> list[View]:
         config = self._config
-        numbers = batch_indices(index, seed=config.seed, batch=config.batch, pool=config.pool)
+        numbers = batch_indices(self._index, seed=config.seed, batch=config.batch, pool=config.pool)
         return [self._views.view(config.seed, number, keep=config.pool > 0) for number in numbers]
+
+
+def _judge(
+    problem: Problem, views: ViewDistribution, config: EotConfig, reference: Parameters
+) -> Callable[[Parameters], Judgement]:
+    """The judge of a search: validation views, which look at what the image budget makes of a point."""
+    validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
+    limit = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps).limit
+    stop_at = 2.0 if config.stop_at is None else config.stop_at
+
+    def error(point: Parameters) -> float:
+        return problem.error(point, validation)
+
+    def judged(point: Parameters) -> tuple[float, Judgement]:
+        """The share of views in which every detector is deceived, and what it says of the point."""
+        rows = problem.verdicts(point, validation)
+        whole, share = config.verdict(rows), sum(all(verdict.success for verdict in row) for row in rows) / len(rows)
+        ended = whole.success and share >= stop_at - 1e-9
+        return share, Judgement(point=point, success=whole.success, score=whole.score, unambiguous=ended)
+
+    def judge(point: Parameters) -> Judgement:
+        if limit is None:
+            return judged(point)[1]
+        within = fitted(point, reference, limit, error)
+        share, nearer = judged(within)
+        if within is not point or share == 1:
+            return nearer
+        farther = judged(stretched(point, reference, config.budget, limit, error))[1]
+        return farther if farther.score > nearer.score else nearer
+
+    return judge

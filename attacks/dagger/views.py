@@ -1,9 +1,9 @@
-"""Views of one object, drawn by seed and number from a distribution."""
+"""The views of an attack: those of fixed cameras, or drawn by seed and number from a distribution."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,9 +12,8 @@ from torch import Tensor
 
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.observe.views import visible_box, visible_weight
-from attacks.transformations.cameras import draw_camera
 from attacks.transformations.config import Transformations
-from attacks.transformations.pictures import PictureChange, change_picture, draw_change
+from attacks.transformations.draws import PictureChange, change_picture, draw_camera, draw_change
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.directions import Direction, direction_of
@@ -31,30 +30,50 @@ _PICTURES = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DrawnView:
+class View:
     """One view of the object.
 
     Attributes:
-        index: Number of the draw.
+        index: Number of the camera, or of the draw.
         camera: Where from.
-        change: What happens to the picture.
         box: (4,) x0, y0, x1, y1 in pixels: where the object shows.
         weight: (H, W) fraction of each pixel that the object makes up.
         direction: Of the camera, from the object's middle.
+        change: What happens to the picture; nothing where cameras are fixed.
         redraws: Cameras that were drawn before and did not show the object.
     """
 
     index: int
     camera: Camera
-    change: PictureChange
     box: Tensor
     weight: Tensor
     direction: Direction
-    redraws: int
+    change: PictureChange = field(default_factory=PictureChange)
+    redraws: int = 0
 
     def changed(self, picture: Tensor) -> Tensor:
         """What becomes of a rendered (H, W, 3) picture of this view before a detector sees it; values in [0, 1]."""
         return change_picture(picture, self.change)
+
+
+def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: RenderFn) -> list[View]:
+    """The views of an object from cameras.
+
+    Raises:
+        InvalidValueError: A camera does not show the object.
+    """
+    centre, _ = bounds(subset.scene.select(subset.rows))
+    views = []
+    for index, camera in enumerate(cameras):
+        weight = visible_weight(subset, camera, render)
+        box = visible_box(weight)
+        if box is None:
+            expected = "a view in which the object is visible"
+            do = "turn the camera or choose another"
+            raise InvalidValueError(message("camera", expected, "none of it", do))
+        direction = direction_of(camera, centre)
+        views.append(View(index=index, camera=camera, box=box, weight=weight, direction=direction))
+    return views
 
 
 class ViewDistribution:
@@ -92,11 +111,11 @@ class ViewDistribution:
         self.transformations = transformations or Transformations()
         self._subset = GaussianSubset.of(scene, mask)
         self.centre, self.radius = bounds(scene.select(self._subset.rows))
-        self._kept: dict[tuple[int, int], DrawnView] = {}
+        self._kept: dict[tuple[int, int], View] = {}
         self._memory: dict[Hashable, Any] = {}
         self._pictures: dict[Camera, Tensor] = {}
 
-    def view(self, seed: int, index: int, *, keep: bool = True) -> DrawnView:
+    def view(self, seed: int, index: int, *, keep: bool = True) -> View:
         """One view.
 
         Args:
@@ -130,11 +149,11 @@ class ViewDistribution:
                 self._pictures[camera] = self.render(self.scene, camera).clamp(0, 1)
         return self._pictures[camera]
 
-    def views(self, seed: int, count: int) -> list[DrawnView]:
+    def views(self, seed: int, count: int) -> list[View]:
         """The first `count` views of a seed."""
         return [self.view(seed, index) for index in range(count)]
 
-    def _draw(self, seed: int, index: int) -> DrawnView:
+    def _draw(self, seed: int, index: int) -> View:
         least = self.transformations.cameras.least_visible
         for attempt in range(_ATTEMPTS):
             generator = np.random.default_rng((seed, index, attempt))
@@ -149,7 +168,7 @@ class ViewDistribution:
             weight = visible_weight(self._subset, camera, self.render)
             box = visible_box(weight)
             if box is not None and float((weight >= 0.5).to(torch.float32).mean()) >= least:
-                return DrawnView(
+                return View(
                     index=index,
                     camera=camera,
                     change=change,

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.transformations.pictures import PictureChange, change_picture
+from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.comparison.methods import load_method

@@ -16,14 +16,13 @@ from attacks.artifacts.packing import pack_artifact
 from attacks.artifacts.rescoring import rescore
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.eot.report import eot_summary, write_eot_report
-from attacks.dagger.report import write_report
+from attacks.dagger.report import summary, write_report
 from attacks.objectives import Objective, hide, relabel, untargeted
 from mi_splat.cameras import RenderFn
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from tests.artifacts.test_checking import edit_rows, red
-from tests.dagger.eot.toy import quick
+from tests.dagger.toy import quick
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
 ORIGIN = {"scene": "/home/someone/toy.xml", "selection": {"mask": "/home/someone/m.npy"}, "cameras": ["front"]}
@@ -89,7 +88,7 @@ def test_all_detectors_at_once_are_a_line_of_their_own(tmp_path: Path, variant: 
 @pytest.fixture(scope="module")
 def views() -> dict[str, Any]:
     """The result of a quick attack on a distribution of views."""
-    return eot_summary(quick(steps=2, held_out=4))
+    return summary(quick(steps=2, held_out=4))
 
 
 @pytest.mark.parametrize("objective", [relabel("person"), hide(), untargeted()], ids=lambda one: str(one.name))
@@ -108,7 +107,7 @@ def test_every_figure_of_an_attack_follows_from_its_detections(objective: Object
 
 @pytest.mark.parametrize("objective", [relabel("person"), hide()], ids=lambda one: str(one.name))
 def test_every_rate_over_views_follows_from_the_views(objective: Objective, tmp_path: Path) -> None:
-    write_eot_report(quick(objective, noise_draws=2, steps=3, held_out=6), tmp_path / "result")
+    write_report(quick(objective, noise_draws=2, steps=3, held_out=6), tmp_path / "result")
     pack_artifact(tmp_path / "result", tmp_path / "artifact")
     checked = check_artifact(tmp_path / "artifact")
     assert red(checked) == []

@@ -8,7 +8,7 @@ import torch
 from attacks.budgets import Budget
 from attacks.limits import SCHEDULES, Schedule
 from attacks.optimisers import LENGTHS, AdamDescent, MomentumDescent, momentum, normalised
-from attacks.pgd import Evaluation, Parameters, pgd, steepest_descent
+from attacks.pgd import START, Evaluation, Parameters, pgd
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
 
@@ -26,9 +26,10 @@ def test_schedules_begin_whole_and_fall_to_nothing() -> None:
 
 
 def test_without_memory_the_steps_are_those_of_steepest_descent() -> None:
-    plain, ours = steepest_descent(BALL, {"sh": 0.5}), descent(decay=0.0)
+    ours = descent(decay=0.0)
     for gradient in torch.randn(4, 6, generator=torch.Generator().manual_seed(0)):
-        assert torch.equal(plain({"sh": gradient})["sh"], ours({"sh": gradient})["sh"])
+        steepest = -0.5 * BALL.steepest({"sh": gradient})["sh"]
+        assert torch.equal(steepest, ours({"sh": gradient})["sh"])
 
 
 def test_the_velocity_is_the_decaying_sum_of_normalised_gradients() -> None:
@@ -147,7 +148,7 @@ def test_a_power_gives_the_steepest_direction_of_the_norm_between(power: float) 
     generator = torch.Generator().manual_seed(0)
     gradient = torch.randn(50, generator=generator)
     ball = Budget(radius={"sh": 100.0}, norm="l2")
-    update = momentum(decay=0.0, schedule="constant", steps=1, power=power)(ball, {"sh": 1.0})
+    update = momentum(decay=0.0, schedule="constant", steps=1, power=power)(ball, {"sh": 1.0}, START)
     p = 1 + 1 / power
     step = -update({"sh": gradient})["sh"]
     reached = float((step / torch.linalg.vector_norm(step, p)) @ gradient)

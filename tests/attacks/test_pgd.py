@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 
 import pytest
@@ -10,9 +11,23 @@ from torch import Tensor
 
 from attacks.budgets import Budget, BudgetError
 from attacks.limits import NormName
-from attacks.pgd import Ball, Evaluation, Parameters, Step, Update, pgd, rank
+from attacks.optimisers import momentum
+from attacks.pgd import (
+    START,
+    Ball,
+    Evaluation,
+    Hooks,
+    Judgement,
+    OptimiserState,
+    Parameters,
+    SearchState,
+    Step,
+    rank,
+)
+from attacks.pgd import pgd as search
 from mi_splat.errors import InvalidValueError
 
+pgd = functools.partial(search, optimiser=momentum(decay=0.0, schedule="constant", steps=1))
 Oracle = Callable[[Parameters], Evaluation]
 REFERENCE = {"sh": torch.zeros(4, 3)}
 GOAL = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
@@ -57,7 +72,9 @@ def test_every_point_that_is_evaluated_is_inside() -> None:
 
 def test_the_trace_and_the_callback_tell_the_same_story() -> None:
     heard: list[Step] = []
-    found = pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 0.1}, steps=5, on_step=heard.append)
+    found = pgd(
+        bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 0.1}, steps=5, hooks=Hooks(on_step=heard.append)
+    )
     assert tuple(heard) == found.trace
     assert [line.index for line in heard] == [0, 1, 2, 3, 4, 5]
     assert heard[0].loss == pytest.approx(13.25)
@@ -218,16 +235,14 @@ def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
     """Momentum as in Dong et al. 2018: the sum of the gradients so far, each over its l1 norm."""
     made: list[float] = []
 
-    def momentum(ball: Ball, step: Mapping[str, float]) -> Update:
-        made.append(step["sh"])
-        total = torch.zeros(4, 3)
+    class Momentum:
+        def __init__(self, ball: Ball, step: Mapping[str, float], state: OptimiserState) -> None:
+            made.append(step["sh"])
+            self.state, self._total, self._ball, self._step = state, torch.zeros(4, 3), ball, step["sh"]
 
-        def update(gradients: Parameters) -> Parameters:
-            nonlocal total
-            total = total + gradients["sh"] / gradients["sh"].abs().sum()
-            return {"sh": -step["sh"] * ball.steepest({"sh": total})["sh"]}
-
-        return update
+        def __call__(self, gradients: Parameters) -> Parameters:
+            self._total = self._total + gradients["sh"] / gradients["sh"].abs().sum()
+            return {"sh": -self._step * self._ball.steepest({"sh": self._total})["sh"]}
 
     points: list[Tensor] = []
     plain = bowl()
@@ -238,7 +253,7 @@ def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
 
     budget = Budget(radius={"sh": 9.0}, norm="linf")
     start = {"sh": torch.full((4, 3), 0.1)}
-    pgd(watched, REFERENCE, budget, step={"sh": 0.25}, steps=3, starts=[start, start], optimiser=momentum)
+    pgd(watched, REFERENCE, budget, step={"sh": 0.25}, steps=3, starts=[start, start], optimiser=Momentum)
     assert made == [0.25, 0.25]
     for first, second in zip(points[:4], points[4:], strict=True):
         assert torch.equal(first, second)
@@ -277,3 +292,34 @@ def test_of_equal_points_the_first_is_kept() -> None:
     found = pgd(scripted(*[(True, False)] * 3), REFERENCE, budget, step={"sh": 1.0}, steps=2)
     assert found.best.index == 0
     assert torch.equal(found.parameters["sh"], REFERENCE["sh"])
+
+
+def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> None:
+    """Every second step and the last; the best is what the judge gave back, not the search's own point."""
+    seen: list[float] = []
+
+    def judge(point: Parameters) -> Judgement:
+        seen.append(float(point["sh"].sum()))
+        half = {"sh": point["sh"] / 2}
+        return Judgement(point=half, success=False, score=len(seen) / 10, unambiguous=False)
+
+    hooks = Hooks(judge=judge, every=2)
+    found = pgd(bowl(), REFERENCE, Budget(radius={"sh": 9.0}), step={"sh": 0.5}, steps=5, hooks=hooks)
+    assert [line.index for line in found.trace if line.score >= 0] == [2, 4, 5]
+    assert found.best.index == 5
+    assert float(found.parameters["sh"].sum()) == seen[-1] / 2
+
+
+def test_a_search_goes_on_from_its_state_to_the_same_bits() -> None:
+    states: list[SearchState] = []
+    falling = momentum(decay=0.8, schedule="linear", steps=6)
+    budget = Budget(radius={"sh": 2.0})
+    whole = search(
+        bowl(), REFERENCE, budget, step={"sh": 0.5}, steps=6, optimiser=falling, hooks=Hooks(on_state=states.append)
+    )
+    assert [state.optimiser.index for state in states] == [1, 2, 3, 4, 5, 6]
+    assert START.velocity == {}
+    rest = search(bowl(), REFERENCE, budget, step={"sh": 0.5}, steps=6, optimiser=falling, begun=states[2])
+    assert rest.trace == whole.trace
+    assert rest.best == whole.best
+    assert torch.equal(rest.parameters["sh"], whole.parameters["sh"])

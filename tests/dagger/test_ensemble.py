@@ -12,16 +12,15 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.dagger.attack import attack
+from attacks.dagger.attack import attack, fixed_problem
 from attacks.dagger.config import DaggerConfig, EnsembleLoss
-from attacks.dagger.ensemble import Ensemble
-from attacks.dagger.problem import AttackProblem
 from attacks.dagger.report import summary, write_report
 from attacks.dagger.result import Result
 from attacks.detectors.base import Candidates, Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
-from attacks.pgd import pgd
+from attacks.optimisers import momentum
+from attacks.pgd import Evaluation, pgd
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
@@ -45,11 +44,12 @@ def run(detectors: Any, **settings: Any) -> Result:
     return attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
 
 
-def ensemble(*detectors: Detector, loss: EnsembleLoss = "mean", required: float = 1.0) -> Ensemble:
+def evaluated(*detectors: Detector, loss: EnsembleLoss = "mean") -> Evaluation:
+    """The clean object as an attack on these detectors begins."""
     scene, mask = toy_scene()
-    config = DaggerConfig(ensemble=loss, required_detectors=required)
     subset = GaussianSubset.of(scene, mask)
-    return Ensemble.of(detectors, subset, [camera()], relabel("person"), render=blobs, config=config)
+    problem, views, _ = fixed_problem(subset, [camera()], detectors, relabel("person"), render=blobs)
+    return problem.evaluate(problem.parameters(("sh",)), views, DaggerConfig(ensemble=loss))
 
 
 def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
@@ -57,15 +57,15 @@ def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(4.0,), early_stop=False, noise_draws=0)
     subset = GaussianSubset.of(scene.with_degree(3), mask)
-    problem = AttackProblem(subset=subset, detector=FINE, objective=relabel("person"), render=blobs)
-    views = [problem.view(camera())]
+    problem, views, _ = fixed_problem(subset, [camera()], (FINE,), relabel("person"), render=blobs)
     reference = subset.parameters(("sh",))
     plain = pgd(
-        lambda parameters: problem.evaluate(parameters, views),
+        lambda parameters: problem.evaluate(parameters, views, config),
         reference,
         config.budget,
         step=config.step,
         steps=config.steps,
+        optimiser=momentum(decay=0.0, schedule="constant", steps=1),
         early_stop=False,
     )
     for detectors in (FINE, [FINE]):
@@ -75,10 +75,8 @@ def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
 
 
 def test_the_mean_and_the_largest_of_the_losses() -> None:
-    alone = [ensemble(one) for one in (FINE, COARSE)]
-    reference = alone[0].problems[0].subset.parameters(("sh",))
-    parts = [one.evaluate(reference) for one in alone]
-    mean, largest = (ensemble(FINE, COARSE, loss=loss).evaluate(reference) for loss in ("mean", "max"))
+    parts = [evaluated(detector) for detector in (FINE, COARSE)]
+    mean, largest = evaluated(FINE, COARSE, loss="mean"), evaluated(FINE, COARSE, loss="max")
     assert parts[0].loss != parts[1].loss
     assert mean.loss == pytest.approx(sum(part.loss for part in parts) / 2)
     torch.testing.assert_close(mean.gradients["sh"], (parts[0].gradients["sh"] + parts[1].gradients["sh"]) / 2)
@@ -90,12 +88,12 @@ def test_the_mean_and_the_largest_of_the_losses() -> None:
 def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
     found = run([FINE, COARSE])
     assert found.success
-    assert [one.detector for one in found.detectors] == ["fake_colour", "fake_coarse"]
-    assert all(one.verdict.success for one in found.detectors)
-    assert found.score == min(one.verdict.score for one in found.detectors)
-    assert found.target_confidence == min(found.target_confidence_of(one) for one in found.detectors)
-    assert [view.after.detector for view in found.views] == ["fake_colour", "fake_coarse"]
-    assert found.noise.successes == 0
+    assert found.detectors == ("fake_colour", "fake_coarse")
+    assert all(found.verdict_of(name).success for name in found.detectors)
+    assert found.score == min(found.verdict_of(name).score for name in found.detectors)
+    assert found.target_confidence == min(found.target_confidence_of(name) for name in found.detectors)
+    assert [view.detector for view in found.views] == ["fake_colour", "fake_coarse"]
+    assert not any(verdict.success for verdict in found.noise)
     assert found.origin["detector"] == "fake_colour + fake_coarse"
 
 
@@ -103,7 +101,7 @@ def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
 def test_a_fraction_of_the_detectors_can_be_enough(required: float, success: bool) -> None:
     found = run([FINE, Stubborn()], required_detectors=required, eps=(20.0,))
     assert found.success is success
-    assert [one.verdict.success for one in found.detectors] == [True, False]
+    assert [found.verdict_of(name).success for name in found.detectors] == [True, False]
 
 
 def test_the_report_shows_every_detector(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import drjit as dr
 import pytest
 import torch
 
-from attacks.dagger import ensemble
-from attacks.dagger.attack import attack
+from attacks.dagger import search
+from attacks.dagger.attack import attack, fixed_problem
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.gaussian_subset import GaussianSubset
@@ -84,11 +84,11 @@ def test_one_step_is_not_worth_a_view(frozen: list[Camera]) -> None:
 
 def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest.MonkeyPatch) -> None:
     expected = run(unknown())
-    monkeypatch.setattr(ensemble, "freeze_views", functools.partial(freeze_views, max_bytes=0))
+    monkeypatch.setattr(search, "freeze_views", functools.partial(freeze_views, max_bytes=0))
     assert run(Renderer()).trace == expected.trace
     assert not frozen
     views = list(freeze_views(toy_scene()[0].with_degree(3), CAMERAS, render=Renderer(), pictures=9).values())
-    monkeypatch.setattr(ensemble, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000))
+    monkeypatch.setattr(search, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000))
     found = run(Renderer())
     assert {id(one) for one in frozen} == {id(CAMERAS[0])}
     assert [line.loss for line in found.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
@@ -97,10 +97,9 @@ def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest
 def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Camera]) -> None:
     scene, mask = toy_scene()
     subset, config = GaussianSubset.of(scene, mask), DaggerConfig()
-    made = ensemble.Ensemble.of(
-        [ColourDetector()], subset, CAMERAS, relabel("person"), render=Renderer(), config=config
-    ).frozen(config)
-    made.evaluate(subset.parameters(("sh", "means")))
+    problem, views, _ = fixed_problem(subset, CAMERAS, (ColourDetector(),), relabel("person"), render=Renderer())
+    problem = search.frozen(problem, views, config)
+    problem.evaluate(subset.parameters(("sh", "means")), views, config)
     assert not frozen
-    made.evaluate(subset.parameters(("sh",)))
+    problem.evaluate(subset.parameters(("sh",)), views, config)
     assert frozen == CAMERAS

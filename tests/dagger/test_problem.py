@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 import torch
 
-from attacks.dagger.problem import AttackProblem, _label_on, bounded, joint_verdict, reached_by
-from attacks.detectors.base import Detections
+from attacks.dagger.attack import _label_on, fixed_problem
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.judging import judge
+from attacks.dagger.problem import Problem, bounded
+from attacks.dagger.views import View
+from attacks.detectors.base import Detections, Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Verdict, hide, relabel
+from attacks.objectives import Objective, Verdict, hide, joint_verdict, reached_by, relabel
+from mi_splat.cameras import Camera
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -48,23 +51,26 @@ def test_verdicts_of_several_views_are_joined(required_views: float, expected: V
     assert joint_verdict(verdicts, required_views) == expected
 
 
-def problem(required_views: float = 1.0) -> AttackProblem:
+CONFIG = DaggerConfig()
+
+
+def problem(
+    *cameras: Camera, detector: Detector | None = None, objective: Objective | None = None, wide: bool = False
+) -> tuple[Problem, list[View]]:
     scene, mask = toy_scene()
-    return AttackProblem(
-        subset=GaussianSubset.of(scene, mask),
-        detector=ColourDetector(),
-        objective=relabel("person"),
-        render=blobs,
-        required_views=required_views,
+    scene = GaussianScene(*(value.double() for value in scene.tensors())) if wide else scene
+    subset, detectors = GaussianSubset.of(scene, mask), (detector or ColourDetector(),)
+    made, views, _ = fixed_problem(
+        subset, cameras or [camera()], detectors, objective or relabel("person"), render=blobs
     )
+    return made, views
 
 
 def test_loss_and_gradient_are_means_over_the_views() -> None:
-    one = problem()
-    views = [one.view(camera()), one.view(camera(offset=0.8))]
-    parameters = one.subset.parameters(("sh",))
-    alone = [one.evaluate(parameters, [view]) for view in views]
-    both = one.evaluate(parameters, views)
+    made, views = problem(camera(), camera(offset=0.8))
+    parameters = made.parameters(("sh",))
+    alone = [made.evaluate(parameters, [view], CONFIG) for view in views]
+    both = made.evaluate(parameters, views, CONFIG)
     assert both.loss == pytest.approx(sum(found.loss for found in alone) / 2)
     mean = (alone[0].gradients["sh"] + alone[1].gradients["sh"]) / 2
     torch.testing.assert_close(both.gradients["sh"], mean)
@@ -72,32 +78,30 @@ def test_loss_and_gradient_are_means_over_the_views() -> None:
 
 def test_the_gradient_is_that_of_the_loss() -> None:
     """Central differences along a random direction, in double precision."""
-    scene, mask = toy_scene()
-    wide = GaussianScene(*(value.double() for value in scene.tensors()))
-    one = dataclasses.replace(problem(), subset=GaussianSubset.of(wide, mask), objective=hide())
-    view = one.view(camera())
-    clean = one.subset.parameters(("sh", "scales"))
+    made, views = problem(objective=hide(), wide=True)
+    clean = made.parameters(("sh", "scales"))
     direction = {name: torch.randn(value.shape, dtype=torch.float64) for name, value in clean.items()}
 
     def loss(amount: float) -> float:
         moved = {name: value + amount * direction[name] for name, value in clean.items()}
-        return one.evaluate(moved, [view]).loss
+        return made.evaluate(moved, views, CONFIG).loss
 
     measured = (loss(1e-5) - loss(-1e-5)) / 2e-5
-    gradients = one.evaluate(clean, [view]).gradients
+    gradients = made.evaluate(clean, views, CONFIG).gradients
     assert measured == pytest.approx(sum(float((gradients[n] * direction[n]).sum()) for n in clean), rel=1e-4)
 
 
 def test_the_judge_sees_eight_bits_of_the_scene_that_it_gets() -> None:
-    one = problem()
-    view = one.view(camera())
-    (result,) = one.judge(one.subset.scene, [view])
-    picture = quantise(blobs(one.subset.scene, camera())).float()
-    assert torch.equal(result.after.image, picture)
-    assert torch.equal(view.image, picture)
-    assert result.verdict == one.objective.verdict(one.detector.detect(picture[None])[0], view.target)
-    assert view.target.original == "car"
-    assert view.target.label == "person"
+    scene, mask = toy_scene()
+    subset, detector = GaussianSubset.of(scene, mask), ColourDetector()
+    made, views, reports = fixed_problem(subset, [camera()], (detector,), relabel("person"), render=blobs)
+    (judged,) = judge(made, views, (scene, reports), scene, []).views
+    picture = quantise(blobs(scene, camera())).float()
+    assert torch.equal(judged.attacked.image, picture)
+    assert torch.equal(judged.clean.image, picture)
+    assert judged.attacked.verdict == made.objective.verdict(detector.detect(picture[None])[0], judged.target)
+    assert judged.target.original == "car"
+    assert judged.target.label == "person"
 
 
 def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
@@ -108,11 +112,11 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
             seen.append(images)
             return super().detect(images)
 
-    one = dataclasses.replace(problem(), detector=Recording())
-    view = one.view(camera())
-    one.evaluate(one.subset.parameters(("sh",)), [view])
+    made, views = problem(detector=Recording())
+    made.evaluate(made.parameters(("sh",)), views, CONFIG)
+    assert len(seen) == 2
     assert torch.equal(seen[-1], quantise(seen[-1]))
-    torch.testing.assert_close(seen[-1][0], view.image)
+    torch.testing.assert_close(seen[-1], seen[0])  # the clean object, in the picture that was looked at first
 
 
 def test_the_object_is_what_is_seen_on_it_with_most_confidence() -> None:

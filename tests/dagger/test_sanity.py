@@ -17,9 +17,8 @@ from attacks.cli import dagger_sanity
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
-from attacks.dagger.sanity.finding import Finding
+from attacks.dagger.sanity.checks import CHECKS, Finding, run_checks
 from attacks.dagger.sanity.runs import Attack, Case, Runs
-from attacks.dagger.sanity.suite import CHECKS, run_checks
 from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
 from mi_splat.cameras import Camera

@@ -12,8 +12,7 @@ import torch
 
 from attacks import cli
 from attacks.cli import dagger_transfer
-from attacks.dagger.config import DaggerConfig
-from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.dagger.eot.jobs import EotJob, EotJobRunner
 from attacks.dagger.study import PAIRS, run_jobs
 from attacks.dagger.transfer.heat_map import draw_heat_maps

@@ -9,7 +9,7 @@ import pytest
 
 from attacks.cli.attack_scenes import read_attack_scene
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.sanity import gradient_checks
+from attacks.dagger.sanity import checks
 from attacks.dagger.sanity.runs import Case, Runs
 from attacks.dagger.transfer.jobs import SourceJob, TransferRunner
 from attacks.dagger.transfer.matrix import cells, looked_rows
@@ -54,7 +54,7 @@ def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:
         render=place.render,
         config=DaggerConfig(),
     )
-    renderer, chain = (check(Runs(case)) for check in (gradient_checks.renderer_gradient, gradient_checks.gradient))
+    renderer, chain = (check(Runs(case)) for check in (checks.renderer_gradient, checks.gradient))
     assert renderer.passed, renderer.figures
     assert renderer.values["cosine"] > 0.9999
     assert chain.passed, chain.figures

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.result import NoiseControl, Result, find_warnings
+from attacks.dagger.judging import JudgedView
+from attacks.dagger.result import Result, find_warnings
 from attacks.detectors.base import Detections
 from attacks.objectives import Verdict, hide, relabel
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -23,7 +24,7 @@ def test_warnings_about_a_picture_without_a_detection() -> None:
     dark = scene.sh.clone()
     dark[mask, 0] = -1.4
     found = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
-    assert found.noise.successes == len(found.noise.scores) == 5
+    assert [verdict.success for verdict in found.noise] == [True] * 5
     assert found.warnings == (
         "the clean picture of view 0 has no detection of 0.5 or more on the object",
         "the aim is reached without any attack",
@@ -71,6 +72,11 @@ def sound() -> Result:
     return found
 
 
+def of_views(result: Result, *views: JudgedView) -> Result:
+    """The result with other views."""
+    return dataclasses.replace(result, judgement=dataclasses.replace(result.judgement, views=views))
+
+
 def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
     ambiguous = dataclasses.replace(sound, verdict=Verdict(success=True, score=0.8, unambiguous=False))
     assert find_warnings(ambiguous) == ("another class is still detected on the object with more confidence",)
@@ -79,17 +85,15 @@ def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
 @pytest.mark.parametrize(("left", "strict"), [(0.49, True), (0.5, False), (0.91, False)])
 def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Result, left: float, strict: bool) -> None:
     (view,) = sound.views
-    box = view.before.target.box
+    box = view.target.box
     both = Detections(torch.stack([box, box]), torch.tensor([0.95, left]), ("person", "car"))
-    seen = dataclasses.replace(view, after=dataclasses.replace(view.after, detections=both))
-    result = dataclasses.replace(sound, detectors=(dataclasses.replace(sound.detectors[0], views=(seen,)),))
+    seen = dataclasses.replace(view, attacked=dataclasses.replace(view.attacked, detections=both))
+    result = of_views(sound, seen)
     assert result.success
     assert result.strict is strict
     # What a view shows in which nothing was reported before is not the object's own class.
-    unknown = dataclasses.replace(
-        view, before=dataclasses.replace(view.before, target=dataclasses.replace(view.before.target, original=None))
-    )
-    two = dataclasses.replace(result, detectors=(dataclasses.replace(result.detectors[0], views=(seen, unknown)),))
+    unknown = dataclasses.replace(view, target=dataclasses.replace(view.target, original=None))
+    two = of_views(result, seen, unknown)
     assert strict or f"the object's own class is still reported on it, at up to {left:.0%}" in find_warnings(two)
     expected = () if strict else (f"the object's own class is still reported on it, at up to {left:.0%}",)
     assert find_warnings(result) == expected
@@ -98,18 +102,19 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Resul
 @pytest.mark.parametrize(
     ("verdict", "noise", "warned"),
     [
-        (Verdict(success=True, score=0.9, unambiguous=True), NoiseControl(scores=(0.1, 0.8), successes=1), True),
-        (Verdict(success=True, score=0.9, unambiguous=True), NoiseControl(scores=(0.1, 0.8), successes=0), False),
-        (Verdict(success=False, score=0.4, unambiguous=False), NoiseControl(scores=(0.1, 0.4), successes=0), True),
-        (Verdict(success=False, score=0.4, unambiguous=False), NoiseControl(scores=(0.1, 0.3), successes=0), False),
-        (Verdict(success=False, score=0.0, unambiguous=False), NoiseControl(scores=(0.0, 0.0), successes=0), False),
+        (Verdict(success=True, score=0.9, unambiguous=True), ((0.1, False), (0.8, True)), True),
+        (Verdict(success=True, score=0.9, unambiguous=True), ((0.1, False), (0.8, False)), False),
+        (Verdict(success=False, score=0.4, unambiguous=False), ((0.1, False), (0.4, False)), True),
+        (Verdict(success=False, score=0.4, unambiguous=False), ((0.1, False), (0.3, False)), False),
+        (Verdict(success=False, score=0.0, unambiguous=False), ((0.0, False), (0.0, False)), False),
     ],
 )
 def test_noise_that_does_as_well_is_warned_of(
-    sound: Result, verdict: Verdict, noise: NoiseControl, warned: bool
+    sound: Result, verdict: Verdict, noise: tuple[tuple[float, bool], ...], warned: bool
 ) -> None:
+    draws = tuple(Verdict(success=success, score=score, unambiguous=success) for score, success in noise)
     best = dataclasses.replace(sound.best, success=verdict.success)
-    found = find_warnings(dataclasses.replace(sound, verdict=verdict, noise=noise, best=best))
+    found = find_warnings(dataclasses.replace(sound, verdict=verdict, noise=draws, best=best))
     assert ("random noise of the same size does as well" in found) is warned
 
 
@@ -133,8 +138,7 @@ def test_a_failure_is_not_called_ambiguous(sound: Result) -> None:
 @pytest.mark.parametrize(("score", "warned"), [(0.49, True), (0.5, False)])
 def test_an_object_that_is_hardly_seen_before_is_warned_of(sound: Result, score: float, warned: bool) -> None:
     (view,) = sound.views
-    seen = Detections(view.before.target.box[None], torch.tensor([score]), ("car",))
-    faint = dataclasses.replace(view, before=dataclasses.replace(view.before, detections=seen))
+    seen = Detections(view.target.box[None], torch.tensor([score]), ("car",))
+    faint = dataclasses.replace(view, clean=dataclasses.replace(view.clean, detections=seen))
     message = "the clean picture of view 0 has no detection of 0.5 or more on the object"
-    seen_so = dataclasses.replace(sound.detectors[0], views=(faint,))
-    assert (message in find_warnings(dataclasses.replace(sound, detectors=(seen_so,)))) is warned
+    assert (message in find_warnings(of_views(sound, faint))) is warned

@@ -18,8 +18,8 @@ from safetensors.torch import save_file
 
 from attacks.artifacts.checking import check_artifact
 from attacks.cloak.config import read_study
-from attacks.dagger.eot import checkpoint as eot_checkpoint
-from attacks.dagger.eot.image_budget import ImagePrice
+from attacks.dagger import checkpoint as eot_checkpoint
+from attacks.dagger.image_budget import ImagePrice
 from attacks.detectors.coco import cards
 from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS
 from attacks.detectors.evaluation.tables import read_figures
@@ -27,8 +27,7 @@ from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, top
 from attacks.detectors.tfjs.network import GraphNetwork
 from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
-from attacks.optimisers import START
-from attacks.pgd import Step
+from attacks.pgd import START, SearchState, Step
 from attacks.rendering_studies.config import read_rendering_study
 from attacks.report.results import STORIES, read_section
 from mi_splat.capture.gltf import gltf_notes
@@ -182,8 +181,9 @@ def _search(folder: Path) -> Path:
     line = Step(index=0, loss=1.0, score=0.5, success=False, unambiguous=False, zero_gradient_fraction=0.0)
     point = {"means": torch.zeros(2, 3)}
     price = ImagePrice.of(35.0, steps=8)
-    values = {"point": point, "optimiser": START, "best": point, "best_line": line, "price": price, "trace": (line,)}
-    eot_checkpoint.save_state(eot_checkpoint.SearchState(**values, seconds=1.0), folder / "s.checkpoint", key="key")  # type: ignore[arg-type]
+    search = SearchState(point=point, optimiser=START, best=point, best_line=line, trace=(line,))
+    kept = eot_checkpoint.KeptSearch(search=search, price=price, seconds=1.0)
+    eot_checkpoint.save_state(kept, folder / "s.checkpoint", key="key")
     return folder / "s.checkpoint"
 
 

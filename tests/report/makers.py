@@ -6,12 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from attacks.cli import main
-from attacks.dagger.eot.report import write_eot_report
 from attacks.dagger.eot.tables import write_eot_tables
 from attacks.dagger.pairs import run_pairs, write_summary
-from attacks.dagger.sanity.finding import Finding
+from attacks.dagger.report import write_report
+from attacks.dagger.sanity.checks import Finding, write_findings
 from attacks.dagger.sanity.runs import Runs
-from attacks.dagger.sanity.suite import write_findings
 from attacks.dagger.study import run_jobs
 from attacks.dagger.tables import write_tables
 from attacks.dagger.transfer import tables as transfer_tables
@@ -22,14 +21,14 @@ from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from tests.dagger import test_pairs, test_sanity, test_study, test_transfer
 from tests.dagger.eot import test_study as eot_study
-from tests.dagger.eot.toy import quick
+from tests.dagger.toy import quick
 from tests.fakes import camera, toy_scene
 from tests.report.further_results import FURTHER
 from tests.report.results import change, rate, write_cloak, write_dagger, write_evaluation, write_variations
 
 
 def write_eot(folder: Path) -> Path:
-    write_eot_report(quick(), folder)
+    write_report(quick(), folder)
     change(folder / "result.json", scene="toy.xml", selection={"object": "thing"}, cameras=["front"])
     return folder
 

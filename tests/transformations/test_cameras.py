@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.transformations.cameras import draw_camera
 from attacks.transformations.config import CameraRegion, PictureChanges
+from attacks.transformations.draws import draw_camera
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError

@@ -12,7 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.transformations.config import PictureChanges
-from attacks.transformations.pictures import PictureChange, change_picture, draw_change
+from attacks.transformations.draws import PictureChange, change_picture, draw_change
 
 CHANGES = PictureChanges(exposure=1.0, white_balance=0.2, gamma=0.3, blur=2.0, resize=0.5, noise=0.1, jpeg=30)
 

@@ -58,7 +58,7 @@ def _radii(lines: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     return {"by_radius": _by(lines, ("group", "attribute", "norm", "eps"), counted)}
 
 
-def _eot_figures(result: Record, tables: Mapping[str, Any]) -> dict[str, Any]:
+def _figures(result: Record, tables: Mapping[str, Any]) -> dict[str, Any]:
     return {key: result[key] for key in dagger_eot.FIGURES}
 
 
@@ -66,7 +66,7 @@ EOT_STUDY = kind(
     Study(
         kind="dagger-eot-study",
         tables=dagger_eot.tables_of,
-        figures=_eot_figures,
+        figures=_figures,
         single=dagger_eot.KIND,
         stated=(*_STATED, "noise_psnr", "redraws"),
         ledger=_jobs,

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from attacks.dagger.eot.attack import attack_views
-from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.report import eot_summary, write_eot_files
-from attacks.dagger.eot.result import EotResult
-from attacks.dagger.eot.search import Checkpoint
-from attacks.dagger.eot.views import ViewDistribution
+from attacks.dagger.attack import attack_views
+from attacks.dagger.checkpoint import Checkpoint
+from attacks.dagger.config import EotConfig
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES
+from attacks.dagger.report import summary, write_files
+from attacks.dagger.result import Result
+from attacks.dagger.views import ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.limits import SearchName
 from attacks.objectives import Objective, hide, relabel
@@ -118,11 +118,11 @@ class EotJobRunner:
         )
         if self._keep is not None:
             self._write(result, self._keep / job.name)
-        return eot_summary(result)
+        return summary(result)
 
-    def _write(self, result: EotResult, folder: Path) -> None:
+    def _write(self, result: Result, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        write_eot_files(result, folder)
+        write_files(result, folder)
 
     def _of(self, job: EotJob) -> tuple[Detector, ...]:
         for name in job.detectors:

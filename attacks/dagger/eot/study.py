@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.config import EotConfig
 from attacks.dagger.eot.jobs import EotJob
 from attacks.dagger.study import PAIRS
 from attacks.limits import SearchName

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from attacks.dagger.problem import AttackProblem, AttackView
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.problem import Problem
+from attacks.dagger.views import View
 from attacks.pgd import Parameters
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
@@ -119,7 +121,14 @@ def compare(
 
 
 def whole_chain(
-    problem: AttackProblem, view: AttackView, point: Parameters, *, count: int, step: float, generator: Generator
+    problem: Problem,
+    view: View,
+    point: Parameters,
+    config: DaggerConfig,
+    *,
+    count: int,
+    step: float,
+    generator: Generator,
 ) -> Agreement:
     """From the object's parameters through renderer and detector to the loss.
 
@@ -127,13 +136,14 @@ def whole_chain(
         problem: Renderer, detector and objective.
         view: Where from.
         point: The parameters.
+        config: How the loss of several detectors becomes one; here there is one.
         count: Number of random directions.
         step: Half width of the narrower of two central differences; the other is twice as wide.
         generator: Draws the directions.
     """
-    gradients = problem.evaluate(point, [view]).gradients
+    gradients = problem.evaluate(point, [view], config).gradients
     return compare(
-        lambda parameters: problem.evaluate(parameters, [view]).loss,
+        lambda parameters: problem.evaluate(parameters, [view], config).loss,
         gradients,
         point,
         random_directions(gradients, count, generator),
@@ -142,7 +152,14 @@ def whole_chain(
 
 
 def renderer_alone(
-    problem: AttackProblem, view: AttackView, point: Parameters, *, count: int, step: float, generator: Generator
+    problem: Problem,
+    view: View,
+    point: Parameters,
+    config: DaggerConfig,
+    *,
+    count: int,
+    step: float,
+    generator: Generator,
 ) -> Agreement:
     """From the object's parameters to a fixed random weighting of the pixels, blurred so that it adds up.
 
@@ -150,6 +167,7 @@ def renderer_alone(
         problem: Renderer, detector and objective.
         view: Where from.
         point: The parameters.
+        config: How the loss of several detectors becomes one; here there is one.
         count: Number of random directions.
         step: As in `whole_chain`.
         generator: Draws the weighting and the directions.

@@ -10,15 +10,17 @@ from typing import Any, Protocol
 from torch import Generator
 
 from attacks.budgets import Budget
-from attacks.dagger.attack import attack
+from attacks.dagger.attack import attack, fixed_problem, widened
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.ensemble import Ensemble
+from attacks.dagger.judging import look
+from attacks.dagger.problem import Problem
 from attacks.dagger.result import Result
+from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Relabel, Verdict
 from attacks.observe.views import as_saved
-from attacks.pgd import Evaluation, Step
+from attacks.pgd import Parameters, Step
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 
@@ -111,21 +113,21 @@ class Runs:
         enough = self.case.objective.confidence
         return sum(min(one.score, enough) for one in found) / len(found)
 
-    def ensemble(self, seed: int, *, render: RenderFn | None = None) -> Ensemble:
-        """The detector of the case as it sees one view, as an attack evaluates and judges it."""
-        case = self.case
-        subset, cameras = GaussianSubset.of(self._attackable(), case.mask), [case.cameras[seed]]
-        return Ensemble.of(
-            [case.detector], subset, cameras, case.objective, render=render or case.render, config=case.config
-        )
+    def problem(self, seed: int, *, render: RenderFn | None = None) -> tuple[Problem, View]:
+        """The detector of the case as an attack differentiates it, and the view of a seed."""
+        case, render = self.case, render or self.case.render
+        subset, cameras = GaussianSubset.of(widened(case.scene, case.config), case.mask), [case.cameras[seed]]
+        problem, (view,), _ = fixed_problem(subset, cameras, (case.detector,), case.objective, render=render)
+        return problem, view
 
     def judged(self, results: Sequence[Result]) -> list[Verdict]:
         """What the detector of the case makes of the splats of one attack for each seed."""
-        found = []
+        verdicts = []
         for seed, result in enumerate(results):
-            ensemble = self.ensemble(seed)
-            found.append(ensemble.verdict(ensemble.judge(as_saved(result.scene))))
-        return found
+            problem, view = self.problem(seed)
+            (seen,) = look([self.case.detector], as_saved(result.scene), [view], problem.render).values()
+            verdicts.append(problem.objective.verdict(seen.detections, problem.target(view, self.case.detector)))
+        return verdicts
 
     def random_search(self, scale: float) -> list[Step]:
         """What a search without gradients has reached, for each seed, that looks as often as the attack may.
@@ -137,33 +139,23 @@ class Runs:
 
     def _random_search(self, seed: int, scale: float) -> Step:
         config = dataclasses.replace(self.case.config, eps=tuple(scale * radius for radius in self.case.config.eps))
-        ensemble, generator = self.ensemble(seed), Generator().manual_seed(1000 + seed)
-        reference = ensemble.problems[0].subset.parameters(config.attributes)
+        (problem, view), generator = self.problem(seed), Generator().manual_seed(1000 + seed)
+        reference = problem.parameters(config.attributes)
         near = Budget(radius=config.step, norm=config.norm)
-        kept, best = reference, _line(ensemble.evaluate(reference), 0)
+
+        def line(point: Parameters, index: int) -> Step:
+            found = problem.evaluate(point, [view], config)
+            values = {name: getattr(found, name) for name in ("loss", "score", "success", "unambiguous")}
+            return Step(index=index, zero_gradient_fraction=0.0, **values)
+
+        kept, best = reference, line(reference, 0)
         for index in range(1, config.steps + 1):
             if index % 2:
                 point = config.budget.uniform(reference, generator)
             else:
                 point = config.budget.project(near.uniform(kept, generator), reference)
-            line = _line(ensemble.evaluate(point), index)
-            if (line.success, -line.loss) > (best.success, -best.loss):
-                best, kept = line, point
+            here = line(point, index)
+            if (here.success, -here.loss) > (best.success, -best.loss):
+                best, kept = here, point
         self._on_run()
         return best
-
-    def _attackable(self) -> GaussianScene:
-        degree, scene = self.case.config.sh_degree, self.case.scene
-        widened = degree is not None and "sh" in self.case.config.attributes and scene.degree < degree
-        return scene.with_degree(degree) if widened and degree is not None else scene
-
-
-def _line(found: Evaluation, index: int) -> Step:
-    return Step(
-        index=index,
-        loss=found.loss,
-        score=found.score,
-        success=found.success,
-        unambiguous=found.unambiguous,
-        zero_gradient_fraction=0.0,
-    )

@@ -15,10 +15,10 @@ from typing import Any
 from torch import Generator
 
 from attacks.budgets import Budget
-from attacks.dagger.eot.views import DrawnView, ViewDistribution
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.study import JOBS, run_jobs
 from attacks.dagger.transfer.scenes import AttackScenes
+from attacks.dagger.views import View, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
@@ -26,7 +26,7 @@ from attacks.observe.look import report_cells
 from attacks.observe.rows import Cell
 from attacks.observe.views import detect_views
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
-from attacks.transformations.pictures import changing
+from attacks.transformations.draws import changing
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
@@ -114,7 +114,8 @@ def _jobs_of(
     record: Mapping[str, Any], name: str, splat: Path, detectors: Sequence[str], views: int
 ) -> list[HeldOutJob]:
     """Every detector on the splat of one record; none if it has no target or no splat."""
-    job, marks = record["job"], record["result"]["detectors"]
+    job = record["job"]
+    marks = {entry["detector"]: entry["detector_fingerprint"] for entry in record["result"]["detectors"]}
     if job["target"] is None or not splat.is_file():
         return []
     config, where = job["config"], job["transformations"]
@@ -192,7 +193,7 @@ class HeldOutRunner:
         """Fingerprint of the weights of each detector that looks."""
         return {name: self._detector(name).fingerprint for name in names}
 
-    def _seen(self, scene: GaussianScene, views: Sequence[DrawnView], job: HeldOutJob) -> list[dict[str, Cell]]:
+    def _seen(self, scene: GaussianScene, views: Sequence[View], job: HeldOutJob) -> list[dict[str, Cell]]:
         render = self._scenes.of(job.scene, job.object).render
         found = detect_views(
             scene,

@@ -130,4 +130,5 @@ def _chart(lines: Sequence[Mapping[str, Any]], angle: str, needed: float) -> Cha
 
 def _conditions(result: Mapping[str, Any]) -> dict[str, Any]:
     names = ("scene", "selection", "cameras", "reference", "background", "near", "scene_hash", "redraws")
-    return {**{name: result[name] for name in names if name in result}, "weights": result.get("detectors", {})}
+    weights = {entry["detector"]: entry["detector_fingerprint"] for entry in result["detectors"]}
+    return {**{name: result[name] for name in names if name in result}, "weights": weights}

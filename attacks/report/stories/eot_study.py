@@ -56,7 +56,15 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         charts=(*(_each(rows, group) for group in groups if group not in _CURVES), *_curves(rows)),
         tables=(*(_table(rows, group) for group in groups), *_smallest(records)),
         configuration=shared(
-            [{**record["job"], "weights": record["result"].get("detectors", {})} for record in records]
+            [
+                {
+                    **record["job"],
+                    "weights": {
+                        entry["detector"]: entry["detector_fingerprint"] for entry in record["result"]["detectors"]
+                    },
+                }
+                for record in records
+            ]
         ),
     )
 

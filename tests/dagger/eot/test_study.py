@@ -14,17 +14,17 @@ import torch
 
 from attacks import cli
 from attacks.cli import dagger_eot, dagger_eot_study
-from attacks.dagger.eot.config import EotConfig
+from attacks.dagger.config import EotConfig
 from attacks.dagger.eot.jobs import EotJob, EotJobRunner
-from attacks.dagger.eot.report import eot_summary, write_eot_report
 from attacks.dagger.eot.study import GROUPS, MARGIN, PSNR_CURVE, PSNRS, RADII, StudySetup, smallest
 from attacks.dagger.eot.tables import markdown, row, smallest_radii, write_eot_tables
 from attacks.dagger.jobs import AttackScene
+from attacks.dagger.report import summary, write_report
 from attacks.dagger.study import run_jobs
 from attacks.transformations.config import Transformations
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from tests.dagger.eot.toy import QUICK, REGION, quick
+from tests.dagger.toy import QUICK, REGION, quick
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 PAIR = ("toy", "thing", "person")
@@ -138,9 +138,9 @@ def test_an_object_that_is_not_there_is_named() -> None:
 
 def test_the_report_has_every_number_and_the_splat(tmp_path: Path) -> None:
     found = quick()
-    paths = write_eot_report(found, tmp_path / "out")
+    paths = write_report(found, tmp_path / "out")
     document = json.loads(paths["result.json"].read_text())
-    assert document == json.loads(json.dumps(eot_summary(found)))
+    assert document == json.loads(json.dumps(summary(found)))
     assert document["rate"] == {"rate": 1.0, "successes": 8, "total": 8, "interval": list(found.rate.interval)}
     assert len(document["views"]) == 8
     assert document["redraws"] == {"held_out": 0, "validation": 0, "attacked": 0}

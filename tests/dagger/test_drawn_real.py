@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from attacks.dagger.eot.attack import attack_views
-from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.views import ViewDistribution
+from attacks.dagger.attack import attack_views
+from attacks.dagger.config import EotConfig
+from attacks.dagger.views import ViewDistribution
 from attacks.detectors import load_detector
 from attacks.objectives import relabel
 from attacks.transformations.config import CameraRegion, Transformations
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
 
-SCENE = Path(__file__).resolve().parents[3] / "scenes" / "car_street.xml"
+SCENE = Path(__file__).resolve().parents[2] / "scenes" / "car_street.xml"
 
 
 @pytest.mark.slow

@@ -7,11 +7,11 @@ from collections import Counter
 import pytest
 import torch
 
-from attacks.dagger.eot.views import batch_indices
+from attacks.dagger.views import batch_indices
 from attacks.observe.views import visible_box
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.errors import InvalidValueError
-from tests.dagger.eot.toy import REGION, toy_views
+from tests.dagger.toy import REGION, toy_views
 
 
 def test_a_view_depends_on_seed_and_number_alone() -> None:

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from attacks.budgets import Budget
-from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.image_budget import ImagePrice, fitted, stretched
-from attacks.dagger.eot.result import find_warnings
+from attacks.dagger.config import EotConfig
+from attacks.dagger.image_budget import ImagePrice, fitted, stretched
+from attacks.dagger.result import find_warnings
 from mi_splat.errors import InvalidValueError
-from tests.dagger.eot.toy import quick
+from tests.dagger.toy import quick
 
 
 def test_the_price_begins_where_an_error_at_the_limit_costs_one() -> None:
@@ -85,6 +85,7 @@ def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> N
 def test_a_result_that_is_below_its_budget_warns() -> None:
     found = quick(image_psnr=35.0)
     assert not any("dB of the validation views" in warning for warning in found.warnings)
+    assert isinstance(found.config, EotConfig)
     asked_for_more = dataclasses.replace(found, config=dataclasses.replace(found.config, image_psnr=45.0))
     assert any("less than the 45 dB of the validation views" in one for one in find_warnings(asked_for_more))
 

@@ -8,14 +8,13 @@ from typing import Any
 import pytest
 import torch
 
-from attacks.dagger.eot.attack import attack_views
-from attacks.dagger.eot.checkpoint import CheckpointError
-from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.result import EotResult
-from attacks.dagger.eot.search import Checkpoint
+from attacks.dagger.attack import attack_views
+from attacks.dagger.checkpoint import Checkpoint, CheckpointError
+from attacks.dagger.config import EotConfig
+from attacks.dagger.result import Result
 from attacks.objectives import relabel
 from attacks.pgd import Step
-from tests.dagger.eot.toy import QUICK, toy_views
+from tests.dagger.toy import QUICK, toy_views
 from tests.fakes import ColourDetector
 from tests.io.noted import Change, changed
 
@@ -24,7 +23,7 @@ class KilledError(Exception):
     """The end of a process."""
 
 
-def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> EotResult:
+def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> Result:
     def kill(line: Step) -> None:
         if line.index == killed_at:
             raise KilledError

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from attacks.dagger.eot.attack import attack_views
-from attacks.dagger.eot.config import EotConfig
-from attacks.dagger.eot.result import EotResult
-from attacks.dagger.eot.views import ViewDistribution
+from attacks.dagger.attack import attack_views
+from attacks.dagger.config import EotConfig
+from attacks.dagger.result import Result
+from attacks.dagger.views import ViewDistribution
 from attacks.objectives import Objective, relabel
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -33,7 +33,7 @@ def toy_views(pictures: PictureChanges | None = None, *, region: CameraRegion = 
     return ViewDistribution(scene, mask, camera(), transformations, render=blobs)
 
 
-def quick(objective: Objective | None = None, *, views: ViewDistribution | None = None, **settings: Any) -> EotResult:
+def quick(objective: Objective | None = None, *, views: ViewDistribution | None = None, **settings: Any) -> Result:
     return attack_views(
         views or toy_views(),
         ColourDetector(),
