@@ -167,6 +167,13 @@ def fixed_problem(
 ) -> tuple[Problem, list[View], Reports]:
     """The problem of an attack from fixed cameras, its views, and what the detectors report on the clean scene.
 
+    Args:
+        subset: The object in its scene.
+        cameras: Views that are attacked together.
+        detectors: Those attacked.
+        objective: The aim.
+        render: The renderer.
+
     Raises:
         InvalidValueError: A view does not show the object.
     """

@@ -124,7 +124,14 @@ def _seen(problem: Problem, found: ViewDetections, target: Target) -> Seen:
 
 
 def look(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Reports:
-    """What detectors report on a splat, in the changed pictures of each view."""
+    """What detectors report on a splat, in the changed pictures of each view.
+
+    Args:
+        detectors: Those asked.
+        scene: The splat.
+        views: The views.
+        render: The renderer.
+    """
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
     changed = changing(render, {view.camera: view.change for view in views})
     # One picture at a time: the same bits whatever the number of views.
