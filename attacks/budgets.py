@@ -16,9 +16,11 @@ from typing import Protocol
 import torch
 from torch import Generator, Tensor
 
-from attacks.limits import NormName, check_limits
+from attacks.limits import NORM_NAMES, NormName
 from attacks.pgd import Parameters
-from mi_splat.errors import MiSplatError, message
+from mi_splat.attributes import ATTRIBUTES
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.fields import at_least, check_choice, checked_number
 
 _SLACK = 1e-12
 """Projection aims this much inside, relative to the radius: float64 rounding of the norm cannot leave the ball."""
@@ -178,7 +180,13 @@ class Budget:
     norm: NormName = "l2"
 
     def __post_init__(self) -> None:
-        check_limits(self.radius, self.norm)
+        check_choice("norm", self.norm, NORM_NAMES)
+        if not self.radius:
+            do = "say what may move, and how far"
+            raise InvalidValueError(message("radius", "at least one attribute", "none", do))
+        for name, value in self.radius.items():
+            check_choice("attribute", name, ATTRIBUTES)
+            checked_number(f"radius of {name}", value, at_least(0, do="use a large one for 'no limit'"))
 
     def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
         """The nearest parameters inside the budget; what is inside comes back unchanged, bit for bit."""

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.camera_values import check_finite, check_points, focal_lengths, pixel_count, pose_tensor, two_numbers
-from mi_splat.config_values import several_of
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import several_of
 from mi_splat.scene import LARGEST, GaussianScene
 
 

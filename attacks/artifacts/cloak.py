@@ -17,10 +17,10 @@ from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.rates import figures, markdown
 from attacks.cloak.study.run import SUMMARY
-from attacks.cloak.study_file import from_table
 from attacks.report.study_toml import study_toml
 from mi_splat.assets.mesh import Asset
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import decode
 from mi_splat.io.camera_records import describe
 
 STUDY = "study.toml"
@@ -40,7 +40,7 @@ def pack(folder: Path, stages: Path | None) -> Packed:
     """
     summary, stages = read_object(folder / SUMMARY), folder / "stages" if stages is None else stages
     try:
-        study = from_table(StudyConfig, stated(summary["study"]), str(folder / SUMMARY))
+        study = decode(StudyConfig, stated(summary["study"]), str(folder / SUMMARY))
         observed, target = observed_splats(summary, stages), setup.target_of(study.scene)
         cameras = held_out(study, target)
         configuration = configuration_of(summary["study"])

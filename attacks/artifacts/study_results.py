@@ -14,9 +14,9 @@ from attacks.cloak.study import dependencies
 from attacks.cloak.study.cache import DONE, content_of
 from attacks.cloak.study.run import SUMMARY
 from attacks.cloak.study.trained_splats import SPLAT_STAGES, TrainedSplat
-from attacks.cloak.study_file import from_table
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import decode
 from mi_splat.training.resume import SPLAT
 
 OBSERVATIONS = "observations.json"
@@ -36,7 +36,7 @@ def study_of(configuration: Mapping[str, Any], where: str) -> StudyConfig:
     scene = values.get("scene")
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}
-    return from_table(StudyConfig, values, where)
+    return decode(StudyConfig, values, where)
 
 
 def stated(value: Any) -> Any:
@@ -62,7 +62,7 @@ def observed_splats(summary: Mapping[str, Any], stages: Path) -> list[ObservedSp
     Raises:
         InvalidValueError: The observations of a splat are not there, or have been changed.
     """
-    study = from_table(StudyConfig, stated(summary["study"]), SUMMARY)
+    study = decode(StudyConfig, stated(summary["study"]), SUMMARY)
     found = [_finished_looks(study, entry, summary["detectors"], stages) for entry in summary["splats"]]
     # A clean splat may have been compared with the pictures of several studies, a cloaked one with those of its own.
     shared = [pictures for pictures in found[-1] if all(pictures in looks for looks in found)]

@@ -8,14 +8,13 @@ may take a switch in them away.
 from __future__ import annotations
 
 import itertools
-import math
 
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import CleaningConfig, check_range
-from mi_splat.config_values import whole_number
+from attacks.cloak.config import CleaningConfig
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Range, above, at_least, between, checked_number
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import components
 from mi_splat.selection.neighbours import nearest_neighbours
@@ -27,6 +26,7 @@ MASS = 0.95
 LEAST_NEIGHBOURS = 2
 """Neighbouring voxels that have to be occupied, of 26, for a voxel's Gaussians to stay where floaters are removed."""
 
+_PART = Range(low=0, high=1, open_low=True)
 # One of each two opposite neighbours of a voxel.
 _STEPS = tuple(step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0))
 _MOST_VOXELS = 2**20
@@ -62,7 +62,7 @@ def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
     Raises:
         InvalidValueError: The opacity is out of range, or nothing would be left.
     """
-    check_range("lowest_opacity", lowest, 0.0, 1.0, open_low=True)
+    checked_number("lowest_opacity", lowest, _PART)
     return _kept(scene, scene.opacities.detach() >= lowest, f"lowest_opacity {lowest:g}")
 
 
@@ -95,8 +95,8 @@ def inliers(points: Tensor, deviations: float = 2.0, *, neighbours: int = NEIGHB
     Raises:
         InvalidValueError: A value is out of range.
     """
-    check_range("outlier_deviations", deviations, 0.0, math.inf)
-    check_range("neighbours", whole_number("neighbours", neighbours), 1, 31)
+    checked_number("outlier_deviations", deviations, at_least(0))
+    checked_number("neighbours", neighbours, between(1, 31), whole=True)
     gaps = _gaps(points, neighbours)
     return gaps <= gaps.mean() + deviations * gaps.std(correction=0)
 
@@ -120,9 +120,9 @@ def remove_floaters(
     Raises:
         InvalidValueError: A value is out of range, the splat is too wide for its voxels, or nothing would be left.
     """
-    check_range("floater_voxel", voxel, 0.0, math.inf, open_low=True)
-    check_range("mass", mass, 0.0, 1.0, open_low=True)
-    check_range("least_neighbours", whole_number("least_neighbours", least_neighbours), 0, 26)
+    checked_number("floater_voxel", voxel, above(0))
+    checked_number("mass", mass, _PART)
+    checked_number("least_neighbours", least_neighbours, between(0, 26), whole=True)
     side = voxel * float(_gaps(scene.means, NEIGHBOURS).median())
     if not side > 0:  # one Gaussian, or all in one place
         return scene
@@ -150,7 +150,7 @@ def cut_sh(scene: GaussianScene, degree: int) -> GaussianScene:
     Raises:
         InvalidValueError: The degree is not 0 to 3.
     """
-    check_range("sh_degree", whole_number("sh_degree", degree), 0, 3)
+    checked_number("sh_degree", degree, between(0, 3), whole=True)
     return scene.with_degree(min(degree, scene.degree))
 
 
@@ -167,7 +167,7 @@ def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
     Raises:
         InvalidValueError: The number of bits is out of range.
     """
-    check_range("sh_bits", whole_number("sh_bits", bits), 1, 16)
+    checked_number("sh_bits", bits, between(1, 16), whole=True)
     levels = 2 ** (bits - 1)
     rest = (scene.sh[:, 1:] * levels).round().clamp(-levels, levels - 1) / levels
     return scene.replace(sh=torch.cat([scene.sh[:, :1], rest], dim=1))

@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import functools
-import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from attacks.cloak.mesh_scene import TEXTURES
-from attacks.cloak.study_file import in_range, one_of, read_table
+from attacks.cloak.study_file import read_table
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
 from mi_splat.capture.settings import Front, MeshSettings, Up
-from mi_splat.config_values import check_decay, check_numbers, finite_number
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.sh import coefficient_count
+from mi_splat.fields import (
+    Checked,
+    Count,
+    Degree,
+    Fraction,
+    Length,
+    PositiveFraction,
+    Range,
+    Seed,
+    Steps,
+    above,
+    at_least,
+    between,
+    check,
+    check_choice,
+)
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_names
 
 AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "mount", "swap"]
+_WIDTH = Range(low=0, high=90, open_high=True, unit="degrees")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,21 +68,22 @@ class AttackConfig:
     appearance: AppearanceName = "blend in"
     texture: str | None = None
     other_object: str | None = None
-    elevation: tuple[float, float] = (0.0, 90.0)
-    azimuth: tuple[float, float] | None = None
-    poison_margin: float = 0.0
-    poison_fraction: float = 1.0
+    elevation: Annotated[tuple[float, float], between(-90, 90, "degrees")] = (0.0, 90.0)
+    azimuth: Annotated[tuple[float, float], Range(unit="degrees")] | None = None
+    poison_margin: Annotated[float, between(0, 90, "degrees")] = 0.0
+    poison_fraction: PositiveFraction = 1.0
     target_class: str | None = None
-    emphasis: float = 1.0
-    emphasis_depth: float = 20.0
-    paint_direction: tuple[float, float] = (180.0, 90.0)
-    reach: int | None = None
-    occluder_radius: float | None = None
-    occluder_edge: float | None = None
+    emphasis: Annotated[float, at_least(1, do="1 overdoes nothing")] = 1.0
+    emphasis_depth: Annotated[float, above(0, "degrees")] = 20.0
+    paint_direction: Annotated[tuple[float, float], Range(unit="degrees")] = (180.0, 90.0)
+    reach: Annotated[int, at_least(0, "pixels", "leave it out")] | None = None
+    occluder_radius: Annotated[float, above(0, "metres")] | None = None
+    occluder_edge: Annotated[float, between(-90, 90, "degrees")] | None = None
 
     def __post_init__(self) -> None:
-        textured = ("texture", TEXTURES)
-        needs = {
+        check(self)
+        textured: tuple[str, Collection[str]] = ("texture", TEXTURES)
+        needs: dict[str, tuple[str, Collection[str]]] = {
             "paint": textured,
             "occluder": textured,
             "mount": ("other_object", ASSETS),
@@ -76,19 +91,10 @@ class AttackConfig:
         }
         if self.appearance in needs:
             key, known = needs[self.appearance]
-            one_of(f"attack {self.name!r}, {key}", getattr(self, key), known)
-        if not 0 < self.poison_fraction <= 1:
-            raise InvalidValueError(
-                message(f"attack {self.name!r}, poison_fraction", "in (0, 1]", self.poison_fraction, "1 is all")
-            )
-        in_range(f"attack {self.name!r}, poison_margin", self.poison_margin, 0, 90)
-        if self.reach is not None and (self.reach < 0 or self.appearance == "occluder"):
-            expected = "0 or more pixels, and no occluder, which is drawn over the picture"
+            check_choice(f"attack {self.name!r}, {key}", getattr(self, key), known)
+        if self.reach is not None and self.appearance == "occluder":
+            expected = "no occluder beside it, which is drawn over the picture"
             raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
-        if not (self.emphasis >= 1 and self.emphasis_depth > 0):
-            got = (self.emphasis, self.emphasis_depth)
-            expected = "an emphasis >= 1 and a depth > 0"
-            raise InvalidValueError(message(f"attack {self.name!r}", expected, got, "1 overdoes nothing"))
         if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
             expected = "an elevation or an azimuth that leaves cameras out"
             raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))
@@ -132,7 +138,7 @@ class AttackConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SurrogateConfig:
+class SurrogateConfig(Checked):
     """Trainings of the attacker's own, by which poison is corrected (`attacks.cloak.appearances.Correction`).
 
     No detector has a part in it.
@@ -144,16 +150,10 @@ class SurrogateConfig:
         seed: Of the surrogates, which is none of the victim's.
     """
 
-    rounds: int = 1
-    gain: float = 1.0
-    iterations: int = 2500
-    seed: int = 1000
-
-    def __post_init__(self) -> None:
-        in_range("surrogate.rounds", self.rounds, 1, 20)
-        in_range("surrogate.gain", self.gain, 1e-6, 10)
-        in_range("surrogate.iterations", self.iterations, 1, math.inf)
-        in_range("surrogate.seed", self.seed, 0, math.inf)
+    rounds: Annotated[int, between(1, 20)] = 1
+    gain: Annotated[float, Range(low=0, high=10, open_low=True)] = 1.0
+    iterations: Steps = 2500
+    seed: Seed = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,28 +184,22 @@ class LayerConfig:
         InvalidValueError: A value is out of its range.
     """
 
-    degree: int = 3
-    gap: float | tuple[float, ...] = 5.0
-    band: float | tuple[float, ...] = 0.0
-    shift: float = 0.0
+    degree: Degree = 3
+    gap: Annotated[float | tuple[float, ...], _WIDTH] = 5.0
+    band: Annotated[float | tuple[float, ...], _WIDTH] = 0.0
+    shift: Annotated[float, Range(low=-90, high=90, open_low=True, open_high=True, unit="degrees")] = 0.0
     apart: bool = False
-    weight: float = 1.0
+    weight: Annotated[float, above(0)] = 1.0
     lowest: float = -100.0
-    black: float = 0.0
-    keep: float = 0.995
-    inset: float = 1e-3
+    black: Annotated[float, Range(high=0)] = 0.0
+    keep: PositiveFraction = 0.995
+    inset: Annotated[float, at_least(0, "world units")] = 1e-3
 
     def __post_init__(self) -> None:
-        coefficient_count(self.degree)
-        widths = [*_each(self.gap), *_each(self.band)]
-        angles = all(0 <= width < 90 for width in widths) and -90 < self.shift < 90
-        bounds = self.lowest < self.black <= 0 and 0 < self.keep <= 1
-        if not (angles and bounds and self.weight > 0 and self.inset >= 0):
-            values = ("gap", "band", "shift", "weight", "lowest", "black", "keep", "inset")
-            got = ", ".join(f"{name} {getattr(self, name)}" for name in values)
-            expected = "gap and band in [0, 90), shift in (-90, 90), weight > 0, lowest < black <= 0, keep in (0, 1], "
-            expected += "inset >= 0"
-            raise InvalidValueError(message("layers", expected, got, "change it"))
+        check(self)
+        if not self.lowest < self.black:
+            do = "lower the first"
+            raise InvalidValueError(message("lowest", f"less than black, {self.black:g}", self.lowest, do))
 
     def gaps(self, triggers: int) -> tuple[float, ...]:
         """The gap of each of so many triggers.
@@ -228,10 +222,6 @@ class LayerConfig:
         gap = self.gap[trigger] if isinstance(self.gap, tuple) else self.gap
         band = (self.band[0], self.band[1 + trigger]) if isinstance(self.band, tuple) else self.band
         return replace(self, gap=gap, band=band)
-
-
-def _each(given: float | tuple[float, ...]) -> tuple[float, ...]:
-    return given if isinstance(given, tuple) else (given,)
 
 
 def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
@@ -267,20 +257,17 @@ class LayersConfig:
 
     attacks: tuple[str, ...]
     making: LayerConfig = field(default_factory=LayerConfig)
-    margin: float = 0.05
+    margin: Annotated[float, at_least(0, "metres")] = 0.05
     surroundings: bool = False
     geometry: bool = False
-    max_gaussians: int = 100_000
-    clearance: float = 0.0
-    iterations: int = 3000
-    lr_sh: float = 0.04
-    lr_sh_final: float = 0.004
+    max_gaussians: Annotated[int, at_least(1)] = 100_000
+    clearance: Annotated[float, Range(unit="metres")] = 0.0
+    iterations: Steps = 3000
+    lr_sh: Annotated[float, above(0)] = 0.04
+    lr_sh_final: Annotated[float, above(0)] = 0.004
 
     def __post_init__(self) -> None:
-        check_numbers(self, {"margin": 0, "max_gaussians": 1, "iterations": 1, "lr_sh": 0, "lr_sh_final": 0})
-        check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
-        if not math.isfinite(self.clearance):
-            raise InvalidValueError(message("clearance", "a number of metres", self.clearance, "0 is the ground"))
+        check(self)
         count = len(set(self.attacks))
         self.making.gaps(count)
         self.making.bands(1 + count)
@@ -312,11 +299,11 @@ class SceneConfig:
 
     object: str = "car"
     label: str | None = None
-    seed: int = 900004
+    seed: Seed = 900004
     ground: Literal["road", "grass"] = "road"
-    ground_size: float = 16.0
-    sun_azimuth: float = -50.0
-    sun_elevation: float = 52.0
+    ground_size: Annotated[float, above(0, "metres")] = 16.0
+    sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
+    sun_elevation: Annotated[float, between(-90, 90, "degrees")] = 52.0
     background: Colour = (0.55, 0.7, 0.9)
     up: Up | None = None
     scale: float = 1.0
@@ -324,6 +311,7 @@ class SceneConfig:
     front: Front | None = None
 
     def __post_init__(self) -> None:
+        check(self)
         if self.object not in ASSETS and not Path(self.object).is_file():
             expected = f"{', '.join(ASSETS)}, or the path of a mesh file"
             raise InvalidValueError(message("scene.object", expected, repr(self.object), "name one of these"))
@@ -348,7 +336,7 @@ class SceneConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraConfig:
+class CameraConfig(Checked):
     """Where pictures are taken from: a Fibonacci hemisphere around the object.
 
     Attributes:
@@ -361,20 +349,13 @@ class CameraConfig:
         points: Points of the cloud that trainings start from.
     """
 
-    train: int = 210
-    distance: float | None = None
-    height: float = 0.7
-    fov: float = 45.0
-    size: int = 256
-    samples: int = 32
-    points: int = 20_000
-
-    def __post_init__(self) -> None:
-        for name in ("train", "size", "samples", "points"):
-            in_range(f"cameras.{name}", getattr(self, name), 1, math.inf)
-        in_range("cameras.fov", self.fov, 1.0, 179.0)
-        if self.distance is not None:
-            in_range("cameras.distance", self.distance, 1e-6, math.inf)
+    train: Annotated[int, at_least(1, "pictures")] = 210
+    distance: Annotated[float, above(0, "metres")] | None = None
+    height: Annotated[float, Range(unit="metres")] = 0.7
+    fov: Annotated[float, between(1, 179, "degrees")] = 45.0
+    size: Annotated[int, at_least(1, "pixels")] = 256
+    samples: Annotated[int, at_least(1, "samples per pixel")] = 32
+    points: Annotated[int, at_least(1)] = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -394,22 +375,18 @@ class TrainingConfig:
         near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
     """
 
-    iterations: int = _PUBLISHED.iterations
+    iterations: Steps = _PUBLISHED.iterations
     strategy: str = "classic"
-    max_gaussians: int = 40_000
-    sh_degree: int = _PUBLISHED.sh_degree
-    sh_degree_interval: int = _PUBLISHED.sh_degree_interval
-    outliers: int = 0
-    point_deviations: float | None = None
-    near: float | None = None
+    max_gaussians: Annotated[int, at_least(1)] = 40_000
+    sh_degree: Degree = _PUBLISHED.sh_degree
+    sh_degree_interval: Annotated[int, at_least(0, "steps")] = _PUBLISHED.sh_degree_interval
+    outliers: Count = 0
+    point_deviations: Annotated[float, at_least(0)] | None = None
+    near: Length | None = None
 
     def __post_init__(self) -> None:
-        if self.near is not None:
-            in_range("training.near", self.near, 1e-9, 1e9)
-        one_of("training.strategy", self.strategy, strategy_names())
-        in_range("training.outliers", self.outliers, 0, math.inf)
-        if self.point_deviations is not None:
-            in_range("training.point_deviations", self.point_deviations, 0, math.inf)
+        check(self)
+        check_choice("training.strategy", self.strategy, strategy_names())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -430,24 +407,20 @@ class EvaluationConfig:
     """
 
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
-    cameras: int = 430
-    min_separation: float = 1.0
-    confidence: float = 0.5
-    well_inside: float = 5.0
-    far_outside: float = 15.0
-    reference_views: int = 40
-    meridians: int = 3
-    meridian_step: float = 2.5
+    cameras: Annotated[int, at_least(1)] = 430
+    min_separation: Annotated[float, at_least(0, "degrees")] = 1.0
+    confidence: Fraction = 0.5
+    well_inside: Annotated[float, at_least(0, "degrees")] = 5.0
+    far_outside: Annotated[float, at_least(0, "degrees")] = 15.0
+    reference_views: Count = 40
+    meridians: Count = 3
+    meridian_step: Annotated[float, between(0.1, 45, "degrees")] = 2.5
 
     def __post_init__(self) -> None:
+        check(self)
         if not self.detectors or len(set(self.detectors)) != len(self.detectors):
             expected = "one or more, each once"
             raise InvalidValueError(message("evaluation.detectors", expected, self.detectors, "name a detector"))
-        in_range("evaluation.cameras", self.cameras, 1, math.inf)
-        in_range("evaluation.confidence", self.confidence, 0.0, 1.0)
-        in_range("evaluation.meridian_step", self.meridian_step, 0.1, 45.0)
-        for name in ("min_separation", "well_inside", "far_outside", "reference_views", "meridians"):
-            in_range(f"evaluation.{name}", getattr(self, name), 0, math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -465,27 +438,17 @@ class CleaningConfig:
         InvalidValueError: A value is out of its range, or all are None.
     """
 
-    lowest_opacity: float | None = None
-    outlier_deviations: float | None = None
-    floater_voxel: float | None = None
-    sh_degree: int | None = None
-    sh_bits: int | None = None
+    lowest_opacity: PositiveFraction | None = None
+    outlier_deviations: Annotated[float, at_least(0)] | None = None
+    floater_voxel: Annotated[float, above(0)] | None = None
+    sh_degree: Degree | None = None
+    sh_bits: Annotated[int, between(1, 16)] | None = None
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check(self)
         if not self.steps:
             expected = f"one of {', '.join(asdict(self))}"
             raise InvalidValueError(message("cleaning", expected, "nothing", "leave the table out, or fill it"))
-        if self.lowest_opacity is not None:
-            check_range("lowest_opacity", self.lowest_opacity, 0.0, 1.0, open_low=True)
-        if self.outlier_deviations is not None:
-            check_range("outlier_deviations", self.outlier_deviations, 0.0, math.inf)
-        if self.floater_voxel is not None:
-            check_range("floater_voxel", self.floater_voxel, 0.0, math.inf, open_low=True)
-        if self.sh_degree is not None:
-            check_range("sh_degree", self.sh_degree, 0, 3)
-        if self.sh_bits is not None:
-            check_range("sh_bits", self.sh_bits, 1, 16)
 
     @property
     def steps(self) -> dict[str, float]:
@@ -511,7 +474,7 @@ class StudyConfig:
     """
 
     name: str
-    seeds: tuple[int, ...] = (0,)
+    seeds: tuple[Seed, ...] = (0,)
     scene: SceneConfig = field(default_factory=SceneConfig)
     cameras: CameraConfig = field(default_factory=CameraConfig)
     attack: tuple[AttackConfig, ...] = ()
@@ -522,10 +485,11 @@ class StudyConfig:
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:
+        check(self)
         if not self.attack or not self.seeds:
             raise InvalidValueError(message("study", "an attack and a seed", "none", "add [[attack]] or seeds"))
-        if len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
-            raise InvalidValueError(message("seeds", "numbers >= 0, each once", self.seeds, "change them"))
+        if len(set(self.seeds)) != len(self.seeds):
+            raise InvalidValueError(message("seeds", "each once", self.seeds, "change them"))
         names = [attack.name for attack in self.attack]
         if len(set(names)) != len(names):
             raise InvalidValueError(message("attacks", "different names", names, "rename one"))
@@ -539,26 +503,6 @@ class StudyConfig:
             expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
             do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
             raise InvalidValueError(message("scene.front", expected, "nothing", do))
-
-
-def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
-    """Raise unless a number lies in [low, high], or (low, high].
-
-    Args:
-        name: What it is, for the error.
-        value: The number.
-        low: Lowest value.
-        high: Highest value; infinity sets no limit.
-        open_low: Whether the lowest value itself is none.
-
-    Raises:
-        InvalidValueError: It does not.
-    """
-    finite_number(name, value)
-    if not (low < value if open_low else low <= value) or value > high:
-        limits = f"{'a number >' if open_low else 'a number >='} {low:g}"
-        expected = limits if high == math.inf else f"{limits}, at most {high:g}"
-        raise InvalidValueError(message(name, expected, value, "change it"))
 
 
 def read_study(path: Path) -> StudyConfig:

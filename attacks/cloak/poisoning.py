@@ -21,9 +21,9 @@ from torch import Tensor
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
-from mi_splat.config_values import several_of
 from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import several_of
 from mi_splat.io.documents import save_json
 
 OnStep = Callable[[int, int], None]

@@ -17,9 +17,9 @@ from attacks.cloak.rates import spread_of, words_of
 from attacks.cloak.setup import target_of
 from attacks.cloak.study.pipeline import OnStep
 from attacks.cloak.study.run import STUDY, check, check_disk, check_folder, forecast, run_study
-from attacks.cloak.study_file import one_of
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import check_choice
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.locks import locked_folder
 from mi_splat.io.parsing import read_json
@@ -262,7 +262,7 @@ def check_variations(
     check_folder(study, folder)
     every = {group: varied(study, group) for group in groups}
     for value in values:
-        one_of("values", value, [name for studies in every.values() for name in studies])
+        check_choice("values", value, [name for studies in every.values() for name in studies])
     plans = {
         group: {name: one for name, one in studies.items() if not values or name in values}
         for group, studies in every.items()

@@ -5,15 +5,26 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from attacks.limits import OPTIMISERS, SCHEDULES, NormName, OptimiserName, Schedule, check_limits
+from attacks.limits import NormName, OptimiserName, Radius, Schedule
 from mi_splat.attributes import Attribute
-from mi_splat.config_values import check_numbers, several
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import (
+    Called,
+    Count,
+    Degree,
+    Fraction,
+    PositiveFraction,
+    Seed,
+    Share,
+    Steps,
+    above,
+    at_least,
+    check,
+)
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
@@ -42,26 +53,21 @@ class Perturbation:
     """
 
     attributes: tuple[Attribute, ...] = ("sh",)
-    eps: tuple[float, ...] = (5.0,)
+    eps: tuple[Radius, ...] = (5.0,)
     norm: NormName = "l2"
-    steps: int = 11
-    step_factor: float = 2.0
-    noise_draws: int = 5
-    sh_degree: int | None = 3
-    seed: int = 0
+    steps: Steps = 11
+    step_factor: Annotated[float, above(0, do="2 is the paper's"), Called("FACTOR")] = 2.0
+    noise_draws: Count = 5
+    sh_degree: Degree | None = 3
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        for name in ("attributes", "eps"):
-            object.__setattr__(self, name, several(getattr(self, name)))
-        check_numbers(self, {"steps": 1, "noise_draws": 0})
+        check(self)
+        if not self.attributes:
+            raise InvalidValueError(message("attributes", "at least one", "none", "say what may change"))
         if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
             expected = f"one number for all of {', '.join(self.attributes)}, or one for each"
             raise InvalidValueError(message("eps", expected, self.eps, "name every attribute once"))
-        if not self.step_factor > 0:
-            raise InvalidValueError(message("step_factor", "a positive number", self.step_factor, "2 is the paper's"))
-        if self.sh_degree not in (None, 0, 1, 2, 3):
-            raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))
-        check_limits(self.radius, self.norm)
 
     @property
     def radius(self) -> dict[str, float]:
@@ -80,28 +86,6 @@ class Perturbation:
         from attacks.budgets import Budget
 
         return Budget(radius=self.radius, norm=self.norm)
-
-
-def check_share(config: object, *names: str) -> None:
-    """Raise unless fields of a configuration are fractions in (0, 1]."""
-    for name in names:
-        if not 0 < getattr(config, name) <= 1:
-            raise InvalidValueError(message(name, "a fraction in (0, 1]", getattr(config, name), "1 means every view"))
-
-
-def check_momentum(momentum: float, schedule: str) -> None:
-    """Raise unless these are what `attacks.optimisers` knows."""
-    if schedule not in SCHEDULES:
-        raise InvalidValueError(message("schedule", f"one of {', '.join(SCHEDULES)}", schedule, "choose one"))
-    if not 0 <= momentum < 1:
-        raise InvalidValueError(message("momentum", "a fraction in [0, 1)", momentum, "0 is none"))
-
-
-def check_power(power: float) -> None:
-    """Raise unless gradients can be raised to a power."""
-    if not 0 <= power <= 1:
-        do = "1 leaves gradients as they are"
-        raise InvalidValueError(message("gradient_power", "a fraction in [0, 1]", power, do))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,25 +117,15 @@ class DaggerConfig(Perturbation):
         InvalidValueError: A value is out of its range, or there are not as many radii as attributes.
     """
 
-    restarts: int = 1
+    restarts: Annotated[int, at_least(1)] = 1
     random_start: bool = False
     early_stop: bool = True
-    required_views: float = 1.0
-    required_detectors: float = 1.0
+    required_views: PositiveFraction = 1.0
+    required_detectors: PositiveFraction = 1.0
     ensemble: EnsembleLoss = "mean"
-    momentum: float = 0.0
+    momentum: Share = 0.0
     schedule: Schedule = "constant"
-    gradient_power: float = 1.0
-
-    def __post_init__(self) -> None:
-        Perturbation.__post_init__(self)
-        check_numbers(self, {"restarts": 1})
-        check_share(self, "required_views", "required_detectors")
-        if self.ensemble not in get_args(EnsembleLoss):
-            expected = f"one of {', '.join(get_args(EnsembleLoss))}"
-            raise InvalidValueError(message("ensemble", expected, self.ensemble, "mean is the usual one"))
-        check_momentum(self.momentum, self.schedule)
-        check_power(self.gradient_power)
+    gradient_power: Fraction = 1.0
 
     def verdict(self, rows: Sequence[Sequence[Verdict]]) -> Verdict:
         """Success with enough detectors, each in enough views, and the score that so many reach."""
@@ -198,38 +172,28 @@ class EotConfig(Perturbation):
             look at the attack's views.
     """
 
-    eps: tuple[float, ...] = (1.0,)
+    eps: tuple[Radius, ...] = (1.0,)
     norm: NormName = "linf"
-    steps: int = 150
-    step_factor: float = 13.0
-    noise_draws: int = 1
-    sh_degree: int | None = 1
+    steps: Steps = 150
+    step_factor: Annotated[float, above(0), Called("FACTOR")] = 13.0
+    noise_draws: Count = 1
+    sh_degree: Degree | None = 1
     optimiser: OptimiserName = "adam"
     schedule: Schedule = "linear"
-    momentum: float = 0.8
-    gradient_power: float = 1.0
-    batch: int = 3
-    pool: int = 200
-    validation: int = 12
-    validate_every: int = 50
-    stop_at: float | None = None
-    required_views: float = 0.8
-    held_out: int = 60
-    judge_seed: int = 1000
-    image_psnr: float | None = 26.3
+    momentum: Share = 0.8
+    gradient_power: Fraction = 1.0
+    batch: Annotated[int, at_least(1, "views")] = 3
+    pool: Annotated[int, at_least(0, "views", "0 draws new ones at each step")] = 200
+    validation: Annotated[int, at_least(1, "views")] = 12
+    validate_every: Steps = 50
+    stop_at: PositiveFraction | None = None
+    required_views: PositiveFraction = 0.8
+    held_out: Annotated[int, at_least(1, "views")] = 60
+    judge_seed: Seed = 1000
+    image_psnr: Annotated[float, above(0, "dB", "26 is easily seen, 40 hardly")] | None = 26.3
 
     def __post_init__(self) -> None:
         Perturbation.__post_init__(self)
-        check_numbers(self, {"batch": 1, "pool": 0, "validation": 1, "validate_every": 1, "held_out": 1})
-        check_share(self, "required_views", *([] if self.stop_at is None else ["stop_at"]))
-        check_momentum(self.momentum, self.schedule)
-        check_power(self.gradient_power)
-        if self.image_psnr is not None and not 0 < self.image_psnr < math.inf:
-            expected = "a number of dB > 0, or None"
-            raise InvalidValueError(message("image_psnr", expected, self.image_psnr, "26 is easily seen, 40 hardly"))
-        if self.optimiser not in OPTIMISERS:
-            expected = f"one of {', '.join(OPTIMISERS)}"
-            raise InvalidValueError(message("optimiser", expected, self.optimiser, "choose one"))
         if self.judge_seed == self.seed:
             raise InvalidValueError(message("judge_seed", "another seed than the attack's", self.seed, "change one"))
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from torch import Tensor
@@ -21,9 +21,9 @@ from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.comparison.methods import load_method
-from mi_splat.config_values import check_numbers, finite_number
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import at_least, between, check
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
 from mi_splat.rendering import RenderSettings
@@ -191,16 +191,16 @@ class SunTable:
 
     scene: str
     hours: tuple[float, ...]
-    latitude: float = 45.0
-    declination: float = 0.0
-    samples: int = SAMPLES
+    latitude: Annotated[float, between(-90, 90, "degrees")] = 45.0
+    declination: Annotated[float, between(-90, 90, "degrees")] = 0.0
+    samples: Annotated[int, at_least(1, "samples per pixel")] = SAMPLES
 
     def __post_init__(self) -> None:
-        check_numbers(self, {"samples": 1})
+        check(self)
         if not self.hours:
             raise InvalidValueError(message("hours", "at least one", "none", "name some, for instance [9.0, 12.0]"))
         for hour in self.hours:
-            sun_direction(finite_number("hour", hour), latitude=self.latitude, declination=self.declination)
+            sun_direction(hour, latitude=self.latitude, declination=self.declination)
         shown = [clock(hour) for hour in self.hours]
         if len(set(shown)) < len(shown):
             raise InvalidValueError(message("hours", "different minutes", ", ".join(shown), "leave the second out"))

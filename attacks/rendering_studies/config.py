@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from attacks.cloak.study_file import one_of, read_table
-from attacks.dagger.config import check_share
+from attacks.cloak.study_file import read_table
 from attacks.limits import NormName, SearchName
 from attacks.observe.conditions import FORMATS, SunTable
 from mi_splat.attributes import Attribute
-from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.sh import MAX_DEGREE
+from mi_splat.fields import Checked, Count, Degree, PositiveFraction, Steps, at_least, check, check_choice
 
 OWN = "own"
 """Stands for the gradient of the renderer that makes the attacker's pictures."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
+class Pair(Checked):
     """What is attacked, and what a detector shall take it for.
 
     Attributes:
@@ -32,10 +31,7 @@ class Pair:
     scene: str
     object: str
     target: str
-    camera: int = 0
-
-    def __post_init__(self) -> None:
-        check_numbers(self, {"camera": 0})
+    camera: Count = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,14 +54,15 @@ class AttackTable:
 
     attribute: Attribute = "sh"
     norm: NormName = "l2"
-    eps: tuple[float, ...] = (5.0,)
-    steps: int = 11
+    eps: Annotated[tuple[float, ...], at_least(0)] = (5.0,)
+    steps: Steps = 11
     search: SearchName = "paper"
-    sh_degree: int = 3
+    sh_degree: Degree = 3
     renderers: tuple[str, ...] = ("tile",)
     gradients: tuple[str, ...] = (OWN,)
 
     def __post_init__(self) -> None:
+        check(self)
         _check_some(self, "eps", "renderers", "gradients")
 
 
@@ -88,15 +85,14 @@ class JudgeTable:
     own_renderer: bool = False
     renderers: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
-    sh_degrees: tuple[int, ...] = ()
+    sh_degrees: tuple[Degree, ...] = ()
     float16: bool = False
     sun: SunTable | None = None
 
     def __post_init__(self) -> None:
+        check(self)
         for suffix in self.files:
-            one_of("files", suffix, FORMATS)
-        for degree in self.sh_degrees:
-            one_of("sh_degrees", degree, range(MAX_DEGREE + 1))
+            check_choice("files", suffix, FORMATS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,13 +119,12 @@ class RenderingStudy:
     attacks: tuple[AttackTable, ...]
     judge: JudgeTable = field(default_factory=JudgeTable)
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
-    confidence: float = 0.5
-    seeds: int = 3
+    confidence: PositiveFraction = 0.5
+    seeds: Annotated[int, at_least(1)] = 3
 
     def __post_init__(self) -> None:
-        check_numbers(self, {"seeds": 1})
+        check(self)
         _check_some(self, "pairs", "attacks", "detectors")
-        check_share(self, "confidence")
         judge = self.judge
         others = bool(judge.renderers or judge.files or judge.sh_degrees or judge.float16 or judge.sun)
         if judge.own_renderer == others:

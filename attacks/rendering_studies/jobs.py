@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.study_file import one_of
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import AttackScene
 from attacks.dagger.pairs import SEARCHES
@@ -25,6 +24,7 @@ from attacks.rendering_studies.gradient_source import with_gradient_of
 from mi_splat.cameras import RenderFn
 from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import check_choice
 from mi_splat.mixed_scenes import contents_hash
 
 
@@ -176,7 +176,7 @@ class StudyRunner:
             MiSplatError: A scene cannot be read, a renderer cannot run here, or a detector cannot be loaded.
         """
         for job in jobs:
-            one_of(f"target for {job.detector}", job.target, self._objects.detector(job.detector).classes)
+            check_choice(f"target for {job.detector}", job.target, self._objects.detector(job.detector).classes)
             self._objects.view(job)
             self._attackers_renderer(job)
             for look in looks_at(self._study, job):

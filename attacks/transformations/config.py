@@ -6,12 +6,25 @@ camera makes of it: exposure, white balance and gamma of the picture.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated
 
-from mi_splat.config_values import check_numbers, finite_number
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import (
+    Called,
+    Checked,
+    Fraction,
+    Length,
+    PositiveFraction,
+    Range,
+    Share,
+    above,
+    at_least,
+    between,
+    check,
+)
+
+_LEAST_MOST = Called("LEAST MOST")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,30 +45,31 @@ class CameraRegion:
         InvalidValueError: An interval is upside down, or a value is out of its range.
     """
 
-    azimuths: tuple[float, float] = (0.0, 360.0)
-    elevations: tuple[float, float] = (5.0, 40.0)
-    distances: tuple[float, float] = (0.8, 1.2)
-    distance_unit: float | None = None
-    roll: float = 0.0
-    fovs: tuple[float, float] | None = None
-    aim: float = 0.0
-    least_visible: float = 0.005
+    azimuths: Annotated[tuple[float, float], between(-360, 720, "degrees"), _LEAST_MOST] = (0.0, 360.0)
+    elevations: Annotated[tuple[float, float], between(-90, 90, "degrees"), _LEAST_MOST] = (5.0, 40.0)
+    distances: Annotated[tuple[float, float], above(0, "times the reference camera's"), _LEAST_MOST] = (
+        0.8,
+        1.2,
+    )
+    distance_unit: Length | None = None
+    roll: Annotated[float, between(0, 180, "degrees")] = 0.0
+    fovs: Annotated[tuple[float, float], Range(low=0, high=179, open_low=True, unit="degrees"), _LEAST_MOST] | None = (
+        None
+    )
+    aim: Annotated[float, at_least(0, "radii of the object"), Called("FRACTION")] = 0.0
+    least_visible: Fraction = 0.005
 
     def __post_init__(self) -> None:
-        check_numbers(self, {"roll": 0, "aim": 0, "least_visible": 0})
+        check(self)
         for name in ("azimuths", "elevations", "distances", "fovs"):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, _interval(name, value))
-        _within("elevations", self.elevations, -90, 90)
-        _within("distances", self.distances, 1e-6, math.inf)
-        if self.fovs is not None:
-            _within("fovs", self.fovs, 1e-3, 179)
-        if self.distance_unit is not None and not self.distance_unit > 0:
-            raise InvalidValueError(message("distance_unit", "a number > 0", self.distance_unit, "1 is world units"))
+            interval = getattr(self, name)
+            if interval is not None and interval[0] > interval[1]:
+                expected = "two numbers, the lower one first"
+                raise InvalidValueError(message(name, expected, interval, "change their order"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureChanges:
+class PictureChanges(Checked):
     """What may happen to a picture between the renderer and the detector; by default nothing.
 
     The order is that of a camera: light, blur, fewer pixels, noise, JPEG. Each amount is drawn evenly.
@@ -73,22 +87,13 @@ class PictureChanges:
         InvalidValueError: A value is out of its range.
     """
 
-    exposure: float = 0.0
-    white_balance: float = 0.0
-    gamma: float = 0.0
-    blur: float = 0.0
-    resize: float = 1.0
-    noise: float = 0.0
-    jpeg: int = 0
-
-    def __post_init__(self) -> None:
-        check_numbers(self, {"exposure": 0, "white_balance": 0, "gamma": 0, "blur": 0, "noise": 0, "jpeg": 0})
-        if not self.white_balance < 1:
-            raise InvalidValueError(message("white_balance", "a fraction < 1", self.white_balance, "0.1 is much"))
-        if not 0 < self.resize <= 1:
-            raise InvalidValueError(message("resize", "a factor in (0, 1]", self.resize, "1 is no change"))
-        if self.jpeg > 95:
-            raise InvalidValueError(message("jpeg", "a quality in 0..95", self.jpeg, "0 is no JPEG"))
+    exposure: Annotated[float, at_least(0, "stops")] = 0.0
+    white_balance: Share = 0.0
+    gamma: Annotated[float, at_least(0)] = 0.0
+    blur: Annotated[float, at_least(0, "pixels")] = 0.0
+    resize: Annotated[PositiveFraction, Called("FACTOR")] = 1.0
+    noise: Annotated[float, at_least(0)] = 0.0
+    jpeg: Annotated[int, between(0, 95, "quality", "0 is no JPEG")] = 0
 
     @property
     def are_none(self) -> bool:
@@ -107,20 +112,3 @@ class Transformations:
 
     cameras: CameraRegion = field(default_factory=CameraRegion)
     pictures: PictureChanges = field(default_factory=PictureChanges)
-
-
-def _interval(name: str, value: Any) -> tuple[float, float]:
-    """Two finite numbers, the lower one first."""
-    expected = "two numbers, the lower one first"
-    try:
-        low, high = (float(finite_number(name, number)) for number in value)
-    except (TypeError, ValueError):
-        raise InvalidValueError(message(name, expected, repr(value), "pass for instance (5, 40)")) from None
-    if low > high:
-        raise InvalidValueError(message(name, expected, (low, high), "change their order"))
-    return low, high
-
-
-def _within(name: str, value: tuple[float, float], low: float, high: float) -> None:
-    if not low <= value[0] <= value[1] <= high:
-        raise InvalidValueError(message(name, f"numbers in [{low:g}, {high:g}]", value, "change them"))

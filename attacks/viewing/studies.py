@@ -12,10 +12,10 @@ import torch
 
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.study_file import from_table
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import decode
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import open_scene
 from mi_splat.viewer.exhibit import Exhibit, ShownSplat
@@ -40,7 +40,7 @@ def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
     if not isinstance(summary.get("study"), dict):
         expected, do = "a summary of a study of CLOAK", "make it again with mi-splat cloak"
         raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
-    study = from_table(StudyConfig, _stated(summary["study"]), f"the study of {folder}")
+    study = decode(StudyConfig, _stated(summary["study"]), f"the study of {folder}")
     background = RenderSettings(background=study.scene.background)
     splats = tuple(
         ShownSplat(name=name, scene=loaded.scene, path=folder / f"{name}.ply", own=loaded.settings)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Called, Checked, Length, above, between, check
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 Front = Literal["+x", "-x", "+y", "-y"]
@@ -16,7 +17,7 @@ MissingTextures = Literal["refuse", "warn"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureSettings:
+class CaptureSettings(Checked):
     """What the pictures of a capture depend on besides scene and cameras.
 
     Attributes:
@@ -32,23 +33,15 @@ class CaptureSettings:
         InvalidValueError: A number is out of range.
     """
 
-    samples: int = 32
-    seed: int = 0
+    samples: Annotated[int, between(1, 1 << 20, "samples per pixel", "32 is usual")] = 32
+    seed: Annotated[int, between(0, 1 << 28, "whole", "0 is usual"), Called("SEED")] = 0
     rgba: bool = False
-    points: int = 20_000
-    near: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, low, high in (("samples", 1, 1 << 20), ("seed", 0, 1 << 28), ("points", 1, 10_000_000)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InvalidValueError(message(name, f"{low} to {high}", value, "change it"))
-        if self.near is not None and not (math.isfinite(self.near) and self.near > 0):
-            raise InvalidValueError(message("near", "a positive number", self.near, "leave it out for the usual one"))
+    points: Annotated[int, between(1, 10_000_000, "points")] = 20_000
+    near: Length | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeshSettings:
+class MeshSettings(Checked):
     """How a mesh file is read and turned: first --up, then --rotate, then --front, then --scale.
 
     Attributes:
@@ -64,16 +57,10 @@ class MeshSettings:
     """
 
     up: Up | None = None
-    scale: float = 1.0
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scale: Annotated[float, above(0, "metres per unit of the file"), Called("METRES")] = 1.0
+    rotate: Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Called("X Y Z")] = (0.0, 0.0, 0.0)
     front: Front | None = None
     missing_textures: MissingTextures = "refuse"
-
-    def __post_init__(self) -> None:
-        if not 0 < self.scale < math.inf:
-            raise InvalidValueError(message("scale", "a positive number", self.scale, "1 keeps the size"))
-        if not all(map(math.isfinite, self.rotate)):
-            raise InvalidValueError(message("rotate", "three angles in degrees", self.rotate, "0 0 0 turns nothing"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,10 +79,11 @@ class SurroundingsSettings:
     """
 
     ground: Ground = "none"
-    sun: str | None = None
+    sun: Annotated[str, Called("AZIMUTH,ELEVATION")] | None = None
     environment: Path | None = None
 
     def __post_init__(self) -> None:
+        check(self)
         _ = self.sun_angles
 
     @property

@@ -22,8 +22,8 @@ from mi_splat.comparison.measures import (
     weighting,
 )
 from mi_splat.comparison.methods import Method
-from mi_splat.config_values import check_numbers
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Checked, Count, Seed
 from mi_splat.io.images import quantise
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
@@ -35,7 +35,7 @@ Agreement = dict[str, GradientAgreement]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CompareConfig:
+class CompareConfig(Checked):
     """What is measured.
 
     Raises:
@@ -44,13 +44,10 @@ class CompareConfig:
 
     gradients: bool = True
     """Compare the gradients of methods that have them."""
-    rounds: int = 5
+    rounds: Count = 5
     """How often each method is timed; 0 measures neither time nor memory."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the random weights that make one number of a picture, whose gradients are compared."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, {"rounds": 0, "seed": 0})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from mi_splat.config_values import check_numbers, several, whole_number
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Called, Range, above, at_least, between, check, checked_number, several
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +22,9 @@ if TYPE_CHECKING:
     Click = str | tuple[int, int]
 else:  # what the command line makes of words
     MaskValue, Click = Path, str
+
+Box = Annotated[tuple[float, float, float, float, float, float], Range(unit="world units"), Called("X0 Y0 Z0 X1 Y1 Z1")]
+Rotation = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Called("YAW PITCH ROLL")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,33 +55,23 @@ class Selection:
     """
 
     object: str | None = None
-    box: tuple[float, float, float, float, float, float] | None = None
-    box_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    box: Box | None = None
+    box_rotation: Rotation = (0.0, 0.0, 0.0)
     mask: MaskValue | None = None
-    click: tuple[Click, ...] = ()
-    cluster: int | None = None
-    link_distance: float = 1.5
-    link_colour: float | None = None
-    planes: int = 1
+    click: Annotated[tuple[Click, ...], Called("X,Y")] = ()
+    cluster: Annotated[int, at_least(1, do="1 is the largest"), Called("RANK")] | None = None
+    link_distance: Annotated[float, above(0, do="1.5 is usual"), Called("FACTOR")] = 1.5
+    link_colour: Annotated[float, between(0, 1, do="0.1 is strict"), Called("DIFFERENCE")] | None = None
+    planes: Annotated[int, between(0, 20, do="1 is usual")] = 1
 
     def __post_init__(self) -> None:
         self._take_values()
+        check(self)
         if self.box is not None:
             low, high = self.box[:3], self.box[3:]
             if not all(a <= b for a, b in zip(low, high, strict=True)):  # not of nan either
                 do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
                 raise InvalidValueError(message("box", "no first number above its second", self.box, do))
-        if not all(math.isfinite(angle) for angle in self.box_rotation):
-            raise InvalidValueError(message("box rotation", "three angles in degrees", self.box_rotation, "change it"))
-        check_numbers(self)
-        if self.cluster is not None and self.cluster < 1:
-            raise InvalidValueError(message("cluster", "1 or more", self.cluster, "1 is the largest"))
-        if not self.link_distance > 0:
-            raise InvalidValueError(message("link distance", "a positive number", self.link_distance, "1.5 is usual"))
-        if self.link_colour is not None and not 0 <= self.link_colour <= 1:
-            raise InvalidValueError(message("link colour", "a number in [0, 1]", self.link_colour, "0.1 is strict"))
-        if not 0 <= self.planes <= 20:
-            raise InvalidValueError(message("planes", "0 to 20", self.planes, "1 is usual"))
         _ = self.pixels
 
     def _take_values(self) -> None:
@@ -89,12 +81,9 @@ class Selection:
         elif self.mask is not None and not isinstance(self.mask, Path):
             object.__setattr__(self, "mask", several(self.mask))
         clicks = several(self.click)
-        if len(clicks) == 2 and all(isinstance(one, Real) for one in clicks):
+        if len(clicks) == 2 and all(isinstance(value, Real) for value in clicks):
             clicks = (clicks,)
-        object.__setattr__(self, "click", tuple(_pixel_text(one) for one in clicks))
-        if self.box is not None:
-            object.__setattr__(self, "box", _numbers("box", self.box, 6))
-        object.__setattr__(self, "box_rotation", _numbers("box rotation", self.box_rotation, 3))
+        object.__setattr__(self, "click", tuple(map(_pixel_text, clicks)))
 
     @property
     def pixels(self) -> tuple[tuple[int, int], ...]:
@@ -138,15 +127,7 @@ def _pixel_text(click: Any) -> str:
     pair = several(click)
     if len(pair) != 2:
         raise InvalidValueError(message("click", "a pixel x,y", repr(click), "for instance (120, 80)"))
-    return ",".join(str(whole_number("click", number)) for number in pair)
-
-
-def _numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
-    """So many numbers as a tuple."""
-    found = several(values)
-    if len(found) != count or not all(isinstance(one, Real) for one in found):
-        raise InvalidValueError(message(name, f"{count} numbers", repr(values), "pass a tuple of them"))
-    return found
+    return ",".join(str(checked_number("click", number, whole=True)) for number in pair)
 
 
 def _count(mask: Any) -> int:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from typing import Annotated
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.config_values import check_decay, check_numbers, several
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Called, Degree, Fraction, Steps, above, at_least, check
 from mi_splat.training.strategies import ClassicConfig, StrategyConfig
+
+Interval = Annotated[int, at_least(0, "steps")]
+LearningRate = Annotated[float, at_least(0), Called("RATE")]
+DecayingRate = Annotated[float, above(0, do="1e-9 is next to nothing"), Called("RATE")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,30 +43,29 @@ class FitConfig:
         InvalidValueError: A value is of the wrong kind or out of its range, or the strategy needs more trainable.
     """
 
-    iterations: int = 7000
+    iterations: Steps = 7000
     trainable: tuple[Attribute, ...] = ATTRIBUTES
     strategy: StrategyConfig = field(default_factory=ClassicConfig)
-    sh_degree: int = 3
-    sh_degree_interval: int = 1000
-    lambda_dssim: float = 0.2
-    lr_means: float = 1.6e-4
-    lr_means_final: float = 1.6e-6
-    lr_scales: float = 5e-3
-    lr_rotations: float = 1e-3
-    lr_opacities: float = 5e-2
-    lr_sh: float = 2.5e-3
-    lr_sh_final: float | None = None
+    sh_degree: Degree = 3
+    sh_degree_interval: Interval = 1000
+    lambda_dssim: Annotated[Fraction, Called("WEIGHT")] = 0.2
+    lr_means: DecayingRate = 1.6e-4
+    lr_means_final: DecayingRate = 1.6e-6
+    lr_scales: LearningRate = 5e-3
+    lr_rotations: LearningRate = 1e-3
+    lr_opacities: LearningRate = 5e-2
+    lr_sh: LearningRate = 2.5e-3
+    lr_sh_final: DecayingRate | None = None
     masks: bool = False
     random_background: bool = False
-    eval_interval: int = 1000
+    eval_interval: Annotated[int, at_least(0, "steps", "0 evaluates at the end only")] = 1000
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "trainable", several(self.trainable))
         if not isinstance(self.strategy, StrategyConfig):
             do = "pass for instance ClassicConfig(), or strategy_config(name)"
             raise InvalidValueError(message("strategy", "the options of a strategy", repr(self.strategy), do))
-        unknown = [name for name in self.trainable if name not in ATTRIBUTES]
-        if unknown or not self.trainable:
+        check(self)
+        if not self.trainable:
             raise InvalidValueError(
                 message("trainable", f"some of {', '.join(ATTRIBUTES)}", self.trainable, "name what may change")
             )
@@ -70,14 +74,6 @@ class FitConfig:
             expected = f"one that does not need {', '.join(frozen)} trainable"
             got = type(self.strategy).__name__
             raise InvalidValueError(message("strategy", expected, got, "use the fixed strategy, or train them"))
-        rates = {
-            field.name: 0
-            for field in fields(self)
-            if field.name.startswith("lr_") and getattr(self, field.name) is not None
-        }
-        check_numbers(self, {"iterations": 1, "sh_degree_interval": 0, "eval_interval": 0, **rates})
-        check_decay("lr_means", self.lr_means, self.lr_means_final)
-        if self.lr_sh_final is not None:
-            check_decay("lr_sh", self.lr_sh, self.lr_sh_final)
-        if self.sh_degree not in (0, 1, 2, 3):
-            raise InvalidValueError(message("sh_degree", "0, 1, 2 or 3", self.sh_degree, "3 is what 3DGS writes"))
+        if self.lr_sh_final is not None and self.lr_sh == 0:
+            do = "1e-9 is next to nothing"
+            raise InvalidValueError(message("lr_sh", "a number > 0, as it decays exponentially", self.lr_sh, do))

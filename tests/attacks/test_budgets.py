@@ -140,7 +140,7 @@ def test_leaving_the_ball_is_an_error(norm: NormName, value: float) -> None:
 @pytest.mark.parametrize(
     ("radius", "norm", "complaint"),
     [
-        ({"sh": -1.0}, "l2", "radius of sh: expected a finite number >= 0, got -1.0"),
+        ({"sh": -1.0}, "l2", "radius of sh: expected a number >= 0, got -1.0"),
         ({"sh": float("inf")}, "l2", "radius of sh: expected a finite number"),
         ({"sh": float("nan")}, "l2", "radius of sh: expected a finite number"),
         ({"colour": 1.0}, "l2", "attribute: expected one of means, scales, rotations, opacities, sh, got colour"),

@@ -12,9 +12,9 @@ from PIL import Image
 from attacks import cli
 from attacks.cloak import variations
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.study_file import from_table
 from attacks.cloak.variations import CLEANINGS, check_variations, tables, varied, vary, write_variation
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import decode
 from tests.cloak.tiny_study import STUDY, Redness
 from tests.report.results import STUDIED, cloak_summary, rate
 
@@ -55,7 +55,7 @@ def test_variations_share_what_they_can_and_take_every_seed(
 @pytest.mark.parametrize(
     ("groups", "values", "match"),
     [
-        (["poison_fraction"], ["90"], r"values: expected 5% or 25% .* got '90'; did you mean 90%"),
+        (["poison_fraction"], ["90"], r"values: expected one of 5%, 25%, .* got 90; did you mean 90%"),
         (["poison_fraction", "strategy"], ["90%"], r"values: expected some of strategy \(classic or mcmc\), got 90%"),
     ],
 )
@@ -162,4 +162,4 @@ def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
 
 def test_a_study_says_in_its_file_how_splats_are_cleaned() -> None:
     table = {"name": "x", "attack": [{"name": "a", "elevation": [50, 90]}], "cleaning": {"sh_degree": 1}}
-    assert from_table(type(STUDY), table, "x").cleaning == CLEANINGS["SH degree 1"]
+    assert decode(type(STUDY), table, "x").cleaning == CLEANINGS["SH degree 1"]

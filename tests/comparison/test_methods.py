@@ -171,7 +171,7 @@ def test_what_is_no_picture_is_refused(render: Any, said: str) -> None:
 def test_numbers_and_numbers_of_things() -> None:
     wrong: tuple[dict[str, Any], ...] = ({"rounds": -1}, {"seed": -1}, {"rounds": 1.5})
     for values in wrong:
-        with pytest.raises(InvalidValueError, match=r"whole number|>= 0"):
+        with pytest.raises(InvalidValueError, match=r"whole number|>= 0|in \[0, "):
             CompareConfig(**values)
     with pytest.raises(InvalidValueError, match="methods: expected 2 or more"):
         compare(SCENE, CAMERAS, {"one": Method(render=blobs)})

@@ -20,7 +20,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         f"mi_splat.{n}"
         for n in (
             "errors",
-            "config_values",
+            "fields",
             "attributes",
             "_lazy",
             "provenance",

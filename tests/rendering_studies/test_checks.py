@@ -33,13 +33,13 @@ SUN = '[judge.sun]\nscene = "{}"\nhours = [12.0]\n'
         ("eps = []", "own_renderer = true", "eps: expected at least one, got none"),
         ("renderers = []", "own_renderer = true", "renderers: expected at least one, got none"),
         ("gradients = []", "own_renderer = true", "gradients: expected at least one, got none"),
-        ("", 'files = [".spz", ".obj"]', r"files: expected \.ply or .* got '\.obj'; did you mean"),
-        ("", "sh_degrees = [0, 4]", "sh_degrees: expected 0 or 1 or 2 or 3, got 4"),
+        ("", 'files = [".spz", ".obj"]', r"files: expected one of \.ply, .* got \.obj; did you mean"),
+        ("", "sh_degrees = [0, 4]", r"sh_degrees: expected a number in \[0, 3\], got 4"),
         ("", '[judge.sun]\nscene = "a"\nhours = []', "hours: expected at least one, got none"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0, 3.0]', "hour: expected an hour when the sun is up, got 3"),
         ("", '[judge.sun]\nscene = "a"\nhours = [12.0, 12.001]', "hours: expected different minutes, got 12:00, 12:00"),
         ("", '[judge.sun]\nscene = "a"\nhours = [nan]', "hours/0: expected a finite number, got nan"),
-        ("", '[judge.sun]\nscene = "a"\nhours = [12.0]\nsamples = 0', "samples: expected a number >= 1, got 0"),
+        ("", '[judge.sun]\nscene = "a"\nhours = [12.0]\nsamples = 0', "samples: expected a number >= 1"),
     ],
 )
 def test_a_table_that_cannot_be_is_refused(attacks: str, judge: str, match: str, tmp_path: Path) -> None:
@@ -86,9 +86,9 @@ def wrong(pair: str = "", table: str = "", judge: str = OWN, detectors: str = '"
         (wrong('scene = "none"\nobject = "bus"\ntarget = "person"'), "got no file scenes/none.xml"),
         (wrong('scene = "toy"\nobject = "bus"\ntarget = "person"'), "object of toy: expected one of car, got bus"),
         (wrong('scene = "toy"\nobject = "car"\ntarget = "person"\ncamera = 2'), "camera: expected 0 to 1, got 2"),
-        (wrong('scene = "toy"\nobject = "car"\ntarget = "bus"'), "target for fake_colour: expected car or person or"),
+        (wrong('scene = "toy"\nobject = "car"\ntarget = "bus"'), "target for fake_colour: expected one of car, person"),
         (wrong(detectors='"fake_colour", "unreal"'), "detector: expected"),
-        (wrong(table="sh_degree = 4"), "sh_degree: expected 0, 1, 2 or 3, got 4"),
+        (wrong(table="sh_degree = 4"), "sh_degree: expected a number in [0, 3], got 4"),
     ],
 )
 def test_the_command_checks_all_before_the_first_attack(

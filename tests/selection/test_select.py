@@ -145,12 +145,15 @@ def test_doubts_come_with_numbers() -> None:
     [
         ({"box": (0, 0, 0, -1, 1, 1)}, "box: expected no first number above its second"),
         ({"box": (0, 0, 0, float("nan"), 1, 1)}, "box"),
-        ({"box_rotation": (0, float("inf"), 0)}, "box rotation"),
-        ({"cluster": 0}, "cluster: expected 1 or more"),
+        (
+            {"box_rotation": (0, float("inf"), 0)},
+            "box_rotation: expected a number in",
+        ),
+        ({"cluster": 0}, "cluster: expected a number >= 1, got 0; 1 is the largest"),
         ({"click": ("12;4",)}, "click: expected a pixel x,y, got '12;4'"),
         ({"click": ("-1,4",)}, "click"),
-        ({"link_distance": 0.0}, "link distance"),
-        ({"link_colour": 2.0}, "link colour"),
+        ({"link_distance": 0.0}, "link_distance: expected a number > 0"),
+        ({"link_colour": 2.0}, r"link_colour: expected a number in \[0, 1\]"),
         ({"planes": -1}, "planes"),
     ],
 )

@@ -20,10 +20,10 @@ from attacks.cloak.rates import figures, markdown
 from attacks.cloak.study.dependencies import fit_config
 from attacks.cloak.study.pipeline import MANIFEST, OnStep, PictureSet, StudyPipeline
 from attacks.cloak.study.trained_splats import TrainedSplat
-from attacks.cloak.study_file import one_of
 from attacks.detectors.base import Detector
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
@@ -199,7 +199,7 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
         *(attack.target_class for attack in study.attack if attack.target_class is not None),
     ]
     for label, detector in itertools.product(wanted, detectors):
-        one_of(f"class for {detector.name}", label, detector.classes)
+        check_choice(f"class for {detector.name}", label, detector.classes)
     check_folder(study, folder)
     check_disk(forecast(study).megabytes, stages)
 

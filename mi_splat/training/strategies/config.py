@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.config_values import check_numbers
+from mi_splat.fields import Called, Checked, Fraction, Steps, above, at_least
+
+Interval = Annotated[int, at_least(0, "steps")]
+Opacity = Annotated[Fraction, Called("OPACITY")]
+Weight = Annotated[float, at_least(0), Called("WEIGHT")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StrategyConfig:
+class StrategyConfig(Checked):
     """The options that all strategies have; each derives a frozen dataclass with its own.
 
     Fields are the options in Python, the flags of `mi-splat train`, and what a checkpoint holds: numbers, strings,
@@ -30,10 +34,7 @@ class StrategyConfig:
     adds_gaussians: ClassVar[bool] = True
     """Whether Gaussians are added, so that `max_gaussians` matters."""
 
-    max_gaussians: int | None = 100_000
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
+    max_gaussians: Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,14 +56,14 @@ class ClassicConfig(StrategyConfig):
 
     needs_screen_gradients: ClassVar[bool] = True
 
-    densify_from: int = 500
-    densify_until: int | None = None
-    densify_interval: int = 100
-    densify_grad_threshold: float = 2e-4
-    percent_dense: float = 0.01
-    prune_opacity: float = 0.005
-    prune_scale: float = 0.1
-    opacity_reset_interval: int = 3000
+    densify_from: Interval = 500
+    densify_until: Interval | None = None
+    densify_interval: Steps = 100
+    densify_grad_threshold: Annotated[float, at_least(0), Called("GRADIENT")] = 2e-4
+    percent_dense: Annotated[float, at_least(0, "shares of the scene's extent"), Called("SHARE")] = 0.01
+    prune_opacity: Opacity = 0.005
+    prune_scale: Annotated[float, above(0, "shares of the scene's extent"), Called("SHARE")] = 0.1
+    opacity_reset_interval: Interval = 3000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,14 +81,14 @@ class MCMCConfig(StrategyConfig):
         scale_reg: Weight of the mean scale in the loss.
     """
 
-    densify_from: int = 500
-    densify_until: int = 25_000
-    densify_interval: int = 100
-    growth: float = 0.05
-    dead_opacity: float = 0.005
-    noise_lr: float = 5e5
-    opacity_reg: float = 0.01
-    scale_reg: float = 0.01
+    densify_from: Interval = 500
+    densify_until: Interval = 25_000
+    densify_interval: Steps = 100
+    growth: Annotated[float, at_least(0), Called("SHARE")] = 0.05
+    dead_opacity: Opacity = 0.005
+    noise_lr: Annotated[float, at_least(0), Called("RATE")] = 5e5
+    opacity_reg: Weight = 0.01
+    scale_reg: Weight = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

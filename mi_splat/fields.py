@@ -1,0 +1,365 @@
+"""A field of a configuration says once what it takes: its range, its unit, what its values are called, what to do.
+
+    eps: Annotated[float, at_least(0, "units of the splat file", "5 is the paper's")] = 5.0
+
+The constructor reads it (`check`), the command line (`mi_splat.cli.flags`), and files of studies (`decode`); all of
+them refuse a value in the same words. Light, without torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import operator
+import os
+import types
+import typing
+from collections.abc import Collection, Hashable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from numbers import Real
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from mi_splat.errors import InvalidValueError, message, nearest
+
+_Value = TypeVar("_Value")
+
+
+class FieldError(InvalidValueError):
+    """A value that a field does not take.
+
+    Attributes:
+        name: What the message begins with: the field's name, or where it stands in a file.
+    """
+
+    name: str = ""
+
+    @classmethod
+    def of(cls, name: str, expected: object, got: object, do: str) -> FieldError:
+        """The error in the form of all messages (`mi_splat.errors.message`)."""
+        error = cls(message(name, expected, got, do))
+        error.name = name
+        return error
+
+    def at(self, name: str) -> FieldError:
+        """The same about a field that is called otherwise, by a flag for instance."""
+        error = FieldError(f"{name}{str(self).removeprefix(self.name)}")
+        error.name = name
+        return error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Range:
+    """The numbers that a field takes, each number of it if it takes several.
+
+    Attributes:
+        low: The least, -inf for none.
+        high: The greatest, inf for none; infinite numbers are never taken.
+        open_low: Whether `low` itself is left out.
+        open_high: Whether `high` itself is left out.
+        unit: What is counted or measured, in words.
+        do: What to do with another number.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    open_high: bool = False
+    unit: str = ""
+    do: str = "change it"
+
+    def holds(self, value: float) -> bool:
+        """Whether a field takes a number."""
+        above_low = value > self.low if self.open_low else value >= self.low
+        below_high = value < self.high if self.open_high else value <= self.high
+        return math.isfinite(value) and above_low and below_high
+
+    @property
+    def bounds(self) -> str:
+        """The numbers in signs: ">= 1" or "in (0, 1]"; empty for all."""
+        low, high = (f"{bound:.0f}" if bound == round(bound, 0) else f"{bound:g}" for bound in self._finite_bounds)
+        if math.isinf(self.high):
+            return "" if math.isinf(self.low) else f"{'>' if self.open_low else '>='} {low}"
+        return f"in {'(' if self.open_low else '['}{low}, {high}{')' if self.open_high else ']'}"
+
+    @property
+    def _finite_bounds(self) -> tuple[float, float]:
+        return (0.0 if math.isinf(self.low) else self.low, 0.0 if math.isinf(self.high) else self.high)
+
+    def __str__(self) -> str:
+        words = f"a number {self.bounds}".strip()
+        return f"{words} ({self.unit})" if self.unit else words
+
+
+@dataclass(frozen=True, slots=True)
+class Called:
+    """What `--help` calls the values of a field, one word for each of them.
+
+    Attributes:
+        words: For instance "X Y Z". A field without it takes the unit of its range, or what its type says.
+    """
+
+    words: str
+
+
+def at_least(low: float, unit: str = "", do: str = "change it") -> Range:
+    """The numbers from `low` on."""
+    return Range(low=low, unit=unit, do=do)
+
+
+def above(low: float, unit: str = "", do: str = "change it") -> Range:
+    """The numbers greater than `low`."""
+    return Range(low=low, open_low=True, unit=unit, do=do)
+
+
+def between(low: float, high: float, unit: str = "", do: str = "change it") -> Range:
+    """The numbers from `low` to `high`, both included."""
+    return Range(low=low, high=high, unit=unit, do=do)
+
+
+Fraction = Annotated[float, between(0, 1), Called("FRACTION")]
+PositiveFraction = Annotated[float, Range(low=0, high=1, open_low=True), Called("FRACTION")]
+Share = Annotated[float, Range(low=0, high=1, open_high=True), Called("SHARE")]
+Seed = Annotated[int, between(0, 2**31 - 1, "whole", "0 is usual"), Called("SEED")]
+Length = Annotated[float, above(0, "world units"), Called("LENGTH")]
+Steps = Annotated[int, at_least(1, "steps")]
+Count = Annotated[int, at_least(0)]
+Degree = Annotated[int, between(0, 3, do="3 is what 3DGS writes"), Called("DEGREE")]
+Folder = Annotated[Path, Called("FOLDER")]
+
+
+def check(config: object) -> None:
+    """Raise unless every field of a configuration is of the type and in the range that it says.
+
+    Called in `__post_init__`. Values of NumPy become Python's, and lists tuples, so that the configuration can be
+    compared, and written as JSON; one value stands for a tuple of it. Types that are not known here are left alone.
+
+    Args:
+        config: A frozen dataclass.
+
+    Raises:
+        FieldError: A value is something else.
+    """
+    hints = type_hints(type(config))
+    for field in dataclasses.fields(config):  # type: ignore[arg-type]  # a dataclass, as said above
+        value = getattr(config, field.name)
+        taken = _taken(hints[field.name], value, field.name)
+        if taken is not value:
+            object.__setattr__(config, field.name, taken)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checked:
+    """A configuration whose fields say all that is to be checked."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
+    """A frozen dataclass from a table of TOML or an object of JSON.
+
+    Args:
+        kind: The dataclass.
+        table: Its keys and values; lists stand for tuples, tables for other dataclasses.
+        where: Name of the table, for errors.
+
+    Raises:
+        InvalidValueError: A key is unknown or missing, or a value is one that its field does not take.
+    """
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in table:
+        check_choice(f"key in {where}", key, fields)
+    missing = [
+        name
+        for name, field in fields.items()
+        if name not in table and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise FieldError.of(where, f"the key {missing[0]}", "none", "add it")
+    hints = type_hints(kind)
+    values = {key: _taken(hints[key], value, f"{where}, {key}", read=True) for key, value in table.items()}
+    try:
+        return kind(**values)
+    except FieldError as error:
+        raise error.at(f"{where}, {error.name}") from None
+
+
+@cache
+def _type_hints(kind: Hashable) -> dict[str, Any]:
+    return typing.get_type_hints(kind, include_extras=True)
+
+
+def type_hints(kind: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, with what they say of their values."""
+    return _type_hints(kind)
+
+
+def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
+    """What a type of a field says.
+
+    Args:
+        hint: The type.
+
+    Returns:
+        The type itself, without Annotated and `| None`; what is said of its values, the outermost first; and whether
+        None is taken. A union of several types stays one.
+    """
+    marks: tuple[Any, ...] = ()
+    optional = False
+    while True:
+        if typing.get_origin(hint) is Annotated:
+            marks += hint.__metadata__
+            hint = hint.__origin__
+            continue
+        kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
+        if typing.get_origin(hint) not in (typing.Union, types.UnionType) or len(kinds) > 1:
+            return hint, marks, optional or types.NoneType in typing.get_args(hint)
+        hint, optional = kinds[0], True
+
+
+def check_choice(what: str, value: object, known: Collection[Any]) -> None:
+    """Raise unless a value is one of those known, naming the nearest.
+
+    Raises:
+        FieldError: It is another.
+    """
+    if value not in known:
+        raise _unknown(what, value, known)
+
+
+def _unknown(what: str, value: object, known: Iterable[Any]) -> FieldError:
+    words = [str(choice) for choice in known]
+    got = value if isinstance(value, str) and value else repr(value)
+    return FieldError.of(what, f"one of {', '.join(words)}", got, nearest(str(value), words, "choose one of them"))
+
+
+def several(value: Any) -> tuple[Any, ...]:
+    """One value or several as a tuple; a string is one value."""
+    if hasattr(value, "tolist"):  # of NumPy or torch
+        value = value.tolist()
+    return tuple(value) if isinstance(value, Iterable) and not isinstance(value, (str, Mapping)) else (value,)
+
+
+def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ...]:
+    """One value of a kind, or several, as a tuple.
+
+    Args:
+        kind: Its class.
+        what: Name of the argument, for the error.
+        value: One, or an iterable of them.
+
+    Raises:
+        InvalidValueError: Something else is among them.
+    """
+    values = several(value)
+    for item in values:
+        if not isinstance(item, kind):
+            name = kind.__name__
+            raise InvalidValueError(message(what, f"values of {name}", type(item).__name__, f"make a {name} of it"))
+    return values
+
+
+def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole: bool = False) -> Any:
+    """A number in a range; those of Python stay as they are.
+
+    Args:
+        name: Of it, for the error.
+        value: The number.
+        allowed: The range; all finite numbers if None.
+        whole: Whether it has to be an int.
+
+    Raises:
+        FieldError: It is none, not finite, not whole, or out of the range.
+    """
+    if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # of NumPy or torch
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, Real) or (whole and not hasattr(value, "__index__")):
+        raise FieldError.of(name, "a whole number" if whole else "a number", repr(value), "change it")
+    number: Any = operator.index(value) if whole else value if isinstance(value, (int, float)) else float(value)  # type: ignore[arg-type]  # it has __index__
+    allowed = allowed or Range()
+    if not allowed.holds(number):
+        expected = str(allowed)
+        if not math.isfinite(number) and math.inf in (allowed.high, -allowed.low):
+            expected = expected.replace("a number", "a finite number", 1)
+        raise FieldError.of(name, expected, number, allowed.do)
+    return number
+
+
+def _taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
+    """A value as its field has it.
+
+    Args:
+        hint: Type of the field.
+        value: What is given.
+        name: For the error.
+        marks: What is said of the values of a tuple around this one.
+        read: Whether it comes from a file, in which lists stand for tuples and tables for dataclasses.
+
+    Raises:
+        FieldError: The field does not take it.
+    """
+    kind, own_marks, optional = unwrapped(hint)
+    marks = own_marks or marks
+    if value is None and optional:
+        return None
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        kind = _member(parts, value)
+        return value if kind is None else _taken(kind, value, name, marks, read=read)
+    if origin is Literal:
+        value = value.item() if hasattr(value, "item") else value
+        if type(value) not in map(type, parts) or value not in parts:
+            raise _unknown(name, value, parts)
+        return value
+    if origin is tuple:
+        return _tuple(parts, value, name, marks, read=read)
+    if dataclasses.is_dataclass(kind) and read:
+        if not isinstance(value, Mapping):
+            raise FieldError.of(name, "a table", repr(value), "write [section] above its keys")
+        return decode(typing.cast(type, kind), value, name)
+    return _single(kind, value, name, marks, read=read)
+
+
+def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> tuple[Any, ...]:
+    """The values of a tuple, of so many or of any number."""
+    count = None if parts[-1] is Ellipsis else len(parts)
+    values = several(value) if not read or isinstance(value, list) else None
+    if values is None or (count is not None and len(values) != count):
+        if read:
+            expected, do = "a list" if count is None else f"a list of {count}", "write it in brackets"
+        else:
+            expected, do = f"{count} values", "pass a tuple of them"
+        raise FieldError.of(name, expected, repr(value), do)
+    kinds = parts[:1] * len(values) if count is None else parts
+    names = [f"{name} {item['name']!r}" if isinstance(item, Mapping) and "name" in item else name for item in values]
+    return tuple(
+        _taken(kind, item, item_name, marks, read=read)
+        for kind, item, item_name in zip(kinds, values, names, strict=True)
+    )
+
+
+def _member(parts: tuple[Any, ...], value: Any) -> Any:
+    """The one of several types of a field that a value is checked by; None for a value that is left alone."""
+    kinds = [part for part in parts if part is not types.NoneType]
+    is_list = isinstance(value, (list, tuple))
+    listed = [kind for kind in kinds if typing.get_origin(unwrapped(kind)[0]) is tuple]
+    if is_list and listed:
+        return listed[0]
+    plain = [kind for kind in kinds if unwrapped(kind)[0] in (int, float)]
+    return plain[0] if plain and len(plain) + len(listed) == len(kinds) else None
+
+
+def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> Any:
+    """One number, text, path or truth; anything else is left alone."""
+    if kind in (int, float):
+        allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
+        number = checked_number(name, value, allowed, whole=kind is int)
+        return float(number) if read and kind is float else number
+    if kind is Path and isinstance(value, (str, os.PathLike)):
+        return Path(value)
+    if kind in (str, bool, Path) and not isinstance(value, kind):
+        expected = {str: "a text", bool: "true or false", Path: "a path"}[kind]
+        raise FieldError.of(name, expected, repr(value), "change it")
+    return value
