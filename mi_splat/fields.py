@@ -37,7 +37,14 @@ class FieldError(InvalidValueError):
 
     @classmethod
     def of(cls, name: str, expected: object, got: object, do: str) -> FieldError:
-        """The error in the form of all messages (`mi_splat.errors.message`)."""
+        """The error in the form of all messages (`mi_splat.errors.message`).
+
+        Args:
+            name: The field.
+            expected: What it would take.
+            got: What it was given.
+            do: What to do about it.
+        """
         error = cls(message(name, expected, got, do))
         error.name = name
         return error
@@ -323,7 +330,15 @@ def _taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, rea
 
 
 def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> tuple[Any, ...]:
-    """The values of a tuple, of so many or of any number."""
+    """The values of a tuple, of so many or of any number.
+
+    Args:
+        parts: Types of its values.
+        value: What is given.
+        name: For the error.
+        marks: What is said of the values.
+        read: Whether it comes from a file.
+    """
     count = None if parts[-1] is Ellipsis else len(parts)
     values = several(value) if not read or isinstance(value, list) else None
     if values is None or (count is not None and len(values) != count):
@@ -352,7 +367,15 @@ def _member(parts: tuple[Any, ...], value: Any) -> Any:
 
 
 def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> Any:
-    """One number, text, path or truth; anything else is left alone."""
+    """One number, text, path or truth; anything else is left alone.
+
+    Args:
+        kind: Its type.
+        value: What is given.
+        name: For the error.
+        marks: What is said of it.
+        read: Whether it comes from a file.
+    """
     if kind in (int, float):
         allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
         number = checked_number(name, value, allowed, whole=kind is int)
