@@ -121,7 +121,14 @@ def above(low: float, unit: str = "", do: str = "change it") -> Range:
 
 
 def between(low: float, high: float, unit: str = "", do: str = "change it") -> Range:
-    """The numbers from `low` to `high`, both included."""
+    """The numbers from `low` to `high`, both included.
+
+    Args:
+        low: The least.
+        high: The greatest.
+        unit: What is counted or measured, in words.
+        do: What to do with another number.
+    """
     return Range(low=low, high=high, unit=unit, do=do)
 
 
