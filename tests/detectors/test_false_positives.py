@@ -11,7 +11,7 @@ from safetensors import safe_open
 
 from attacks import cli
 from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.evaluation.measure import measure
+from attacks.detectors.evaluation.measure import confidences_at, measure
 from attacks.detectors.torchvision import random_detector
 from attacks.detectors.training import train as steps
 from attacks.detectors.training.backgrounds import background_pictures, background_sets
@@ -62,6 +62,17 @@ def test_the_best_epoch_has_few_false_positives_too(
     assert [record["map"] for record in training.history] == [0.7, 0.8]
     with safe_open(tmp_path / "best.safetensors", framework="pt") as file:
         assert file.metadata()["epoch"] == str(better)
+
+
+def test_detectors_are_equally_strict_where_they_have_as_many_false_positives() -> None:
+    scores = (0.875, 0.625, 0.625, 0.25)
+    wrong = [reported((HERE, score, "car"), (HERE, 0.95, "kite")) for score in scores]
+    right = reported((HERE, 0.8, "car"))
+    sets = [measure([*wrong, right], [*[picture()] * 4, picture((HERE, 1))], SMALL_CLASSES)]
+    found = confidences_at(sets, (0.0, 0.2, 0.4, 0.6, 1.0))
+    counted = {name: sum(score >= (least or 0) for score in scores) for name, least in found.items()}
+    assert counted == {"0": 0, "0.2": 1, "0.4": 1, "0.6": 3, "1": 4}  # of equal ones all or none
+    assert found["1"] is None
 
 
 def test_background_sets_are_kept(tmp_path: Path) -> None:

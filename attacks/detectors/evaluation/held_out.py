@@ -11,7 +11,7 @@ from typing import Any
 from attacks.detectors.base import Detector
 from attacks.detectors.classes import SMALL_CLASSES
 from attacks.detectors.errors import DetectorError
-from attacks.detectors.evaluation.measure import Measurement, false_positives, measure_detector
+from attacks.detectors.evaluation.measure import Measurement, confidences_at, false_positives, measure_detector
 from attacks.detectors.registry import load_detector
 from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
@@ -28,6 +28,9 @@ The floor of 0.25 that ultralytics' detectors have otherwise would cut the curve
 
 PATH_TRACED, SPLAT_RENDERS, BACKGROUND = "path traced", "splat renders", "background: "
 """What the sets are called; the kind of background follows."""
+
+EQUAL = (0.01, 0.1, 1.0)
+"""False positives per picture at which detectors are equally strict."""
 
 _FIRST_SPLAT = 10_000
 """Number of the first scene that is made into a splat: none of the path-traced scenes."""
@@ -132,8 +135,16 @@ def measure_sets(
 
 
 def total_false_positives(measured: Mapping[str, Measurement]) -> dict[str, dict[str, Any]]:
-    """False positives of the project's sets together: with objects, without any, and all; empty ones are absent."""
+    """False positives of the project's sets together: with objects, without any, and all; empty ones are absent.
+
+    `confidence_at` says from which confidence there are so many of them per picture (`confidences_at`): rates that count
+    from there compare detectors that are equally strict.
+    """
     with_objects = [one for name, one in measured.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
     without = [one for name, one in measured.items() if name.startswith(BACKGROUND)]
     totals = {"with objects": with_objects, "without objects": without, "all": [*with_objects, *without]}
-    return {name: false_positives(sets) for name, sets in totals.items() if sets}
+    return {
+        name: {**false_positives(sets), "confidence_at": confidences_at(sets, EQUAL)}
+        for name, sets in totals.items()
+        if sets
+    }

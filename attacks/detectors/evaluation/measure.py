@@ -304,6 +304,29 @@ def false_positives(measurements: Iterable[Measurement]) -> dict[str, Any]:
     }
 
 
+def confidences_at(measurements: Iterable[Measurement], per_picture: Sequence[float]) -> dict[str, float | None]:
+    """From which confidence a detector has so many false positives per picture: where detectors are equally strict.
+
+    Args:
+        measurements: Some sets of pictures, together; every detection is kept.
+        per_picture: Numbers of false positives.
+
+    Returns:
+        For each of them, as text, the least confidence at which there are at most so many; None where the detector's
+        own floor lets fewer through, so that no confidence is known.
+    """
+    sets = list(measurements)
+    wrong = sorted(
+        (row.score for one in sets for row in one.detections if not row.right and row.label in one.classes),
+        reverse=True,
+    )
+    pictures = sum(one.pictures for one in sets)
+    allowed = {f"{rate:g}": math.floor(rate * pictures + 1e-9) for rate in per_picture}
+    return {
+        name: math.nextafter(wrong[most], math.inf) if most < len(wrong) else None for name, most in allowed.items()
+    }
+
+
 def poisson_interval(count: int) -> tuple[float, float]:
     """Exact 95 % interval for the mean of a Poisson variable of which `count` was seen (Garwood 1936)."""
     return _gamma_quantile(count, 0.025) if count else 0.0, _gamma_quantile(count + 1, 0.975)
