@@ -137,8 +137,8 @@ def measure_sets(
 def total_false_positives(measured: Mapping[str, Measurement]) -> dict[str, dict[str, Any]]:
     """False positives of the project's sets together: with objects, without any, and all; empty ones are absent.
 
-    `confidence_at` says from which confidence there are so many of them per picture (`confidences_at`): rates that count
-    from there compare detectors that are equally strict.
+    `confidence_at` says from which confidence there are so many per picture (`confidences_at`): rates that count from
+    there compare detectors that are equally strict.
     """
     with_objects = [one for name, one in measured.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
     without = [one for name, one in measured.items() if name.startswith(BACKGROUND)]
