@@ -15,6 +15,7 @@ from torch import Generator, Tensor
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
+from attacks.dagger.sanity.runs import Runs
 from attacks.dagger.views import View
 from attacks.pgd import Parameters
 from mi_splat.cameras import Camera, RenderFn
@@ -22,6 +23,16 @@ from mi_splat.scene import GaussianScene
 
 CONTRAST = 0.8
 """Contrast of the pictures that are differentiated: no pixel is near the clamp at 0 and 1, which has a kink."""
+
+
+DIRECTIONS = 6
+"""Random directions for each seed."""
+
+Value = Callable[[Parameters], float]
+"""A function that is differentiated."""
+
+Differentiated = Callable[[Problem, View, DaggerConfig, Parameters, Generator], tuple[Value, Parameters]]
+"""A function and its gradients at a point, of a problem in one view; the generator draws what is random about it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,18 +98,8 @@ def random_directions(gradients: Parameters, count: int, generator: Generator) -
     return found
 
 
-def moved(parameters: Parameters, direction: Parameters, amount: float) -> Parameters:
-    """The parameters, so far along a direction."""
-    return {name: value + amount * direction[name] for name, value in parameters.items()}
-
-
 def compare(
-    value: Callable[[Parameters], float],
-    gradients: Parameters,
-    point: Parameters,
-    directions: Sequence[Parameters],
-    *,
-    steps: Sequence[float],
+    value: Value, gradients: Parameters, point: Parameters, directions: Sequence[Parameters], *, steps: Sequence[float]
 ) -> Agreement:
     """Directional derivatives at a point by both ways.
 
@@ -109,85 +110,68 @@ def compare(
         directions: Of length 1.
         steps: Half widths of the central differences, whose mean is taken.
     """
+
+    def at(direction: Parameters, amount: float) -> float:
+        return value({name: tensor + amount * direction[name] for name, tensor in point.items()})
+
     automatic, measured = [], []
     for direction in directions:
         automatic.append(sum(float((gradients[name] * part).double().sum()) for name, part in direction.items()))
-        slopes = [
-            (value(moved(point, direction, step)) - value(moved(point, direction, -step))) / (2 * step)
-            for step in steps
-        ]
+        slopes = [(at(direction, step) - at(direction, -step)) / (2 * step) for step in steps]
         measured.append(sum(slopes) / len(slopes))
     return Agreement(automatic=tuple(automatic), measured=tuple(measured))
 
 
-def whole_chain(
-    problem: Problem,
-    view: View,
-    point: Parameters,
-    config: DaggerConfig,
-    *,
-    count: int,
-    step: float,
-    generator: Generator,
-) -> Agreement:
-    """From the object's parameters through renderer and detector to the loss.
+def agreement(runs: Runs, differentiate: Differentiated) -> Agreement:
+    """Over the seeds, at random points a tenth of the radius from the clean object, in pictures of less contrast.
 
     Args:
-        problem: Renderer, detector and objective.
-        view: Where from.
-        point: The parameters.
-        config: How the loss of several detectors becomes one; here there is one.
-        count: Number of random directions.
-        step: Half width of the narrower of two central differences; the other is twice as wide.
-        generator: Draws the directions.
+        runs: The case.
+        differentiate: What is compared: `whole_chain` or `renderer_alone`.
     """
+    automatic: list[float] = []
+    measured: list[float] = []
+    config = runs.case.config
+    for seed in range(len(runs.case.cameras)):
+        generator = Generator().manual_seed(2000 + seed)
+        problem, view = runs.problem(seed, render=soft(runs.case.render))
+        clean = problem.parameters(config.attributes)
+        drawn = config.budget.uniform(clean, generator)
+        point = {name: value + (drawn[name] - value) / 10 for name, value in clean.items()}
+        value, gradients = differentiate(problem, view, config, point, generator)
+        directions = random_directions(gradients, DIRECTIONS, generator)
+        step = min(config.eps) / 100
+        seen = compare(value, gradients, point, directions, steps=(step, 2 * step))
+        automatic += seen.automatic
+        measured += seen.measured
+    return Agreement(automatic=tuple(automatic), measured=tuple(measured))
+
+
+def whole_chain(
+    problem: Problem, view: View, config: DaggerConfig, point: Parameters, generator: Generator
+) -> tuple[Value, Parameters]:
+    """As in `Differentiated`: from the object's parameters through renderer and detector to the loss."""
     gradients = problem.evaluate(point, [view], config).gradients
-    return compare(
-        lambda parameters: problem.evaluate(parameters, [view], config).loss,
-        gradients,
-        point,
-        random_directions(gradients, count, generator),
-        steps=(step, 2 * step),
-    )
+    return lambda parameters: problem.evaluate(parameters, [view], config).loss, gradients
 
 
 def renderer_alone(
-    problem: Problem,
-    view: View,
-    point: Parameters,
-    config: DaggerConfig,
-    *,
-    count: int,
-    step: float,
-    generator: Generator,
-) -> Agreement:
-    """From the object's parameters to a fixed random weighting of the pixels, blurred so that it adds up.
-
-    Args:
-        problem: Renderer, detector and objective.
-        view: Where from.
-        point: The parameters.
-        config: How the loss of several detectors becomes one; here there is one.
-        count: Number of random directions.
-        step: As in `whole_chain`.
-        generator: Draws the weighting and the directions.
-    """
+    problem: Problem, view: View, config: DaggerConfig, point: Parameters, generator: Generator
+) -> tuple[Value, Parameters]:
+    """As in `Differentiated`: to a fixed random weighting of the pixels, blurred so that it adds up."""
     coarse = torch.randn(1, 3, 6, 6, generator=generator)
     size = (view.camera.height, view.camera.width)
     weights = torch.nn.functional.interpolate(coarse, size=size, mode="bilinear")[0].permute(1, 2, 0)
 
-    def value(parameters: Parameters) -> Tensor:
+    def weighted(parameters: Parameters) -> Tensor:
         picture = problem.render(problem.subset.scene_with(parameters), view.camera)
-        return (weights.to(picture) * picture).sum(dtype=torch.float64)
+        total: Tensor = (weights.to(picture) * picture).sum(dtype=torch.float64)
+        return total
+
+    def value(parameters: Parameters) -> float:
+        with torch.no_grad():
+            return float(weighted(parameters))
 
     leaves = {name: tensor.detach().requires_grad_(True) for name, tensor in point.items()}
-    found = torch.autograd.grad(value(leaves), list(leaves.values()), materialize_grads=True)
-    gradients = dict(zip(leaves, found, strict=True))
-    with torch.no_grad():
-        return compare(
-            lambda parameters: float(value(parameters)),
-            gradients,
-            point,
-            random_directions(gradients, count, generator),
-            steps=(step, 2 * step),
-        )
+    parts = torch.autograd.grad(weighted(leaves), list(leaves.values()), materialize_grads=True)
+    return value, dict(zip(leaves, parts, strict=True))

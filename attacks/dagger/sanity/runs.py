@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from torch import Generator
 
@@ -28,18 +28,8 @@ Attack = Callable[..., Result]
 """The attack that is checked: `attacks.dagger.attack.attack`, or one that takes the same arguments."""
 
 
-class Scored(Protocol):
-    """What a run has reached: a `Result`, a `Verdict` or a `Step`."""
-
-    @property
-    def success(self) -> bool:
-        """Whether it has its aim."""
-        ...
-
-    @property
-    def score(self) -> float:
-        """How near it is."""
-        ...
+Scored = Result | Verdict | Step
+"""What a run has reached: whether it has its aim, and a score."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -108,10 +98,10 @@ class Runs:
             self._on_run()
         return self._made[key]
 
-    def mean(self, found: Sequence[Scored]) -> float:
+    def mean(self, scored: Sequence[Scored]) -> float:
         """Mean score; what is more than a success needs does not count."""
         enough = self.case.objective.confidence
-        return sum(min(one.score, enough) for one in found) / len(found)
+        return sum(min(result.score, enough) for result in scored) / len(scored)
 
     def problem(self, seed: int, *, render: RenderFn | None = None) -> tuple[Problem, View]:
         """The detector of the case as an attack differentiates it, and the view of a seed."""
