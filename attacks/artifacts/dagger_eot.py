@@ -14,8 +14,9 @@ from attacks.artifacts.dagger_results import broken, cameras_of, contents_of, ma
 from attacks.artifacts.detection_rows import OBJECT
 from attacks.artifacts.packed import Kind, Outcome, Packed
 from attacks.artifacts.rows import Cell, Column, Row, Table
-from attacks.dagger.rates import NOISE, rate_figures
 from attacks.objectives import Relabel
+from attacks.observe.measures import aim_figures
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from mi_splat.io.folders import RECORD as RESULT
 
 ROWS = "rows"
@@ -83,7 +84,7 @@ def derive(contents: Contents) -> Mapping[str, Any]:
     try:
         config = contents.configuration["config"]
         low, high = map(float, config["judged"]["cameras"]["elevations"])
-        figures = rate_figures(_frame(contents), list(contents.detectors), (low, high))
+        figures = aim_figures(_frame(contents), list(contents.detectors), (low, high))
         rate = figures["rate"]
         return {"success": rate["successes"] >= (config["required_views"] - 1e-9) * rate["total"], **figures}
     except (KeyError, TypeError, ValueError, IndexError, pl.exceptions.PolarsError) as error:
@@ -91,11 +92,21 @@ def derive(contents: Contents) -> Mapping[str, Any]:
 
 
 def _frame(contents: Contents) -> pl.DataFrame:
-    """The rows as rates are counted from them: the draws of noise in one column."""
+    """The rows as rates are counted from them: one for each splat."""
     rows = pl.DataFrame(contents.tables[ROWS].rows, infer_schema_length=None)
-    draws = [name for name in rows.columns if name.startswith(_NOISE_SUCCESS)]
-    noise = pl.concat_list(draws) if draws else pl.lit([], dtype=pl.List(pl.Boolean))
-    return rows.with_columns(pl.col("original").cast(pl.String), noise.alias(NOISE))
+    place = ("detector", pl.col("original").cast(pl.String), "azimuth", "elevation", pl.col("index").alias("view"))
+
+    def of(splat: str, draw: int | None, success: str, *further: pl.Expr) -> pl.DataFrame:
+        ids = {"splat": pl.lit(splat), "draw": pl.lit(draw, pl.Int64), "success": pl.col(success)}
+        return rows.select(*place, *further, **ids).filter(pl.col("success").is_not_null())
+
+    parts = [
+        of(CLEAN, None, "clean_success", pl.col("clean_confidence").alias("original_score")),
+        of(ATTACKED, None, "success", pl.col("original_confidence").alias("original_score"), pl.col("unambiguous")),
+    ]
+    names = [name for name in rows.columns if name.startswith(_NOISE_SUCCESS)]
+    parts += [of(NOISE, draw, name) for draw, name in enumerate(names)]
+    return pl.concat(parts, how="diagonal")
 
 
 def columns(contents: Contents) -> Mapping[str, Sequence[Column]]:

@@ -12,7 +12,6 @@ from attacks.cli.eot_options import DaggerEotOptions
 from attacks.cli.loading import load_detectors
 from attacks.dagger.attack import attack_views
 from attacks.dagger.checkpoint import Checkpoint
-from attacks.dagger.rates import NOISE
 from attacks.dagger.report import CONTACT, summary, write_files
 from attacks.dagger.result import Result
 from attacks.dagger.views import ViewDistribution
@@ -103,7 +102,7 @@ def _tell(result: Result, options: DaggerEotOptions) -> None:
     )
     psnr, rates = result.image.psnr, result.rates
     change = "No picture changed" if psnr is None else f"The held-out pictures changed to a PSNR of {psnr:.1f} dB"
-    noise, clean = _words(rates[NOISE]), _words(rates["clean_success"])
+    noise, clean = _words(rates["noise_success"]), _words(rates["clean_success"])
     show(f"{change}; random noise of the same size: {noise}; no attack: {clean}.")
     for warning in result.warnings:
         show(f"warning: {warning}")

@@ -13,10 +13,13 @@ from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import Target, Verdict, confidence
+from attacks.observe.look import Looked, detection_rows, place_cells, report_cells, verdict_cells
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, as_saved, detect_views, image_change
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import RenderFn
 from mi_splat.io.images import through_png
+from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
 
 Reports = dict[tuple[int, str], ViewDetections]
@@ -78,6 +81,26 @@ class Judgement:
     views: tuple[JudgedView, ...]
     image: ImageChange
     noise_images: tuple[ImageChange, ...]
+
+    def looked(self, **ids: Cell) -> Looked:
+        """What was seen as rows, clean, attacked and with noise.
+
+        Args:
+            ids: Columns that all rows have, for instance the seed.
+        """
+        rows, detections = list[Row](), list[Row]()
+        for judged in self.views:
+            view, target, clean = judged.view, judged.target, judged.clean.image
+            place = place_cells(view.camera, target.box, view.direction)
+            splats = [(CLEAN, None, judged.clean), (ATTACKED, None, judged.attacked)]
+            for splat, draw, seen in (*splats, *((NOISE, draw, seen) for draw, seen in enumerate(judged.noise))):
+                of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
+                of |= {"detector": judged.detector, "view": view.index}
+                change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
+                cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
+                rows.append({**of, **place, **cells, **verdict_cells(seen.verdict), "psnr": change})
+                detections += detection_rows(of, seen.detections, target.box)
+        return Looked(rows=frame_of(rows), detections=frame_of(detections))
 
 
 def judge(

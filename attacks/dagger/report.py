@@ -13,9 +13,9 @@ from PIL import Image
 
 from attacks.dagger.config import EotConfig
 from attacks.dagger.judging import JudgedView, Seen
-from attacks.dagger.rates import rate_figures
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
+from attacks.observe.measures import aim_figures
 from attacks.pgd import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import values_of
@@ -33,7 +33,7 @@ FIXED, DRAWN = "dagger", "dagger-eot"
 
 
 def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
-    """Write pictures, attacked.ply and result.json.
+    """Write pictures, attacked.ply, result.json, and the rows of what was seen (rows.csv.gz, detections.csv.gz).
 
     The pictures of fixed views are before.png, after.png, difference.png and detections.png: several views make one
     picture each, below one another; in detections.png several detectors do so, too. Those of drawn views are
@@ -63,7 +63,7 @@ def write_files(result: Result, folder: Path) -> list[Path]:
         save_png(pixels, folder / name)
     save_splat(result.scene, folder / ATTACKED)
     save_json(summary(result), folder / RECORD)
-    return [folder / name for name in (*images, ATTACKED, RECORD)]
+    return [*(folder / name for name in (*images, ATTACKED, RECORD)), *result.looked.write(folder)]
 
 
 def summary(result: Result) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def summary(result: Result) -> dict[str, Any]:
         "target": result.objective.label,
         "target_confidence": result.target_confidence,
         "score": result.score,
-        **rate_figures(result.frame, result.detectors, judged),
+        **aim_figures(result.looked.rows, result.detectors, judged),
         "steps": result.best.index,
         "norm": config.norm,
         "eps": config.eps[0] if len(config.eps) == 1 else None,

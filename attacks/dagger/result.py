@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import polars as pl
-
 from attacks.dagger.config import Config, EotConfig
 from attacks.dagger.judging import JudgedView, Judgement
-from attacks.dagger.rates import NOISE, aim_rates, found_rates
 from attacks.objectives import Objective, Verdict, reached_by
+from attacks.observe.look import Looked
+from attacks.observe.measures import AIMS, FOUND, joint_views
+from attacks.observe.rates import count
 from attacks.observe.views import ImageChange
 from attacks.pgd import Step
 from attacks.rate import Rate
@@ -134,15 +134,14 @@ class Result:
         return reached_by(scores, self.config.required_views)
 
     @property
-    def frame(self) -> pl.DataFrame:
-        """A row for each view and detector, of which rates are counted, see `attacks.dagger.rates`."""
-        schema: dict[str, pl.DataType] = {"original": pl.String(), NOISE: pl.List(pl.Boolean)}
-        return pl.DataFrame([_counted(view) for view in self.views], schema_overrides=schema, infer_schema_length=None)
+    def looked(self) -> Looked:
+        """Rows of what was seen, of which rates are counted, and every detection."""
+        return self.judgement.looked(seed=self.config.seed)
 
     @property
     def rates(self) -> dict[str, Rate]:
-        """How often the aim is reached, see `attacks.dagger.rates.aim_rates`."""
-        return aim_rates(self.frame)
+        """How often the aim is reached in views, with all detectors at once: `attacks.observe.measures.AIMS`."""
+        return count(joint_views(self.looked.rows), AIMS)[()]
 
     @property
     def rate(self) -> Rate:
@@ -170,24 +169,6 @@ def _strictly(view: JudgedView) -> Verdict:
     original, verdict = view.target.original, view.attacked.verdict
     gone = original is None or view.confidence(original, attacked=True) < STILL_REPORTED
     return dataclasses.replace(verdict, success=verdict.success and gone)
-
-
-def _counted(view: JudgedView) -> dict[str, Any]:
-    """What rates are counted from."""
-    original, attacked, direction = view.target.original, view.attacked.verdict, view.view.direction
-    return {
-        "index": view.view.index,
-        "detector": view.detector,
-        "azimuth": direction.azimuth,
-        "elevation": direction.elevation,
-        "original": original,
-        "success": attacked.success,
-        "unambiguous": attacked.unambiguous,
-        "clean_success": view.clean.verdict.success,
-        NOISE: [seen.verdict.success for seen in view.noise],
-        "clean_confidence": view.confidence(original, attacked=False) if original else 0.0,
-        "original_confidence": view.confidence(original, attacked=True) if original else 0.0,
-    }
 
 
 def find_warnings(result: Result) -> tuple[str, ...]:
@@ -227,17 +208,18 @@ def _warnings_of_fixed(result: Result) -> list[str]:
 
 
 def _warnings_of_drawn(result: Result) -> list[str]:
-    warnings, rows, rates, config = [], result.frame, result.rates, result.config
+    warnings, config, rows = list[str](), result.config, result.looked.rows
+    rates = count(joint_views(rows), AIMS)[()]
     for name in result.detectors:
-        seen = found_rates(rows.filter(detector=name))["found_clean"]
+        seen = count(rows.filter(detector=name), FOUND)[()]["found_clean"]
         if seen.fraction < 0.5:
             warnings.append(f"{name} finds the clean object in {seen.successes} of {seen.total} held-out views only")
-    clean, noise, rate = rates["clean_success"], rates[NOISE], rates["unambiguous"]
+    clean, noise, rate = rates["clean_success"], rates["noise_success"], rates["unambiguous"]
     if clean.successes:
         warnings.append(f"the aim is reached without any attack in {clean.successes} of {clean.total} views")
     if result.best.success and not result.success:
         warnings.append("success on the validation views did not carry over to the held-out views")
-    if noise.total and result.rate.successes and noise.fraction >= result.rate.fraction:
+    if noise.total and rates["success"].successes and noise.fraction >= rates["success"].fraction:
         warnings.append("random noise of the same size does as well")
     if result.success and rate.fraction < config.required_views:
         few = f"{rate.successes} of {rate.total} views only"

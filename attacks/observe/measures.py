@@ -11,7 +11,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.observe.rates import Group, Measure, blocks_of, count, jointly
+from attacks.observe.rates import Group, Measure, banded, blocks_of, count, jointly
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
 from attacks.rate import Rate
 
@@ -115,6 +115,50 @@ def _reached(rows: pl.DataFrame, over: Sequence[str], fraction: float) -> pl.Dat
         *(pl.col(name).sum() >= needed for name in ("success", "unambiguous", "strict")),
         pl.col("aim").sort(descending=True).gather(needed - 1).first(),
     )
+
+
+AZIMUTHS, ELEVATIONS = 8, 4
+"""Parts of the angles that success is told by."""
+
+
+def aim_figures(
+    rows: pl.DataFrame, detectors: Sequence[str], elevations: tuple[float, float] | None = None
+) -> dict[str, Any]:
+    """Every rate of an attack, as JSON can hold it.
+
+    Args:
+        rows: With the verdict of every view.
+        detectors: Names of those attacked.
+        elevations: Interval of the cameras that judge it, degrees; None where they are not drawn, so that nothing is
+            told by angles.
+    """
+    together, success = count(joint_views(rows), AIMS)[()], AIMS["success"]
+    told = {
+        "rate": together["success"].as_dict(),
+        "rates": {name: _of_detector(rows.filter(detector=name)) for name in detectors},
+        "clean_rate": together["clean_success"].as_dict(),
+        "noise_rate": together["noise_success"].as_dict(),
+        "unambiguous_rate": together["unambiguous"].as_dict(),
+    }
+    if elevations is None:
+        return told
+    return {
+        **told,
+        "by_azimuth": banded(rows, "azimuth", (0.0, 360.0), AZIMUTHS, success),
+        "by_elevation": banded(rows, "elevation", elevations, ELEVATIONS, success),
+    }
+
+
+def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
+    """What one detector reports."""
+    aims = count(joint_views(rows), AIMS)[()]
+    return {
+        "original": None if rows.is_empty() else rows["original"][0],
+        "success": aims["success"].as_dict(),
+        "noise": aims["noise_success"].as_dict(),
+        "clean": aims["clean_success"].as_dict(),
+        **as_json(count(rows, FOUND)[()]),
+    }
 
 
 # Transfer, and an attacked splat under other conditions

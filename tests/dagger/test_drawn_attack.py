@@ -6,17 +6,16 @@ import dataclasses
 import math
 from typing import Any
 
-import polars as pl
 import pytest
 import torch
 
 from attacks.budgets import Budget
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import EotConfig
-from attacks.dagger.rates import aim_rates
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Verdict, hide, relabel, untargeted
-from attacks.observe.rates import Measure, banded
+from attacks.observe.measures import AIMS, joint_views
+from attacks.observe.rates import banded, count
 from attacks.observe.views import as_saved
 from attacks.pgd import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
@@ -32,7 +31,7 @@ def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
     found = quick()
     assert found.success
     assert found.rate.successes == found.rate.total == 8
-    assert found.rates["clean_success"].successes == found.rates["noise_successes"].successes == 0
+    assert found.rates["clean_success"].successes == found.rates["noise_success"].successes == 0
     assert found.warnings == ()
     assert {view.target.original for view in found.views} == {"car"}
     attacked = {(view.index, 0) for view in toy_views().views(0, 6)}
@@ -121,7 +120,9 @@ def test_several_detectors_have_to_be_deceived_together() -> None:
             ]
 
     found = attack_views(toy_views(), [ColourDetector(), Shy()], relabel("person"), config=EotConfig(**QUICK))
-    alone = {name: aim_rates(found.frame.filter(detector=name))["success"] for name in ("fake_colour", "shy")}
+    rows = found.looked.rows
+    names = ("fake_colour", "shy")
+    alone = {name: count(joint_views(rows.filter(detector=name)), AIMS)[()]["success"] for name in names}
     assert alone["fake_colour"].successes == 8
     assert alone["shy"].successes == found.rate.successes == 0
     assert found.rate.total == 8
@@ -164,11 +165,11 @@ def test_scores_order_by_successes_first() -> None:
 
 def test_success_over_an_angle_counts_every_view_once() -> None:
     found = quick()
-    success = Measure(holds=pl.col("success"))
-    parts = banded(found.frame, "elevation", (0.0, 30.0), 3, success)
+    rows, success = found.looked.rows, AIMS["success"]
+    parts = banded(rows, "elevation", (0.0, 30.0), 3, success)
     assert sum(part["total"] for part in parts) == 8
     assert [part["from"] for part in parts] == [0.0, 10.0, 20.0]
-    assert banded(found.frame, "elevation", (5.0, 5.0), 3, success) == []
+    assert banded(rows, "elevation", (5.0, 5.0), 3, success) == []
 
 
 def test_hiding_works_as_well() -> None:

@@ -125,8 +125,10 @@ def test_a_stored_result_is_not_made_again(tmp_path: Path) -> None:
     assert second == json.loads(json.dumps(first))
     assert sorted(path.name for path in (tmp_path / "kept" / job.name).iterdir()) == [
         "attacked.ply",
+        "detections.csv.gz",
         "held_out.png",
         "result.json",
+        "rows.csv.gz",
     ]
 
 
@@ -162,7 +164,8 @@ def test_the_command_attacks_and_tells(
     said = capsys.readouterr().out
     assert said.startswith("SUCCESS: fasterrcnn_small sees a person in place of the selection in 4 of 4")
     names = sorted(path.name for path in out.iterdir())
-    assert names == ["attacked.ply", "held_out.png", "manifest.json", "mask.npy", "result.json"]
+    assert names[:3] == ["attacked.ply", "detections.csv.gz", "held_out.png"]
+    assert names[3:] == ["manifest.json", "mask.npy", "result.json", "rows.csv.gz"]
     assert not (tmp_path / "out.checkpoint").exists()
     assert cli.main(line) == 1  # the folder is in use
     assert "--force" in capsys.readouterr().err
