@@ -33,7 +33,7 @@ from attacks.dagger.attack import fixed_problem
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.search import frozen as freeze
 from attacks.detectors.base import Candidates, Detections, Detector
-from attacks.detectors.given import as_detectors
+from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import untargeted
 from mi_splat import read_scene, variant

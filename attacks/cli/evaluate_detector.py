@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from attacks.cli.options import OneDetector
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from mi_splat import provenance
 from mi_splat.cli.console import progress, show, show_json

@@ -26,7 +26,7 @@ from attacks.dagger.result import Result, find_warnings, noise_verdicts
 from attacks.dagger.search import VALIDATION_SEED_OFFSET, OnStep, search_drawn, search_fixed
 from attacks.dagger.views import View, ViewDistribution, fixed_views
 from attacks.detectors.base import Detections, Detector
-from attacks.detectors.given import as_detectors
+from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective, check_objective, overlap
 from attacks.observe.comparison import usual_label

@@ -12,7 +12,7 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Candidates, Detections, Detector
-    from attacks.detectors.errors import DetectorError
+    from attacks.detectors.catalogue import DetectorError
     from attacks.detectors.registry import DETECTORS, DetectorSpec, load_detector, register_detector
 
 __all__ = [
@@ -30,7 +30,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "attacks.detectors.base": ("Candidates", "Detections", "Detector"),
-        "attacks.detectors.errors": ("DetectorError",),
+        "attacks.detectors.catalogue": ("DetectorError",),
         "attacks.detectors.registry": ("DETECTORS", "DetectorSpec", "load_detector", "register_detector"),
     },
 )

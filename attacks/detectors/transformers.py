@@ -12,16 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 from torchvision.ops import box_convert
 
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.batch_norm import keep_gradients_right
-from attacks.detectors.classes import BACKGROUND, UNUSED
-from attacks.detectors.errors import DetectorError
-from attacks.detectors.frozen import FrozenDetector
-from attacks.detectors.weight_files import TRANSFORMERS_HUB, elsewhere
+from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, elsewhere
+from attacks.detectors.weights import FrozenDetector
 from mi_splat.errors import install, message
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
@@ -57,7 +54,7 @@ def _softmax(logits: Tensor) -> Tensor:
     return torch.softmax(logits, -1)[..., :-1]
 
 
-_KINDS: Mapping[str, tuple[Any, Any, Callable[[Tensor], Tensor]]] = {
+_ARCHITECTURES: Mapping[str, tuple[Any, Any, Callable[[Tensor], Tensor]]] = {
     "detr": (DetrForObjectDetection, DetrImageProcessor, _softmax),
     "rt_detr": (RTDetrForObjectDetection, RTDetrImageProcessor, torch.sigmoid),
 }
@@ -89,7 +86,7 @@ class TransformersDetector(FrozenDetector):
         super().__init__(name, model, [self._labels[i] for i in self._columns])
         keep_gradients_right(self.model)
         self.processor, self.min_confidence = processor, min_confidence
-        self._scores = _KINDS[self.model.config.model_type][2]
+        self._scores = _ARCHITECTURES[self.model.config.model_type][2]
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Every query as every class, before the threshold.
@@ -111,8 +108,8 @@ class TransformersDetector(FrozenDetector):
         corners = box_convert(outputs.pred_boxes, "cxcywh", "xyxy")
         boxes = corners * corners.new_tensor([width, height, width, height])
         return [
-            Candidates(own[:, None].expand(-1, len(self.classes), -1), score)
-            for own, score in zip(boxes, scores, strict=True)
+            Candidates(box[:, None].expand(-1, len(self.classes), -1), score)
+            for box, score in zip(boxes, scores, strict=True)
         ]
 
     def detect(self, images: Tensor) -> list[Detections]:
@@ -131,12 +128,12 @@ class TransformersDetector(FrozenDetector):
         with torch.no_grad():
             outputs = self.model(**inputs)
         results = self.processor.post_process_object_detection(outputs, self.min_confidence, sizes)
-        found = []
+        detections = []
         for result in results:
             order = result["scores"].argsort(descending=True, stable=True)
             labels = tuple(self._labels[number] for number in result["labels"][order].tolist())
-            found.append(Detections(result["boxes"][order], result["scores"][order], labels))
-        return found
+            detections.append(Detections(result["boxes"][order], result["scores"][order], labels))
+        return detections
 
     def _network_input(self, images: Tensor) -> dict[str, Tensor]:
         """What the image processor makes of the pictures, without its rounding to 8 bits, differentiable.
@@ -167,16 +164,33 @@ class _WholeGradient(TorchFunctionMode):
         return args[0] if func is Tensor.detach else func(*args, **(kwargs or {}))
 
 
+def keep_gradients_right(model: nn.Module) -> None:
+    """Bring the gradient into contiguous order before it enters any BatchNorm2d of `model`; the forward pass stays.
+
+    On the CPU (seen with torch 2.15), the backward pass of `BatchNorm2d` takes the values of the gradient in a wrong
+    order if the batch is one picture, the input is contiguous, and the gradient comes in the order of tokens,
+    (B, H * W, C), as from the attention of a transformer. There is no error; the gradient is another one.
+    """
+    for part in model.modules():
+        if isinstance(part, nn.BatchNorm2d):
+            part.register_forward_hook(_order_gradient)
+
+
+def _order_gradient(module: nn.Module, inputs: Any, output: Tensor) -> None:
+    if output.requires_grad:
+        output.register_hook(Tensor.contiguous)  # type: ignore[no-untyped-call]
+
+
 def _labels(names: Mapping[int, str]) -> tuple[str, ...]:
     """What the label numbers 0, 1, ... mean, by COCO's names."""
     return tuple(_COCO_NAMES.get(names[number], names[number]) for number in sorted(names))
 
 
-def load_published(name: str, weights: Path | None = None) -> TransformersDetector:
+def load(name: str, weights: Path | None = None) -> TransformersDetector:
     """One of the COCO detectors of the library's hub.
 
     Args:
-        name: Key of `attacks.detectors.weight_files.TRANSFORMERS_HUB`.
+        name: Key of `attacks.detectors.catalogue.TRANSFORMERS_HUB`.
         weights: Folder in the library's own form (config.json, preprocessor_config.json, model.safetensors), or the
             file of weights in it; None asks the library's own hub.
 
@@ -189,7 +203,7 @@ def load_published(name: str, weights: Path | None = None) -> TransformersDetect
     else:
         where = {"pretrained_model_name_or_path": _folder(Path(weights)), "local_files_only": True}
     source = name if weights is None else weights
-    model_class, processor_class, _ = _KINDS[hub.architecture]
+    model_class, processor_class, _ = _ARCHITECTURES[hub.architecture]
     expected = f"a folder of {_FILES}, or a network that reaches the library's hub"
     do = elsewhere("folder")
     with _quiet(), _explained(f"weights of {source}", expected, do):
@@ -224,9 +238,9 @@ def _folder(path: Path) -> Path:
 
 def _require_all(report: Mapping[str, Any], source: object) -> None:
     """Raise unless every tensor of the model came from the file; what else is in the file does not matter."""
-    kinds = (("missing", "missing_keys"), ("of another shape", "mismatched_keys"))
-    found = {what: sorted(map(str, report.get(key) or ())) for what, key in kinds}
-    problems = [f"{len(keys)} {what} ({', '.join(keys[:4])})" for what, keys in found.items() if keys]
+    flaws = (("missing", "missing_keys"), ("of another shape", "mismatched_keys"))
+    tensors = {flaw: sorted(map(str, report.get(key) or ())) for flaw, key in flaws}
+    problems = [f"{len(keys)} {flaw} ({', '.join(keys[:4])})" for flaw, keys in tensors.items() if keys]
     if problems:
         do = "pass weights that were saved from the same detector"
         raise DetectorError(message(f"weights of {source}", "the model's tensors", "; ".join(problems), do))

@@ -19,11 +19,15 @@ from PIL import Image
 from torch import Tensor, nn
 
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES, SMALL_SIDE
-from attacks.detectors.errors import DetectorError
-from attacks.detectors.frozen import FrozenDetector
-from attacks.detectors.weight_files import SMALL_YOLO_WEIGHTS, elsewhere
-from attacks.detectors.weights import apply_weights, read_weights
+from attacks.detectors.catalogue import (
+    COCO_CLASSES,
+    SMALL_CLASSES,
+    SMALL_SIDE,
+    SMALL_YOLO_WEIGHTS,
+    DetectorError,
+    elsewhere,
+)
+from attacks.detectors.weights import FrozenDetector, apply_weights, read_weights
 from mi_splat.errors import install, message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -55,6 +59,8 @@ finally:
     # The package puts functions of its own in the place of these, for the whole process; nothing here wants them.
     Image.open, torch.save = _open, _save
 
+SMALL = "yolov8n_small"
+"""Name of the project's own detector."""
 USUAL_SIDE = 640
 """Longer image side, in pixels, that the published ones work at; the small one works at `SMALL_SIDE`."""
 _MIN_CONFIDENCE, _MAX_IOU, _MAX_DETECTIONS = 0.25, 0.7, 300
@@ -111,8 +117,8 @@ class YOLODetector(FrozenDetector):
         pixels = (corners - corners.new_tensor([left, top, left, top])) / gain
         boxes = torch.minimum(pixels.clamp(min=0), pixels.new_tensor([width, height, width, height]))
         return [
-            Candidates(own[:, None].expand(-1, len(self.classes), -1), scores)
-            for own, scores in zip(boxes, out[:, :, 4:], strict=True)
+            Candidates(box[:, None].expand(-1, len(self.classes), -1), scores)
+            for box, scores in zip(boxes, out[:, :, 4:], strict=True)
         ]
 
     def detect(self, images: Tensor) -> list[Detections]:
@@ -131,12 +137,12 @@ class YOLODetector(FrozenDetector):
         with torch.no_grad():
             raw = self._decoded(planes.to(images.device).float() / 255).transpose(1, 2)
         kept = non_max_suppression(raw, self.min_confidence, _MAX_IOU, max_det=_MAX_DETECTIONS)
-        found = []
+        detections = []
         for rows in kept:
             boxes = scale_boxes(planes.shape[2:], rows[:, :4], images.shape[1:3])
             labels = tuple(self.classes[int(number)] for number in rows[:, 5])
-            found.append(Detections(boxes, rows[:, 4], labels))
-        return found
+            detections.append(Detections(boxes, rows[:, 4], labels))
+        return detections
 
     def _decoded(self, planes: Tensor) -> Tensor:
         """(B, A, 4 + C): centre and size in the network's pixels, and confidences."""
@@ -164,45 +170,35 @@ def build(size: str, classes: int, *, family: str = "yolov8") -> nn.Module:
     return model
 
 
-def load_small(weights: Path | None = None, *, min_confidence: float = _MIN_CONFIDENCE) -> YOLODetector:
-    """The project's own small YOLOv8.
+def load(name: str, weights: Path | None = None) -> YOLODetector:
+    """The project's own small YOLOv8, or one of the library's COCO detectors.
 
     Args:
-        weights: File of its weights; None: those of a checkout.
-        min_confidence: Confidence below which `detect` reports nothing.
+        name: `SMALL`, or the library's: yolov8 or yolo11, and one of n, s, m, l, x.
+        weights: A .safetensors or .pth file of a state dict, or the library's own .pt file, of which nothing but known
+            classes of layers is unpickled. None takes the file of a checkout, or asks the library's hub.
 
     Raises:
-        DetectorError: There are no weights, or they do not fit.
+        DetectorError: There are no weights, they do not fit, or the hub cannot be reached.
     """
-    path = SMALL_YOLO_WEIGHTS if weights is None else Path(weights)
-    if weights is None and not path.is_file():
+    small = name == SMALL
+    path = _shipped() if small and weights is None else weights
+    side = SMALL_SIDE if small else USUAL_SIDE
+    if path is None or not (small or Path(path).suffix == ".safetensors"):
+        model = _unpickled(name, path)
+        return YOLODetector(name, model, [model.names[number] for number in sorted(model.names)], side=side)
+    stem, classes = name.removesuffix("_small"), SMALL_CLASSES if small else COCO_CLASSES
+    model = build(stem[-1], len(classes), family=stem[:-1])
+    apply_weights(model, read_weights(Path(path)), path)
+    return YOLODetector(name, model, classes, side=side)
+
+
+def _shipped() -> Path:
+    if not SMALL_YOLO_WEIGHTS.is_file():
         do = "pass as weights scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
-        raise DetectorError(message("weights of yolov8n_small", "a file", "none: the wheel has none", do)).hinted(
-            "--weights"
-        )
-    model = build("n", len(SMALL_CLASSES))
-    apply_weights(model, read_weights(path), path)
-    return YOLODetector("yolov8n_small", model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=min_confidence)
-
-
-def load_published(name: str, weights: Path | None = None) -> YOLODetector:
-    """One of the library's COCO detectors.
-
-    Args:
-        name: The library's: yolov8 or yolo11, and one of n, s, m, l, x.
-        weights: The library's own .pt file, of which nothing but known classes of layers is unpickled, or a
-            .safetensors file of a state dict; None asks the library's own hub.
-
-    Raises:
-        DetectorError: The file does not fit, or the hub cannot be reached.
-    """
-    if weights is not None and Path(weights).suffix == ".safetensors":
-        model = build(name[-1], len(COCO_CLASSES), family=name[:-1])
-        apply_weights(model, read_weights(Path(weights)), weights)
-        return YOLODetector(name, model, COCO_CLASSES, side=USUAL_SIDE)
-    model = _unpickled(name, weights)
-    named = [model.names[number] for number in sorted(model.names)]
-    return YOLODetector(name, model, named, side=USUAL_SIDE)
+        error = DetectorError(message(f"weights of {SMALL}", "a file", "none: the wheel has none", do))
+        raise error.hinted("--weights")
+    return SMALL_YOLO_WEIGHTS
 
 
 def _unpickled(name: str, weights: Path | None) -> Any:

@@ -1,22 +1,24 @@
-"""Weights from files, read without running code from them, and errors that say what is wrong with a file."""
+"""Weights from files, read without running code from them; their fingerprint; detectors that keep them frozen."""
 
 from __future__ import annotations
 
 import hashlib
 import pickle
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import DetectorError
 from mi_splat.errors import message
 from mi_splat.io.noted_tensors import not_finite
 
+_Self = TypeVar("_Self", bound="FrozenDetector")
 SUFFIXES = (".safetensors", ".pth", ".pt")
 _SHOWN = 4
 _UNREADABLE = (
@@ -135,3 +137,37 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
                 "pass weights that were saved from the same detector",
             )
         )
+
+
+class FrozenDetector:
+    """A torch model in evaluation mode whose weights have no gradients: what all adapters have in common.
+
+    Attributes:
+        name: Name in `attacks.detectors.DETECTORS`.
+        classes: Foreground classes.
+        model: The model.
+    """
+
+    name: str
+    classes: tuple[str, ...]
+    model: Any
+
+    def __init__(self, name: str, model: nn.Module, classes: Sequence[str]) -> None:
+        """Freeze a model, in place.
+
+        Raises:
+            DetectorError: A weight is not a finite number.
+        """
+        check_finite(model.state_dict(), f"weights of {name}")
+        self.name, self.classes = name, tuple(classes)
+        self.model = model.eval().requires_grad_(False)
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Detector`."""
+        return fingerprint(self.model.state_dict())
+
+    def to(self: _Self, device: torch.device | str) -> _Self:
+        """Move the weights to a device, in place."""
+        self.model.to(device)
+        return self

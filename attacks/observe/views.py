@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections, Detector
-from attacks.detectors.given import as_detectors
+from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import confidence
 from mi_splat.cameras import Camera, RenderFn, as_cameras

@@ -11,14 +11,15 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.evaluation.held_out import PATH_TRACED
 from attacks.detectors.evaluation.measure import CONDITIONS
 from attacks.detectors.evaluation.tables import USUAL_CONFIDENCE, comparison, detector_tables, read_figures
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 ROOT = Path(__file__).resolve().parents[2]
 CARDS = {
@@ -66,6 +67,8 @@ def write_between_marks(path: Path, command: str, text: str) -> None:
 
 def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
     """Recall on path-traced pictures in the bins of four conditions, a line for each detector; empty bins left out."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(11, 3.1), dpi=100, layout="constrained")
     for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
         for number, figures in enumerate(several):

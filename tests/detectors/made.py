@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections
-from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
+from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.evaluation.held_out import total_false_positives
 from attacks.detectors.evaluation.measure import measure
 from attacks.detectors.training.conditions import ViewingConditions

@@ -13,8 +13,7 @@ from scipy.stats import chi2
 
 from attacks import cli
 from attacks.detectors.base import Detections
-from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.evaluation.held_out import load_for_evaluation, measure_sets
 from attacks.detectors.evaluation.measure import (
     CONDITIONS,

@@ -10,7 +10,7 @@ import torch
 from safetensors import safe_open
 
 from attacks import cli
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.evaluation.measure import confidences_at, measure
 from attacks.detectors.torchvision import random_detector
 from attacks.detectors.training import train as steps

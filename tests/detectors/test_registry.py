@@ -1,4 +1,4 @@
-"""Which detectors there are, and how one of a user's own becomes one of them."""
+"""Which detectors there are, how one of a user's own becomes one of them, and weights that no detector can have."""
 
 from __future__ import annotations
 
@@ -11,15 +11,20 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from attacks import cli
 from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detector, register_detector
-from attacks.detectors.classes import COCO_CLASSES
+from attacks.detectors.catalogue import (
+    COCO_CLASSES,
+    TORCHVISION_FILES,
+    TRANSFORMERS_HUB,
+    hub_download,
+    torch_download,
+)
 from attacks.detectors.registry import _REGISTRY
-from attacks.detectors.torchvision import random_detector
-from attacks.detectors.torchvision.published import PUBLISHED
-from attacks.detectors.weight_files import TORCHVISION_FILES, TRANSFORMERS_HUB, hub_download, torch_download
-from attacks.detectors.weights import fingerprint
+from attacks.detectors.torchvision import published_weights, random_detector
+from attacks.detectors.weights import FrozenDetector, apply_weights, fingerprint, read_weights
 from tests.fakes import ColourDetector
 
 SPEC = DetectorSpec(
@@ -169,10 +174,11 @@ def test_the_list_imports_no_library() -> None:
 
 
 def test_torchvision_s_files_and_classes_are_the_library_s() -> None:
-    assert TORCHVISION_FILES.keys() == PUBLISHED.keys()
-    for name, published in PUBLISHED.items():
-        assert published.weights.url.rsplit("/", 1)[-1] == TORCHVISION_FILES[name]
-        categories = [label for label in published.weights.meta["categories"] if label not in ("__background__", "N/A")]
+    for name, file in TORCHVISION_FILES.items():
+        assert published_weights(name).url.rsplit("/", 1)[-1] == file
+        categories = [
+            label for label in published_weights(name).meta["categories"] if label not in ("__background__", "N/A")
+        ]
         assert DETECTORS[name].classes == COCO_CLASSES == tuple(categories)
 
 
@@ -229,3 +235,28 @@ def test_downloads_are_looked_for_where_transformers_keeps_them(
         entry.repository, "model.safetensors", cache_dir=tmp_path / "hub", revision=entry.revision
     )
     assert str(hub_download(entry)) == found
+
+
+@pytest.mark.parametrize("bad", [torch.nan, -torch.inf])
+@pytest.mark.parametrize("suffix", [".safetensors", ".pth"])
+def test_weights_that_are_not_finite_are_refused(bad: float, suffix: str, tmp_path: Path) -> None:
+    """A detector of NaN finds nothing, so that every attack on it would seem to succeed."""
+    state = {"good": torch.ones(3), "bad": torch.tensor([0.0, bad]).half(), "whole": torch.ones(2, dtype=torch.int64)}
+    path = tmp_path / f"weights{suffix}"
+    (save_file if suffix == ".safetensors" else torch.save)(state, path)
+    with pytest.raises(DetectorError, match=r"weights\.\w+: expected finite numbers in bad, got others"):
+        read_weights(path)
+
+
+def test_a_model_of_nan_is_no_detector() -> None:
+    model = torch.nn.Linear(2, 1)
+    FrozenDetector("toy", model, ("car",))
+    torch.nn.init.constant_(model.bias, torch.nan)
+    with pytest.raises(DetectorError, match="weights of toy: expected finite numbers in bias"):
+        FrozenDetector("toy", model, ("car",))
+
+
+def test_weights_of_another_kind_of_number_are_refused() -> None:
+    state = {"weight": torch.ones(1, 2, dtype=torch.int64), "bias": torch.zeros(1)}
+    with pytest.raises(DetectorError, match=r"float32, got weight of torch\.int64"):
+        apply_weights(torch.nn.Linear(2, 1), state, "a file")

@@ -11,12 +11,11 @@ import torch
 
 from attacks.cli.train_detector import SmallDetector
 from attacks.detectors.base import Detector
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_WEIGHTS
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Training
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.train import trainer_of
-from attacks.detectors.weight_files import SMALL_WEIGHTS
 from tests.detectors.made import drawn
 
 CONFIG = TrainConfig(pretraining=1, epochs=2, batch=2, low_resolution=64, low_resolution_fraction=0.5)

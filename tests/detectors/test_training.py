@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
 from attacks.detectors.training.config import SPLITS, PictureSetConfig
 from attacks.detectors.training.dataset import check_note, load, make, save_pictures

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from attacks.detectors import Detector, DetectorError, load_detector
-from attacks.detectors.classes import COCO_CLASSES
+from attacks.detectors.catalogue import COCO_CLASSES
 from mi_splat.errors import InvalidValueError
 
 try:
@@ -283,3 +283,35 @@ def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.Monke
     monkeypatch.setattr(AutoConfig, "from_pretrained", unreachable)
     with pytest.raises(DetectorError, match="or a network that reaches the library's hub, got no route to host"):
         load_detector("rtdetr_r50vd")
+
+
+# The gradient of BatchNorm for a gradient in the order of tokens, as attention gives it
+
+
+@pytest.mark.parametrize("batch", [1, 2])
+@pytest.mark.parametrize("layout", ["rows", "tokens", "channels last"])
+def test_the_gradient_is_the_scale_of_each_channel(batch: int, layout: str) -> None:
+    generator = torch.Generator().manual_seed(0)
+    norm = nn.BatchNorm2d(5).eval()
+    variance = torch.rand(5, generator=generator) + 0.5
+    norm.running_var = variance
+    nn.init.uniform_(norm.weight, 0.5, 2, generator=generator)
+    adapter.keep_gradients_right(nn.Sequential(norm))
+    picture = torch.randn(batch, 5, 3, 4, generator=generator).requires_grad_()
+    gradient = torch.randn(batch, 5, 3, 4, generator=generator)
+    expected = gradient * (norm.weight / torch.sqrt(variance + norm.eps)).view(5, 1, 1)
+    if layout == "tokens":
+        gradient = gradient.flatten(2).transpose(1, 2).contiguous().transpose(1, 2).view(batch, 5, 3, 4)
+    elif layout == "channels last":
+        gradient = gradient.contiguous(memory_format=torch.channels_last)
+    (found,) = torch.autograd.grad(norm(picture), picture, gradient)
+    torch.testing.assert_close(found, expected)
+
+
+def test_the_forward_pass_stays_and_needs_no_gradient() -> None:
+    norm = nn.BatchNorm2d(5).eval()
+    picture = torch.randn(1, 5, 3, 4, generator=torch.Generator().manual_seed(0))
+    before = norm(picture).detach()
+    adapter.keep_gradients_right(norm)
+    with torch.no_grad():
+        assert torch.equal(norm(picture), before)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.base import Detector
-from attacks.detectors.classes import COCO_CLASSES, SMALL_CLASSES
+from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Training
 from attacks.detectors.training.pictures import LabelledPicture

@@ -20,9 +20,9 @@ from attacks.artifacts.checking import check_artifact
 from attacks.cloak.config import read_study
 from attacks.dagger import checkpoint as eot_checkpoint
 from attacks.dagger.image_budget import ImagePrice
-from attacks.detectors.coco import cards
-from attacks.detectors.coco.sources import CARD, GRAPH, WEIGHTS
+from attacks.detectors.catalogue import CARD, GRAPH, WEIGHTS
 from attacks.detectors.evaluation.tables import read_figures
+from attacks.detectors.tfjs import packages
 from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
 from attacks.detectors.tfjs.network import GraphNetwork
 from attacks.detectors.training.loop import Training
@@ -43,10 +43,10 @@ from mi_splat.selection.masks import load_mask, save_mask
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
-from tests.detectors.packages import TOPOLOGY, toy
-from tests.detectors.packages import WEIGHTS as TOY_WEIGHTS
 from tests.detectors.test_training_loop import PLAIN, Noting
 from tests.detectors.tfjs.graphs import files, ints, node, placeholder, string
+from tests.detectors.tfjs.packages import TOPOLOGY, toy
+from tests.detectors.tfjs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
 from tests.io.closeness import tame_scene
@@ -119,7 +119,7 @@ _CAPTURE |= {"inputs": {"scene": {"object": "car"}, "cameras": {"count": 3}}}
 def _card(folder: Path) -> Path:
     save_file({"half": torch.zeros(1, 2), "axes": torch.zeros(2, dtype=torch.int32)}, folder / WEIGHTS)
     (folder / GRAPH).write_bytes(topology(TOPOLOGY))
-    save_json(cards.card(toy("toy"), folder, "here"), folder / CARD)
+    save_json(packages.card_of(toy("toy"), folder, "here"), folder / CARD)
     return folder / CARD
 
 
@@ -258,7 +258,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     capture = _written("capture.json", lambda: _CAPTURE)
     claim = Kind(make=capture, read=lambda path: claim_folder(path.parent, dict(_CAPTURE)), document=PLAIN_JSON)
     yield "record of a capture", claim
-    check = partial(cards.check_files, toy("toy"))
+    check = partial(packages.check_files, toy("toy"))
     yield "detector card", Kind(make=_card, read=lambda path: check(path.parent), document=PLAIN_JSON)
     yield "graph", Kind(make=_graph, read=_run_graph, document=PLAIN_JSON)
     yield (

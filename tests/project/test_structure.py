@@ -76,7 +76,7 @@ def test_training_sees_renderers_as_functions() -> None:
 def test_attacks_see_detectors_through_one_interface() -> None:
     for name, other in edges("attacks"):
         if name != "attacks" and not name.startswith(LOADERS) and other.startswith("attacks.detectors"):
-            assert other in ("attacks.detectors.base", "attacks.detectors.given"), f"{name} imports {other}"
+            assert other in ("attacks.detectors.base", "attacks.detectors.registry"), f"{name} imports {other}"
 
 
 def test_pgd_knows_nothing_of_splats() -> None:
@@ -232,9 +232,9 @@ def test_wheel_works_outside_a_checkout(wheel: Path, tmp_path: Path) -> None:
     code = f"""
 import sys
 sys.path.insert(0, {str(site)!r})
-import attacks.cli, attacks.detectors.weight_files, mi_splat
+import attacks.cli, attacks.detectors.catalogue, mi_splat
 assert attacks.__file__.startswith({str(site)!r}) and mi_splat.__file__.startswith({str(site)!r})
-assert attacks.detectors.weight_files.SMALL_WEIGHTS.is_file()
+assert attacks.detectors.catalogue.SMALL_WEIGHTS.is_file()
 sys.exit(attacks.cli.main(["detectors", "--json"]))
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True)

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.detectors.base import Detector
-from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.evaluation.measure import Measurement, confidences_at, false_positives, measure_detector
 from attacks.detectors.registry import load_detector
 from attacks.detectors.training.backgrounds import background_sets

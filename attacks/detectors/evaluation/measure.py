@@ -17,7 +17,7 @@ from torch import Tensor
 from torchvision.ops import box_iou
 
 from attacks.detectors.base import Detections, Detector
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.rate import Rate
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.evaluation.held_out import BACKGROUND, PATH_TRACED, SPLAT_RENDERS
 from attacks.detectors.evaluation.measure import CONDITIONS, IOU
 from attacks.rate import Rate

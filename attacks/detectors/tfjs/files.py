@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.weights import check_finite, read_weights
 from mi_splat.errors import message
 from mi_splat.io.fields import Fields
@@ -72,31 +72,31 @@ class Node:
 
     def word(self, name: str, default: str) -> str:
         """A string, which the JSON has in base 64."""
-        found = self._plain(name, "s", str, None)
-        return default if found is None else _decoded(found, f"{name} of node {self.name}")
+        text = self._plain(name, "s", str, None)
+        return default if text is None else _decoded(text, f"{name} of node {self.name}")
 
     def words(self, name: str) -> tuple[str, ...]:
         """A list of strings."""
         return tuple(_decoded(value, f"{name} of node {self.name}") for value in self._listed(name, "s"))
 
     def _plain(self, name: str, key: str, kind: type | tuple[type, ...], default: Any) -> Any:
-        found = self._attribute(name).get(key, default)
-        if found is not default and not isinstance(found, kind):
-            raise _wrong(f"{name} of node {self.name} as TensorFlow.js writes it", repr(found)[:60])
-        return found
+        value = self._attribute(name).get(key, default)
+        if value is not default and not isinstance(value, kind):
+            raise _wrong(f"{name} of node {self.name} as TensorFlow.js writes it", repr(value)[:60])
+        return value
 
     def _listed(self, name: str, key: str) -> list[Any]:
         listed = self._attribute(name).get("list")
-        found = listed.get(key, []) if isinstance(listed, dict) else None
-        if not isinstance(found, list):
+        values = listed.get(key, []) if isinstance(listed, dict) else None
+        if not isinstance(values, list):
             raise _wrong(f"{name} of node {self.name}, a list", repr(listed)[:60])
-        return found
+        return values
 
     def _attribute(self, name: str) -> Mapping[str, Any]:
-        found = self.attributes.get(name, {})
-        if not isinstance(found, dict):
-            raise _wrong(f"{name} of node {self.name}, an object", repr(found)[:60])
-        return found
+        attribute = self.attributes.get(name, {})
+        if not isinstance(attribute, dict):
+            raise _wrong(f"{name} of node {self.name}, an object", repr(attribute)[:60])
+        return attribute
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,15 +153,15 @@ def load_graph_model(graph: Path, weights: Path) -> GraphModel:
 
 
 def _with_nodes(document: dict[str, Any]) -> dict[str, Any]:
-    found = document.get("modelTopology")
-    if not isinstance(found, dict) or not isinstance(found.get("node"), list):
+    nodes = document.get("modelTopology")
+    if not isinstance(nodes, dict) or not isinstance(nodes.get("node"), list):
         raise _wrong("a TensorFlow.js graph model, with modelTopology.node", "another document")
     return document
 
 
 def _constants(document: dict[str, Any], weights: bytes) -> dict[str, Tensor]:
     """The constants in the order of the manifest; quantised ones as what they stand for."""
-    found, at = dict[str, Tensor](), 0
+    constants, at = dict[str, Tensor](), 0
     for group in _fields(document).objects("weightsManifest"):
         for entry in group.objects("weights"):
             name, shape = entry.text("name"), entry.wholes("shape", 0, MOST_ELEMENTS)
@@ -175,12 +175,12 @@ def _constants(document: dict[str, Any], weights: bytes) -> dict[str, Tensor]:
             values = np.frombuffer(weights, dtype, count, at).reshape(shape)
             if dtype == np.float16:
                 values = values.astype(np.float32)
-            found[name] = torch.from_numpy(values.copy())
+            constants[name] = torch.from_numpy(values.copy())
             at += count * dtype.itemsize
     if at != len(weights):
         raise _wrong(f"a weights file of {at} bytes, as the manifest says", f"{len(weights)} bytes")
-    check_finite(found, "graph model")
-    return found
+    check_finite(constants, "graph model")
+    return constants
 
 
 def _fields(document: dict[str, Any]) -> Fields:
@@ -189,14 +189,14 @@ def _fields(document: dict[str, Any]) -> Fields:
 
 def _graph(document: dict[str, Any], constants: Mapping[str, Tensor]) -> GraphModel:
     root, nodes, shapes = _fields(document), dict[str, Node](), dict[str, tuple[int, ...]]()
-    for one in root.object("modelTopology").objects("node"):
-        name = one.text("name")
+    for entry in root.object("modelTopology").objects("node"):
+        name = entry.text("name")
         if name in nodes:
             raise _wrong("nodes of different names", f"two called {name[:60]}")
-        inputs = tuple(taken for taken in one.texts("input") if not taken.startswith("^"))
-        nodes[name] = Node(name, one.text("op"), inputs, one.object("attr", {}).values)
+        inputs = tuple(taken for taken in entry.texts("input") if not taken.startswith("^"))
+        nodes[name] = Node(name, entry.text("op"), inputs, entry.object("attr", {}).values)
         if nodes[name].op == "Placeholder":
-            dimensions = one.object("attr").object("shape").object("shape").objects("dim")
+            dimensions = entry.object("attr").object("shape").object("shape").objects("dim")
             sizes = tuple(_whole(part.values.get("size", -1), f"shape of node {name}") for part in dimensions)
             if len(sizes) > _MOST_AXES or math.prod(sizes) > MOST_ELEMENTS:
                 raise _wrong(f"an input of at most {MOST_ELEMENTS:,} numbers", sizes)

@@ -11,49 +11,12 @@ from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-from attacks.detectors.errors import DetectorError
-from attacks.detectors.tfjs import arrays, convolutions
+from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.tfjs.files import MOST_ELEMENTS, GraphModel, Node
+from attacks.detectors.tfjs.operations import OPERATIONS
 from attacks.detectors.tfjs.values import Function, Step, Value, plain
 from mi_splat.errors import InvalidValueError, message
-
-OPERATIONS: Mapping[str, arrays.Build] = {
-    "Add": arrays.pairwise(torch.add),
-    "AddV2": arrays.pairwise(torch.add),
-    "Cast": arrays.cast,
-    "ConcatV2": arrays.concatenate,
-    "Conv2D": convolutions.convolution,
-    "DepthwiseConv2dNative": convolutions.convolution,
-    "Equal": arrays.pairwise(torch.eq),
-    "ExpandDims": arrays.expand_dims,
-    "FloorDiv": arrays.pairwise(torch.floor_divide),
-    "FloorMod": arrays.pairwise(torch.remainder),
-    "FusedDepthwiseConv2dNative": convolutions.convolution,
-    "GatherV2": arrays.gather,
-    "Identity": arrays.identity,
-    "LeakyRelu": arrays.leaky_relu,
-    "MaxPool": convolutions.max_pool,
-    "Mean": arrays.mean,
-    "Mul": arrays.pairwise(torch.mul),
-    "Pad": arrays.pad,
-    "PadV2": arrays.pad,
-    "Relu": arrays.elementwise(torch.relu),
-    "Relu6": arrays.elementwise(functional.relu6),
-    "Reshape": arrays.reshape,
-    "ResizeBilinear": convolutions.resize_bilinear,
-    "Sigmoid": arrays.elementwise(torch.sigmoid),
-    "SparseToDense": arrays.sparse_to_dense,
-    "SplitV": arrays.split,
-    "StridedSlice": arrays.strided_slice,
-    "Sub": arrays.pairwise(torch.sub),
-    "TopKV2": arrays.top_k,
-    "Transpose": arrays.transpose,
-    "_FusedConv2D": convolutions.convolution,
-}
-"""What each operation of TensorFlow becomes."""
-
 
 _MISFITS = (RuntimeError, ValueError, TypeError, IndexError, KeyError, ArithmeticError)
 """What Python and torch raise where inputs and settings of an operation do not fit together."""
@@ -87,11 +50,11 @@ class GraphNetwork(nn.Module):
         self.outputs = tuple(model.outputs if outputs is None else outputs)
         self._calls: list[tuple[Function, tuple[str, ...], tuple[str, ...]]] = []
         self._constants: dict[int, str] = {}
-        found = self._walk(model)
-        self.shapes = [value.shape for value in found]
+        results = self._walk(model)
+        self.shapes = [value.shape for value in results]
         self.digest = hashlib.sha256(" ".join((model.digest, *self.outputs)).encode()).hexdigest()
         self._last_use: dict[str, int] = {}
-        self._results = [(self._kept(value), value.order) for value in found]
+        self._results = [(self._kept(value), value.order) for value in results]
         for number, (_, taken, _) in enumerate(self._calls):
             self._last_use.update(dict.fromkeys(taken, number))
         for slot, _ in self._results:
@@ -126,8 +89,8 @@ class GraphNetwork(nn.Module):
                 do = "choose one of the graph's"
                 raise DetectorError(message("output", "a node of the graph", name, do))
             node = model.nodes[name]
-            needed = [one.partition(":")[0] for one in node.inputs]
-            missing = [one for one in needed if one not in ready]
+            needed = [taken.partition(":")[0] for taken in node.inputs]
+            missing = [taken for taken in needed if taken not in ready]
             if name in ready or not missing:
                 waiting.pop()
             if name in ready:
@@ -136,7 +99,7 @@ class GraphNetwork(nn.Module):
                 raise DetectorError(message("graph", "no circle", f"one through {name}", "convert the model again"))
             waiting += missing
             if not missing:
-                ready[name] = self._made_ready(node, [_output(ready, one) for one in node.inputs], model)
+                ready[name] = self._made_ready(node, [_output(ready, taken) for taken in node.inputs], model)
         return [_output(ready, name) for name in self.outputs]
 
     def _made_ready(self, node: Node, inputs: list[Value], model: GraphModel) -> tuple[Value, ...]:
@@ -171,7 +134,7 @@ class GraphNetwork(nn.Module):
             return tuple(Value(tensor, order) for tensor, order in zip(tensors, step.orders, strict=True))
         given = tuple(f"{len(self._calls)}.{number}" for number in range(len(tensors)))
         self._calls.append((step.function, tuple(self._kept(value) for value in step.inputs), given))
-        return tuple(Value(*one) for one in zip(tensors, step.orders, given, strict=True))
+        return tuple(Value(*parts) for parts in zip(tensors, step.orders, given, strict=True))
 
     def _kept(self, value: Value) -> str:
         """Name under which a value is when the network runs; a constant becomes a buffer."""

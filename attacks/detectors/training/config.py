@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from mi_splat.errors import InvalidValueError, message
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}

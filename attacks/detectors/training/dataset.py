@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.conditions import ViewingConditions
 from attacks.detectors.training.config import PictureSetConfig
 from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures

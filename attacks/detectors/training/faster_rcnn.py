@@ -6,9 +6,9 @@ from torch import Generator, Tensor, nn
 from torchvision.models.detection import FasterRCNN
 from torchvision.models.detection._utils import BalancedPositiveNegativeSampler
 
-from attacks.detectors import small
+from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Detector
-from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training.loop import Targets
 from attacks.detectors.training.pretraining import CutOutTrainer
@@ -24,7 +24,7 @@ class FasterRCNNTrainer(CutOutTrainer):
 
     def build(self) -> nn.Module:
         """See `DetectorTrainer`."""
-        model: nn.Module = small.build()
+        model: nn.Module = fasterrcnn_small.build()
         return model
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:

@@ -15,7 +15,7 @@ from safetensors.torch import save, save_file
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.training.augmentation import augment
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture

@@ -16,7 +16,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.conditions import ViewingConditions, viewing_conditions
 from attacks.detectors.training.config import SPLITS, PictureSetConfig
 from attacks.detectors.training.surroundings import backdrop, of_kind, scatter

@@ -14,8 +14,8 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor, nn
 from torchvision.ops import roi_align
 
-from attacks.detectors.classes import SMALL_CLASSES
-from attacks.detectors.small import Backbone
+from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.detectors.fasterrcnn_small import Backbone
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture
 
@@ -25,7 +25,7 @@ _MARGIN = (0.95, 1.5)
 
 
 class CutOutTrainer:
-    """The head start of trainers whose network has a `backbone` of `attacks.detectors.small`."""
+    """The head start of trainers whose network has a `backbone` of `attacks.detectors.fasterrcnn_small`."""
 
     def pretrain(
         self,

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
-from attacks.detectors.classes import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.evaluation.measure import false_positives, measure_detector
 from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import (

@@ -9,7 +9,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
-from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Targets
 from attacks.detectors.training.pictures import LabelledPicture

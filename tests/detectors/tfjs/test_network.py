@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
 from attacks.detectors.tfjs.network import GraphNetwork
 from mi_splat.errors import InvalidValueError

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.detectors.tfjs.network import OPERATIONS, GraphNetwork
+from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.tfjs.operations import OPERATIONS
 from tests.detectors.tfjs.graphs import (
     Array,
     convolved,

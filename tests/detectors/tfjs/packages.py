@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from attacks.detectors.coco.sources import PUBLISHED, PublishedDetector, PublishedFile
+from attacks.detectors.catalogue import NPM_DETECTORS, NpmDetector, NpmFile
 
 SIZES = {"size": "1"}, {"size": "2"}
 NODES = [
@@ -37,14 +37,14 @@ WEIGHTS = HALF.tobytes() + AXES.tobytes()
 README = ("package/README.md", b"nothing to see")
 
 
-def published(member: str, content: bytes) -> PublishedFile:
-    return PublishedFile(member=member, size=len(content), sha256=hashlib.sha256(content).hexdigest())
+def published(member: str, content: bytes) -> NpmFile:
+    return NpmFile(member=member, size=len(content), sha256=hashlib.sha256(content).hexdigest())
 
 
-def toy(name: str) -> PublishedDetector:
+def toy(name: str) -> NpmDetector:
     """A detector of this name, in a package of its own."""
     return replace(
-        PUBLISHED["centernet_coco"],
+        NPM_DETECTORS["centernet_coco"],
         name=name,
         package=f"@toys/{name}",
         version="1.2.3",

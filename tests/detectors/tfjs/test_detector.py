@@ -13,25 +13,24 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from attacks.detectors import DETECTORS, load_detector
-from attacks.detectors.classes import COCO_CLASSES
-from attacks.detectors.coco import centernet, nanodet
-from attacks.detectors.coco.detector import FAMILIES, Family, GraphDetector, load_published
-from attacks.detectors.coco.sources import GRAPH, PUBLISHED, weights_of
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import COCO_CLASSES, GRAPH, NPM_DETECTORS, DetectorError, folder_of, weights_of
+from attacks.detectors.tfjs.detector import DEVIATION, FAMILIES, MEAN, Family, GraphDetector, load
 from attacks.detectors.tfjs.files import load_graph_model, topology
 from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.tfjs.packages import flaw
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
 from tests.detectors.tfjs.graphs import files, model, node, placeholder
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
+SCENES = Path(__file__).resolve().parents[3] / "scenes"
+CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
 there = {
     name: pytest.mark.skipif(
         not weights_of(name).is_file(), reason=f"{name} is not here: mi-splat detectors --get {name}"
     )
-    for name in PUBLISHED
+    for name in NPM_DETECTORS
 }
 each = [pytest.param(name, marks=mark) for name, mark in there.items()]
 
@@ -40,7 +39,7 @@ def test_centernet_boxes_lie_about_their_cells() -> None:
     scores, distances = torch.zeros(1, 128, 128, 80), torch.zeros(1, 128, 128, 4)
     scores[0, 10, 20, 2] = 0.7
     distances[0, 10, 20] = torch.tensor([5.0, 6.0, 7.0, 8.0])
-    boxes, found = centernet.decode((scores, distances))
+    boxes, found = CENTERNET.decode((scores, distances))
     assert boxes[10 * 128 + 20].tolist() == [80 - 5, 40 - 6, 80 + 7, 40 + 8]
     assert found[10 * 128 + 20, 2] == pytest.approx(0.7)
 
@@ -49,22 +48,22 @@ def test_centernet_reports_peaks_of_each_class() -> None:
     scores = torch.zeros(128 * 128, 80)
     scores[10 * 128 + 20, 2], scores[10 * 128 + 21, 2], scores[11 * 128 + 21, 5] = 0.7, 0.6, 0.8
     scores[40 * 128, 2] = 0.04
-    rows, columns = centernet.keep(torch.zeros(len(scores), 4), scores, 0.05)
+    rows, columns = CENTERNET.keep(torch.zeros(len(scores), 4), scores, 0.05)
     assert rows.tolist() == [11 * 128 + 21, 10 * 128 + 20]
     assert columns.tolist() == [5, 2]
 
 
 def test_nanodet_distance_is_the_mean_of_its_bins() -> None:
     outputs = []
-    for stride in nanodet.STRIDES:
-        cells = (nanodet.SIDE // stride) ** 2
+    for stride in (8, 16, 32):
+        cells = (NANODET.side // stride) ** 2
         outputs += [torch.zeros(1, cells, 80), torch.full((1, cells, 44), -40.0)]
     cell = 3 * 26 + 4  # row 3, column 4 of the level of stride 16
-    for side, one in enumerate((1, 2, 3, 4)):
-        outputs[3][0, cell, side * 11 + one] = 40.0
+    for side, distance in enumerate((1, 2, 3, 4)):
+        outputs[3][0, cell, side * 11 + distance] = 40.0
     outputs[3][0, cell, 3 * 11 + 6] = 40.0  # half 4, half 6 below
     outputs[2][0, cell, 7] = 0.9
-    boxes, scores = nanodet.decode(tuple(outputs))
+    boxes, scores = NANODET.decode(tuple(outputs))
     row = 52 * 52 + cell
     x, y = 16 * 4.5, 16 * 3.5
     torch.testing.assert_close(boxes[row], torch.tensor([x - 16, y - 32, x + 48, y + 80]))
@@ -76,15 +75,15 @@ def test_nanodet_drops_weaker_boxes_of_the_same_class_only() -> None:
     boxes = torch.tensor([[0.0, 0, 10, 10], [0, 0, 10, 9], [0, 0, 10, 10], [50, 50, 60, 60]])
     scores = torch.zeros(4, 3)
     scores[0, 0], scores[1, 0], scores[2, 1], scores[3, 0] = 0.5, 0.6, 0.4, 0.04
-    rows, columns = nanodet.keep(boxes, scores, 0.05)
+    rows, columns = NANODET.keep(boxes, scores, 0.05)
     assert list(zip(rows.tolist(), columns.tolist(), strict=True)) == [(1, 0), (2, 1)]
 
 
 def test_pictures_are_prepared_as_the_networks_want_them() -> None:
     colour = torch.tensor([0.2, 0.4, 0.6]).reshape(1, 3, 1, 1).expand(1, 3, 2, 2)
-    torch.testing.assert_close(centernet.prepare(colour)[0, 0, 0], torch.tensor([51.0, 102, 153]))
-    blue_green_red = (torch.tensor([153.0, 102, 51]) - torch.tensor(nanodet.MEAN)) / torch.tensor(nanodet.DEVIATION)
-    torch.testing.assert_close(nanodet.prepare(colour)[0, :, 0, 0], blue_green_red)
+    torch.testing.assert_close(CENTERNET.prepare(colour)[0, 0, 0], torch.tensor([51.0, 102, 153]))
+    blue_green_red = (torch.tensor([153.0, 102, 51]) - torch.tensor(MEAN)) / torch.tensor(DEVIATION)
+    torch.testing.assert_close(NANODET.prepare(colour)[0, :, 0, 0], blue_green_red)
 
 
 def _tiny(operation: str = "Sigmoid") -> GraphDetector:
@@ -111,7 +110,7 @@ def _tiny(operation: str = "Sigmoid") -> GraphDetector:
         side=8,
         prepare=lambda picture: picture.permute(0, 2, 3, 1) * 4 - 2,
         decode=decode,
-        keep=nanodet.keep,
+        keep=NANODET.keep,
         min_confidence=0.5,
     )
     return GraphDetector("tiny", GraphNetwork(model(nodes, constants, ["scores"])), family)
@@ -142,20 +141,20 @@ def test_the_graph_belongs_to_the_fingerprint() -> None:
 def test_the_fingerprint_of_the_published_is_that_of_results(name: str, known: str) -> None:
     if not weights_of(name).is_file():
         pytest.skip(f"{name} is not here: mi-splat detectors --get {name}")
-    assert load_published(name).fingerprint == known
+    assert load(name).fingerprint == known
 
 
 def test_a_graph_of_another_family_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph, weights = files([placeholder("x", (1, 8, 8, 3)), node(centernet.OUTPUTS[0], "Relu", ["x"])], {}, ["x"])
+    graph, weights = files([placeholder("x", (1, 8, 8, 3)), node(CENTERNET.outputs[0], "Relu", ["x"])], {}, ["x"])
     (tmp_path / GRAPH).write_bytes(topology(graph))
     save_file({"unused": torch.zeros(1)}, tmp_path / "weights.safetensors")
     assert not weights
-    monkeypatch.setattr("attacks.detectors.coco.detector.check_files", lambda detector, folder: None)
-    family = replace(FAMILIES["centernet_coco"], outputs=centernet.OUTPUTS[:1])
+    monkeypatch.setattr("attacks.detectors.tfjs.detector.check_files", lambda detector, folder: None)
+    family = replace(FAMILIES["centernet_coco"], outputs=CENTERNET.outputs[:1])
     for side, words in ((512, r"one input of \(1, 512, 512, 3\)"), (8, "outputs of its family")):
         monkeypatch.setitem(FAMILIES, "centernet_coco", replace(family, side=side))
         with pytest.raises(DetectorError, match=words):
-            load_published("centernet_coco", tmp_path / "weights.safetensors")
+            load("centernet_coco", tmp_path / "weights.safetensors")
 
 
 def test_candidates_are_differentiable_in_every_picture() -> None:
@@ -196,7 +195,7 @@ def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
 @pytest.mark.parametrize("name", each)
 def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
     """Picture to the largest score: along a random direction, in float64."""
-    detector = load_published(name)
+    detector = load(name)
     detector.model.double()
     generator = torch.Generator().manual_seed(0)
     image = torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
@@ -218,15 +217,36 @@ def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
 def test_centernet_reports_what_its_graph_reports() -> None:
     """The published graph goes on to a hundred detections; ours are the same."""
     path = weights_of("centernet_coco")
-    whole = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), (*centernet.OUTPUTS, "tower_0/detections"))
+    whole = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), (*CENTERNET.outputs, "tower_0/detections"))
     generator = torch.Generator().manual_seed(1)
     coarse = torch.rand(1, 3, 16, 16, generator=generator)
     picture = torch.nn.functional.interpolate(coarse, (512, 512), mode="bilinear")
     with torch.no_grad():
-        scores, distances, wanted = whole(centernet.prepare(picture))
-        boxes, found = centernet.decode((scores, distances))
-    rows, columns = centernet.keep(boxes, found, 0.0)
+        scores, distances, wanted = whole(CENTERNET.prepare(picture))
+        boxes, found = CENTERNET.decode((scores, distances))
+    rows, columns = CENTERNET.keep(boxes, found, 0.0)
     torch.testing.assert_close(boxes[rows], wanted[0, :, :4])
     torch.testing.assert_close(found[rows, columns], wanted[0, :, 4])
     assert columns.tolist() == wanted[0, :, 5].long().tolist()
     assert FAMILIES["centernet_coco"].side == 512
+
+
+def test_what_is_published_is_pinned() -> None:
+    for detector in NPM_DETECTORS.values():
+        for file in detector.files:
+            assert file.member.startswith("package/models/")
+            assert len(file.sha256) == 64
+            assert file.size < 1 << 24
+
+
+@pytest.mark.parametrize("name", NPM_DETECTORS)
+def test_what_was_got_is_whole_and_of_the_stated_size(name: str) -> None:
+    detector = NPM_DETECTORS[name]
+    if not weights_of(name).is_file():
+        pytest.skip(f"{name} is not here: mi-splat detectors --get {name}")
+    assert flaw(detector) == ""
+    graph = load_graph_model(folder_of(name) / GRAPH, weights_of(name))
+    numbers = sum(value.numel() for value in graph.constants.values() if value.is_floating_point())
+    assert numbers / 1e6 == pytest.approx(detector.parameters, abs=0.05)
+    (shape,) = graph.inputs.values()
+    assert [size for size in shape if size not in (1, 3)] == list(detector.input_size)

@@ -17,7 +17,7 @@ from torchvision.models.detection.faster_rcnn import FastRCNNPredictor
 from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
-from attacks.detectors.classes import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 
 _STEM = (24, 48)
 _STAGES = ((96, 2), (160, 2), (256, 2))

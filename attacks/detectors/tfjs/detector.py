@@ -1,0 +1,260 @@
+"""The detectors that come as TensorFlow.js graphs, CenterNet and NanoDet, behind the `Detector` interface.
+
+CenterNet (Zhou et al., "Objects as Points", 2019, on MobileNetV3): one heat map of centres for each class, and at each
+cell the distances to a box's sides. NanoDet: at each cell of three levels a quality for each class, and for each side
+of the box a distribution, as in Li et al., "Generalized Focal Loss", 2020; the distance is the mean of eleven bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+from torchvision.ops import batched_nms
+
+from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.catalogue import COCO_CLASSES, GRAPH, NPM_DETECTORS, WEIGHTS, DetectorError, weights_of
+from attacks.detectors.tfjs.files import load_graph_model
+from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.tfjs.packages import check_files
+from attacks.detectors.weights import FrozenDetector, fingerprint
+from mi_splat.errors import message
+
+_MOST = 100
+"""Detections in one picture."""
+_STRIDE = 4
+"""Pixels of CenterNet's input from one cell to the next."""
+_STRIDES, _BINS = (8, 16, 32), 11
+"""NanoDet's levels, and bins of each distance."""
+MEAN, DEVIATION = (103.53, 116.28, 123.675), (57.375, 57.12, 58.395)
+"""Of blue, green and red in [0, 255], as NanoDet standardises them."""
+_OVERLAP = 0.6
+"""Intersection over union from which NanoDet drops the weaker of two boxes of a class."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Family:
+    """What has to be known of a network to use it.
+
+    Attributes:
+        outputs: Names of the graph's tensors that are decoded.
+        side: Height and width of its input, pixels.
+        prepare: From (1, 3, side, side) sRGB in [0, 1] to what the graph takes.
+        decode: From the outputs to boxes (A, 4) in pixels of the input and scores (A, 80).
+        keep: From boxes, scores and the least score to rows and columns of what is reported, best first.
+        min_confidence: Confidence below which nothing is reported.
+    """
+
+    outputs: tuple[str, ...]
+    side: int
+    prepare: Callable[[Tensor], Tensor]
+    decode: Callable[[tuple[Tensor, ...]], tuple[Tensor, Tensor]]
+    keep: Callable[[Tensor, Tensor, float], tuple[Tensor, Tensor]]
+    min_confidence: float = 0.05
+
+
+def _prepare_bytes(picture: Tensor) -> Tensor:
+    """(1, 3, h, w) in [0, 1] to (1, h, w, 3) in [0, 255]."""
+    return picture.permute(0, 2, 3, 1) * 255
+
+
+def _prepare_standardised(picture: Tensor) -> Tensor:
+    """(1, 3, h, w) RGB in [0, 1] to the same in BGR, standardised."""
+    mean, deviation = (picture.new_tensor(values).reshape(1, 3, 1, 1) for values in (MEAN, DEVIATION))
+    return (picture.flip(1) * 255 - mean) / deviation
+
+
+def _decode_centres(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+    """All cells of CenterNet, row by row.
+
+    Args:
+        outputs: Scores (1, h, w, 80), and distances (1, h, w, 4) in pixels to the left, upper, right and lower side.
+    """
+    scores, distances = outputs
+    centres = _STRIDE * _cells(*scores.shape[1:3]).to(scores)
+    return _around(centres, distances.reshape(-1, 4)), scores.reshape(-1, scores.shape[-1])
+
+
+def _decode_bins(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+    """The cells of all levels of NanoDet.
+
+    Args:
+        outputs: For each level scores (1, cells, 80) and logits of bins (1, cells, 44): eleven for each of the left,
+            upper, right and lower side.
+    """
+    boxes, scores = [], []
+    for stride, score, logits in zip(_STRIDES, outputs[::2], outputs[1::2], strict=True):
+        side = FAMILIES["nanodet_coco"].side // stride
+        centres = stride * (_cells(side, side).to(score) + 0.5)
+        bins = torch.softmax(logits.reshape(-1, 4, _BINS), -1)
+        boxes.append(_around(centres, stride * (bins @ torch.arange(_BINS).to(bins))))
+        scores.append(score[0])
+    return torch.cat(boxes), torch.cat(scores)
+
+
+def _cells(high: int, wide: int) -> Tensor:
+    """(high * wide, 2) column and row of each cell, row by row."""
+    y, x = torch.meshgrid(torch.arange(high), torch.arange(wide), indexing="ij")
+    return torch.stack([x, y], -1).reshape(-1, 2)
+
+
+def _around(centres: Tensor, distances: Tensor) -> Tensor:
+    """Boxes x0, y0, x1, y1 (A, 4) from points (A, 2) and distances (A, 4) to the left, upper, right and lower side."""
+    return torch.cat([centres - distances[:, :2], centres + distances[:, 2:]], -1)
+
+
+def _keep_peaks(boxes: Tensor, scores: Tensor, least: float) -> tuple[Tensor, Tensor]:
+    """As in `Family.keep`: cells of a square map whose score is the largest of the 3 x 3 cells about it."""
+    side, peaks = int(len(scores) ** 0.5), torch.zeros_like(scores, dtype=torch.bool)
+    likely = (scores >= least).any(0)  # few classes, and what follows is slow for all 80
+    maps = scores[:, likely].T.reshape(1, -1, side, side)
+    if len(maps[0]):
+        highest = (maps == functional.max_pool2d(maps, 3, 1, 1)) & (maps >= least)
+        peaks[:, likely] = highest.reshape(len(maps[0]), -1).T
+    numbers = peaks.flatten().nonzero()[:, 0]
+    kept = numbers[scores.flatten()[numbers].sort(descending=True, stable=True).indices[:_MOST]]
+    return kept // scores.shape[1], kept % scores.shape[1]
+
+
+def _keep_unsuppressed(boxes: Tensor, scores: Tensor, least: float) -> tuple[Tensor, Tensor]:
+    """As in `Family.keep`: what is left after non-maximum suppression in each class."""
+    rows, columns = (scores >= least).nonzero(as_tuple=True)
+    kept = batched_nms(boxes[rows], scores[rows, columns], columns, _OVERLAP)[:_MOST]
+    return rows[kept], columns[kept]
+
+
+FAMILIES: Mapping[str, Family] = {
+    "centernet_coco": Family(
+        outputs=("tower_0/keypoints", "tower_0/wh"),
+        side=512,
+        prepare=_prepare_bytes,
+        decode=_decode_centres,
+        keep=_keep_peaks,
+    ),
+    "nanodet_coco": Family(  # scores and bins of each level, in the order of the strides
+        outputs=("Identity:0", "Identity_3:0", "Identity_1:0", "Identity_4:0", "Identity_2:0", "Identity_5:0"),
+        side=416,
+        prepare=_prepare_standardised,
+        decode=_decode_bins,
+        keep=_keep_unsuppressed,
+    ),
+}
+"""Name to family of the detectors in `NPM_DETECTORS`."""
+
+
+class GraphDetector(FrozenDetector):
+    """A detector that others trained on COCO, its weights frozen.
+
+    A picture of any size is resized to the network's square, whatever its shape, as the published programs do.
+
+    Attributes:
+        name: Name in `attacks.detectors.DETECTORS`.
+        classes: The 80 classes of COCO.
+        model: The graph.
+    """
+
+    def __init__(self, name: str, network: GraphNetwork, family: Family) -> None:
+        super().__init__(name, network, COCO_CLASSES)
+        self._family = family
+
+    @property
+    def fingerprint(self) -> str:
+        """See `Detector`. The graph belongs to it; with the published one it is that of the weights, as ever."""
+        published = self.name in NPM_DETECTORS and self.model.digest == NPM_DETECTORS[self.name].graph
+        return fingerprint(self.model.state_dict(), "" if published else self.model.digest)
+
+    @property
+    def min_confidence(self) -> float:
+        """See `Detector`."""
+        return self._family.min_confidence
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        """Every cell of every level as every class, before peaks, thresholds and non-maximum suppression.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1].
+        """
+        check_images(images)
+        decoded = [self._decoded(image) for image in images]  # the graph is for one picture
+        return [Candidates(boxes[:, None].expand(-1, scores.shape[1], -1), scores) for boxes, scores in decoded]
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        """What the published programs report: peaks or non-maximum suppression, at any confidence of 0.05 or more.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1].
+        """
+        check_images(images)
+        detections = []
+        with torch.no_grad():
+            for image in images:
+                boxes, scores = self._decoded(image)
+                rows, columns = self._family.keep(boxes, scores, self.min_confidence)
+                labels = tuple(self.classes[column] for column in columns.tolist())
+                detections.append(Detections(boxes[rows], scores[rows, columns], labels))
+        return detections
+
+    def _decoded(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Boxes (A, 4) in pixels of the picture, inside it, and scores (A, C)."""
+        side = self._family.side
+        square = functional.interpolate(image.permute(2, 0, 1)[None], (side, side), mode="bilinear")
+        boxes, scores = self._family.decode(self.model(self._family.prepare(square)))
+        high, wide = image.shape[:2]
+        corner = boxes.new_tensor([wide, high, wide, high])
+        return torch.minimum((boxes * (corner / side)).clamp(min=0), corner), scores
+
+
+def load(name: str, weights: Path | None = None) -> GraphDetector:
+    """A detector that was got with `mi-splat detectors --get`.
+
+    Args:
+        name: Key of `FAMILIES`.
+        weights: The `weights.safetensors` of a folder that the command wrote, its `graph.json` and its card
+            beside it; None looks where the command writes it.
+
+    Raises:
+        DetectorError: The files are not there, are of another detector, or are not those that were got.
+    """
+    path = weights_of(name) if weights is None else Path(weights)
+    if weights is None and not path.is_file():
+        do = f"get it: mi-splat detectors --get {name} (npm, {NPM_DETECTORS[name].megabytes:g} MB)"
+        raise DetectorError(message(f"weights of {name}", f"a file {path}", "nothing there", do))
+    if not path.is_file():
+        raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
+    if path.name != WEIGHTS:
+        raise DetectorError(message(f"weights {path}", f"the {WEIGHTS} of a folder", path.name, "pass that file"))
+    check_files(NPM_DETECTORS[name], path.parent)
+    family = FAMILIES[name]
+    network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), family.outputs)
+    _check_fits(name, network, family)
+    return GraphDetector(name, network, family)
+
+
+def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
+    """Raise unless a graph takes and gives what its family does.
+
+    Raises:
+        DetectorError: It takes or gives something else.
+    """
+    what, do = f"graph of {name}", "get the detector again"
+    taken = tuple(family.prepare(torch.zeros(1, 3, family.side, family.side)).shape)
+    if list(network.inputs.values()) != [taken]:
+        raise DetectorError(message(what, f"one input of {taken}", list(network.inputs.values()), do))
+    given = " and ".join(str(shape) for shape in network.shapes)
+    try:
+        boxes, scores = family.decode(tuple(torch.zeros(shape) for shape in network.shapes))
+        fits = boxes.shape == (len(scores), 4) and scores.shape[1] == len(COCO_CLASSES)
+    except (RuntimeError, ValueError, IndexError):
+        fits = False
+    if not fits:
+        raise DetectorError(message(what, f"outputs of its family, in {', '.join(family.outputs[:2])}", given, do))

@@ -1,0 +1,287 @@
+"""Adapters to torchvision's detectors: the published COCO ones, our own small one, and any that a user has trained.
+
+Faster R-CNN proposes regions, whose choice is constant for the gradient as in the library's own training; RetinaNet,
+FCOS, SSD and SSDlite have one stage, of anchors.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor, nn
+from torchvision.models import get_model_builder, get_model_weights
+from torchvision.models.detection import FCOS, FasterRCNN, RetinaNet
+from torchvision.models.detection.ssd import SSD
+from torchvision.models.detection.transform import resize_boxes
+from torchvision.ops import FrozenBatchNorm2d
+from torchvision.ops.boxes import clip_boxes_to_image
+
+from attacks.detectors import fasterrcnn_small
+from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, elsewhere
+from attacks.detectors.weights import FrozenDetector, apply_weights, read_weights
+from mi_splat.errors import message
+
+SMALL = "fasterrcnn_small"
+"""Name of the project's own detector."""
+_FROZEN = ("fasterrcnn_resnet50_fpn", "retinanet_resnet50_fpn")
+"""Detectors whose published weights the library evaluates with frozen norms of eps 0."""
+
+Outputs = Mapping[str, Tensor]
+"""What a head gives: "cls_logits" (B, A, L), "bbox_regression" (B, A, 4), and FCOS "bbox_ctrness" (B, A, 1)."""
+
+
+class TorchvisionDetector(FrozenDetector, ABC):
+    """A frozen detector of torchvision behind the `Detector` interface.
+
+    Attributes:
+        name: Name in `attacks.detectors.DETECTORS`.
+        classes: Foreground classes; COCO's unused numbers ("N/A") are left out of them.
+        model: The library's model, in evaluation mode, its weights without gradients.
+    """
+
+    def __init__(self, name: str, model: nn.Module, labels: Sequence[str]) -> None:
+        """Wrap `model`, whose label number i means labels[i]; labels[0] is the background."""
+        self._labels = tuple(labels)
+        self._columns = [i for i, label in enumerate(labels) if label not in (BACKGROUND, UNUSED)]
+        super().__init__(name, model, [labels[i] for i in self._columns])
+
+    @property
+    def min_confidence(self) -> float:
+        """See `Detector`; what the model was built with."""
+        return float(_threshold_holder(self.model).score_thresh)
+
+    @abstractmethod
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        """Boxes and scores before thresholds, differentiable in the images.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1].
+        """
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        """The library's own forward pass.
+
+        Args:
+            images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1].
+        """
+        with torch.no_grad():
+            results = self.model(_channels_first(images))
+        return [
+            Detections(r["boxes"], r["scores"], tuple(self._labels[i] for i in r["labels"].tolist())) for r in results
+        ]
+
+    def _in_pixels(self, boxes: Tensor, scores: Tensor, inner: tuple[int, int], size: tuple[int, int]) -> Candidates:
+        """Boxes in the network's picture, clipped to it, in pixels of the input.
+
+        Args:
+            boxes: (A, C, 4) for each class, or (A, 1, 4) for all of them.
+            scores: (A, C) in [0, 1].
+            inner: Height and width of the network's picture.
+            size: Height and width of the input.
+        """
+        inside = clip_boxes_to_image(boxes, inner)
+        pixels = resize_boxes(inside.reshape(-1, 4), inner, size).reshape(boxes.shape)
+        return Candidates(pixels.expand(-1, len(self.classes), -1), scores)
+
+
+class RCNNDetector(TorchvisionDetector):
+    """A frozen Faster R-CNN behind the `Detector` interface; see `TorchvisionDetector` for its attributes."""
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        """As in `TorchvisionDetector`: every proposal as every class, differentiable through the features."""
+        pictures = _channels_first(images)
+        size = (images.shape[1], images.shape[2])
+        batch, _ = self.model.transform(pictures)
+        features = self.model.backbone(batch.tensors)
+        with torch.no_grad():
+            proposals, _ = self.model.rpn(batch, OrderedDict((k, v.detach()) for k, v in features.items()))
+        heads = self.model.roi_heads
+        logits, deltas = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes)))
+        counts = [len(p) for p in proposals]
+        boxes = torch.split(heads.box_coder.decode(deltas, proposals)[:, self._columns], counts)
+        scores = torch.split(torch.softmax(logits, -1)[:, self._columns], counts)
+        return [
+            self._in_pixels(b, s, inner, size) for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
+        ]
+
+
+class OneStageDetector(TorchvisionDetector):
+    """A frozen one-stage detector behind the `Detector` interface; see `TorchvisionDetector` for its attributes."""
+
+    def __init__(self, name: str, model: RetinaNet | FCOS | SSD, labels: Sequence[str]) -> None:
+        """As in `TorchvisionDetector`."""
+        super().__init__(name, model, labels)
+        self._scores = _scores_of(model)
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        """As in `TorchvisionDetector`: every anchor as every class, with the one box that it has for all of them."""
+        pictures = _channels_first(images)
+        size = (images.shape[1], images.shape[2])
+        batch, _ = self.model.transform(pictures)
+        features = self.model.backbone(batch.tensors)
+        maps = list(features.values()) if isinstance(features, dict) else [features]
+        outputs = self.model.head(maps)
+        scores = self._scores(outputs)[:, :, self._columns]
+        coder: Any = self.model.box_coder
+        decode: Callable[[Tensor, Tensor], Tensor] = getattr(coder, "decode_single", coder.decode)
+        rows = zip(outputs["bbox_regression"], self.model.anchor_generator(batch, maps), strict=True)
+        boxes = [decode(deltas, anchors) for deltas, anchors in rows]
+        return [
+            self._in_pixels(b[:, None], s, inner, size)
+            for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
+        ]
+
+
+def _threshold_holder(model: nn.Module) -> Any:
+    """The part of a model that has the score threshold: the box heads of a Faster R-CNN, a one-stage model itself."""
+    return getattr(model, "roi_heads", model)
+
+
+def _channels_first(images: Tensor) -> list[Tensor]:
+    """The list of pictures that the library's models take."""
+    check_images(images)
+    return list(images.permute(0, 3, 1, 2))
+
+
+def _sigmoid(outputs: Outputs) -> Tensor:
+    """RetinaNet's: each class for itself."""
+    return torch.sigmoid(outputs["cls_logits"])
+
+
+def _with_centreness(outputs: Outputs) -> Tensor:
+    """FCOS': the geometric mean of class and centreness.
+
+    In logarithms, for the library's square root has no finite gradient where the product rounds to zero.
+    """
+    return torch.exp((F.logsigmoid(outputs["cls_logits"]) + F.logsigmoid(outputs["bbox_ctrness"])) / 2)
+
+
+def _softmax(outputs: Outputs) -> Tensor:
+    """SSD's: one class, or the background."""
+    return torch.softmax(outputs["cls_logits"], -1)
+
+
+def _scores_of(model: RetinaNet | FCOS | SSD) -> Callable[[Outputs], Tensor]:
+    """How a model of this architecture computes (B, A, L) scores."""
+    for architecture, scores in ((RetinaNet, _sigmoid), (FCOS, _with_centreness), (SSD, _softmax)):
+        if isinstance(model, architecture):
+            return scores
+    raise TypeError(f"RetinaNet, FCOS or SSD expected, got {type(model).__name__}")
+
+
+def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
+    """A model of the library behind the `Detector` interface.
+
+    Args:
+        name: Of the detector.
+        model: A FasterRCNN, RetinaNet, FCOS or SSD.
+        labels: Label number i means labels[i]; labels[0] is `BACKGROUND`.
+    """
+    adapter = RCNNDetector if isinstance(model, FasterRCNN) else OneStageDetector
+    return adapter(name, model, labels)
+
+
+def load(name: str, weights: Path | None = None) -> TorchvisionDetector:
+    """The project's own detector, or one of torchvision's COCO detectors.
+
+    Args:
+        name: `SMALL`, or torchvision's name.
+        weights: File in the form of the published checkpoint; None takes the shipped one, or asks the library's hub.
+
+    Raises:
+        DetectorError: There are no weights, they do not fit, or the hub cannot be reached.
+    """
+    path = SMALL_WEIGHTS if name == SMALL and weights is None else weights
+    state = _from_hub(name) if path is None else read_weights(Path(path))
+    model = _build(name)
+    _freeze_norms(name, model)
+    apply_weights(model, state, name if path is None else path)
+    return wrap(name, model, _labels(name))
+
+
+def random_detector(name: str, *, seed: int = 0) -> TorchvisionDetector:
+    """A detector of random weights for tests of plumbing; it finds nothing, but its image gradients are not zero.
+
+    Without the warm-up of the BatchNorm statistics, the signal of a random network dies on the way.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        model = _build(name)
+        warm_up(model.eval())
+    _freeze_norms(name, model)
+    return wrap(name, model, _labels(name))
+
+
+def warm_up(model: nn.Module, *, batches: int = 8, side: int = 64) -> None:
+    """Let every BatchNorm average the statistics of a few batches of noise; frozen ones stay."""
+    norms = [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
+    if not norms:
+        return
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None  # a cumulative average
+        norm.train()
+    transform: Any = model.transform
+    holder = _threshold_holder(model)
+    usual = transform.min_size, holder.score_thresh
+    transform.min_size, holder.score_thresh = (side,), 1.0  # small, and nothing to suppress
+    with torch.no_grad():
+        for _ in range(batches):
+            model(list(torch.rand(2, 3, side, side)))
+    transform.min_size, holder.score_thresh = usual
+
+
+def _build(name: str) -> nn.Module:
+    """The network with random weights."""
+    model: nn.Module = (
+        fasterrcnn_small.build() if name == SMALL else get_model_builder(name)(weights=None, weights_backbone=None)
+    )
+    return model
+
+
+def _labels(name: str) -> tuple[str, ...]:
+    """What label numbers mean; COCO's numbers have gaps, which the library calls N/A."""
+    return (BACKGROUND, *SMALL_CLASSES) if name == SMALL else tuple(published_weights(name).meta["categories"])
+
+
+def published_weights(name: str) -> Any:
+    """The library's entry for its COCO weights of a detector."""
+    weights: Any = get_model_weights(name)
+    return weights["COCO_V1"]
+
+
+def _from_hub(name: str) -> dict[str, Tensor]:
+    """The published weights, from the library's own download."""
+    try:
+        state: dict[str, Tensor] = published_weights(name).get_state_dict(
+            progress=True, check_hash=True, weights_only=True
+        )
+    except (OSError, RuntimeError) as error:  # no network, or a download whose hash does not fit
+        expected = "a weights file, or a network that reaches the library's hub"
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DetectorError(message(f"weights of {name}", expected, reason, elsewhere("file"))) from error
+    return state
+
+
+def _freeze_norms(name: str, module: nn.Module) -> None:
+    """Put the library's frozen norms in place, where it evaluates the published weights with them."""
+    for part, child in module.named_children() if name in _FROZEN else ():
+        if isinstance(child, nn.BatchNorm2d):
+            frozen = FrozenBatchNorm2d(child.num_features, eps=0.0)
+            frozen.load_state_dict(child.state_dict())
+            setattr(module, part, frozen)
+        else:
+            _freeze_norms(name, child)
