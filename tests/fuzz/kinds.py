@@ -27,6 +27,7 @@ from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, top
 from attacks.detectors.tfjs.network import GraphNetwork
 from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
+from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
 from attacks.rendering_studies.config import read_rendering_study
 from attacks.report.results import STORIES, read_section
@@ -229,6 +230,12 @@ def _picture(name: str, folder: Path) -> Path:
     return folder / name
 
 
+def _rows(name: str, folder: Path) -> Path:
+    data = rows_bytes(frame_of({"view": view, "splat": "clean", "iou": 0.5 / (view + 1)} for view in range(20)))
+    (folder / name).write_bytes(packed(data) if name.endswith(".gz") else data)
+    return folder / name
+
+
 def _see(path: Path) -> None:
     read_picture(path, downscale=1, background=(0.0, 0.0, 0.0))
     read_mask(path, downscale=1)
@@ -283,6 +290,8 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "figures", Kind(make=_written("f.json", figures.read_bytes), read=read_figures, document=PLAIN_JSON)
     yield "artifact.json", _artifact("artifact.json")
     yield "table of an artifact", _artifact("*.csv*")
+    for name in ("rows.csv", "rows.csv.gz"):
+        yield f"rows {name}", Kind(make=partial(_rows, name), read=read_rows)
     yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
     yield "rendering study", Kind(make=_copied("scenes/studies/files.toml"), read=read_rendering_study)
     gltf = _written("a.gltf", lambda: GLB.get(valid("a.glb")))
