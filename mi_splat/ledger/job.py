@@ -208,13 +208,19 @@ class Out:
 
     Attributes:
         files: Folder of what it leaves; new at every try. `out / name` is short for `out.files / name`.
-        partial: Folder of its own that outlasts a killed or failed try, and is gone once the job is done.
+        kept: Where `partial` is.
         progress: Called with what goes on, how many units of it are done, and how many there are.
     """
 
     files: Path
-    partial: Path
+    kept: Path
     progress: Callable[[str, int, int], None]
+
+    @property
+    def partial(self) -> Path:
+        """Folder of its own that outlasts a killed or failed try, and is gone once the job is done."""
+        self.kept.mkdir(parents=True, exist_ok=True)
+        return self.kept
 
     def __truediv__(self, name: str) -> Path:
         return self.files / name

@@ -72,14 +72,11 @@ class Leases:
             if (holder := self.holder(key)) is not None:
                 raise HeldError(message(f"job {key}", "one that nobody does", holder, "wait for its end"))
             _write(path, token)
-        ended = threading.Event()
-        beat = threading.Thread(target=_beat, args=(path, ended), daemon=True)
-        beat.start()
+        _keep_alive(path)
         try:
             yield
         finally:
-            ended.set()
-            beat.join()
+            _HELD.discard(path)
             with self._alone():
                 if _read(path).get("token") == token:
                     path.unlink(missing_ok=True)
@@ -147,7 +144,21 @@ def _read(path: Path) -> dict[str, Any]:
         return {}
 
 
-def _beat(path: Path, ended: threading.Event) -> None:
-    while not ended.wait(HEARTBEAT):
-        with contextlib.suppress(OSError):
-            os.utime(path)
+_HELD = set[Path]()
+_BEAT = threading.Lock()
+
+
+def _keep_alive(path: Path) -> None:
+    """Have a thread touch a lease from now on, until it is no more in `_HELD`."""
+    with _BEAT:
+        _HELD.add(path)
+        if not any(thread.name == _beat.__name__ for thread in threading.enumerate()):
+            threading.Thread(target=_beat, name=_beat.__name__, daemon=True).start()
+
+
+def _beat() -> None:
+    while True:
+        time.sleep(HEARTBEAT)
+        for path in list(_HELD):
+            with contextlib.suppress(OSError):
+                os.utime(path)

@@ -46,9 +46,7 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
                 _note(store, task, error, time.monotonic() - begun, on_event)
                 raise
             on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - begun))
-            done = store.done(task.key)
-    if done is None:
-        raise InvalidValueError(message(f"job {task.key}", "its result", "none", "leave the store's folder alone"))
+            done = store.existing(task.key)
     return done
 
 
@@ -82,7 +80,7 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
         if "job" in source:
             done = store.done(source["job"])
             content = None if done is None else done.content_of(source["part"])
-            path = store.place(source["job"]) if done is None else done.input_path(source["part"])
+            path = store.folder_of(source["job"]) if done is None else done.input_path(source["part"])
         else:
             path = Path(source["path"])
             content = content_of_path(path)
@@ -109,7 +107,7 @@ def _make(store: Store, task: Task, on_event: OnEvent) -> None:
     with store.making(task.key) as (temporary, partial):
         begun = time.monotonic()
         files = temporary / "files"
-        rows: Sequence[Row] | None = kind.run(config, inputs, Out(files=files, partial=partial, progress=progress))
+        rows: Sequence[Row] | None = kind.run(config, inputs, Out(files=files, kept=partial, progress=progress))
         record = {
             **{"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code},
             **{"seconds": round(time.monotonic() - begun, 3), **origin()},

@@ -30,3 +30,13 @@ class NumbersConfig:
     name: str = "sum"
     most: int | None = None
     loud: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkConfig:
+    """Of `walk`."""
+
+    start: int = 0
+    steps: int = 1
+    seconds: float = 0.0
+    trouble: str = ""

@@ -1,0 +1,148 @@
+"""What runs tasks on one machine: this process, or child processes that are watched."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import queue
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Protocol
+
+from mi_splat.io.atomic import HOST
+from mi_splat.io.errors import SplatFileError
+from mi_splat.io.locks import locked_folder
+from mi_splat.ledger.job import Event, HeldError, OnEvent, Task, nobody
+from mi_splat.ledger.running import run_job
+from mi_splat.ledger.store import Store
+from mi_splat.ledger.watching import Child, Limits, Outcome, Report
+
+
+class Engine(Protocol):
+    """Runs tasks of a store.
+
+    Attributes:
+        window: Most tasks that it is given at a time.
+    """
+
+    window: int
+
+    def submit(self, task: Task, report: Report) -> None:
+        """Run a task some time, and call `report` with the outcome, or with the error that the engine has itself."""
+        ...
+
+    def close(self) -> None:
+        """End all that it has started, at once."""
+        ...
+
+
+class InProcess:
+    """Runs each task in this process, at once; what a job raises ends the plan."""
+
+    window = 1
+
+    def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
+        self._store, self._on_event = Store(folder), on_event
+
+    def submit(self, task: Task, report: Report) -> None:
+        """Run a task now."""
+        try:
+            run_job(self._store, task, self._on_event)
+        except HeldError as error:
+            report(Outcome(key=task.key, state="held", text=str(error)))
+        else:
+            report(Outcome(key=task.key, state="done"))
+
+    def close(self) -> None:
+        """Nothing is left."""
+
+
+class Processes:
+    """Runs tasks in child processes, each watched by a thread.
+
+    torch has one thread in each of them; Dr.Jit has the child's share of the processor's cores, and a cache of kernels
+    of its own in the store, so that no two write into the same one.
+
+    Args:
+        folder: The store.
+        workers: How many.
+        limits: Of each task.
+        on_event: Told what happens, by one thread at a time.
+    """
+
+    def __init__(self, folder: Path, *, workers: int, limits: Limits | None = None, on_event: OnEvent = nobody) -> None:
+        self.window = workers
+        self._told, self._on_event, self._caches = threading.Lock(), on_event, contextlib.ExitStack()
+        self._idle: queue.SimpleQueue[Child] = queue.SimpleQueue()
+        numbers = itertools.count()
+        self._children = [
+            Child(folder, limits=limits, environment=environment(cache), cores=share_of_cores(worker, workers))
+            for worker in range(workers)
+            for cache in (free_cache(folder, numbers, self._caches),)
+        ]
+        for child in self._children:
+            self._idle.put(child)
+        self._threads = ThreadPoolExecutor(workers)
+
+    def submit(self, task: Task, report: Report) -> None:
+        """Run a task as soon as a child process is free."""
+        self._threads.submit(self._run, task).add_done_callback(lambda future: report(outcome_of(future, task)))
+
+    def _run(self, task: Task) -> Outcome:
+        child = self._idle.get()
+        try:
+            return child.run(task, self._tell)
+        finally:
+            self._idle.put(child)
+
+    def _tell(self, event: Event) -> None:
+        with self._told:
+            self._on_event(event)
+
+    def close(self) -> None:
+        """End the child processes; what they were at counts as no try."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for child in self._children:
+            child.stop()
+        self._threads.shutdown()
+        for child in self._children:
+            child.close()
+        self._caches.close()
+
+
+def outcome_of(future: Future[Outcome], task: Task) -> Outcome:
+    """The outcome that a future holds, of its error, too."""
+    if future.cancelled():
+        return Outcome(key=task.key, state="stopped", text="the engine was closed")
+    error = future.exception()
+    return future.result() if error is None else Outcome(key=task.key, state="stopped", text=str(error), error=error)
+
+
+def environment(kernels: Path) -> dict[str, str]:
+    """Variables of a child process.
+
+    Args:
+        kernels: Folder for what Dr.Jit compiles.
+    """
+    return {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "DRJIT_CACHE_DIR": str(kernels.absolute())}
+
+
+def share_of_cores(worker: int, workers: int) -> list[int]:
+    """Numbers of the cores that one of some workers may use; none, which is all, where the system cannot say."""
+    if not hasattr(os, "sched_getaffinity"):
+        return []
+    cores = sorted(os.sched_getaffinity(0))
+    return cores[worker % len(cores) :: workers]
+
+
+def free_cache(folder: Path, numbers: Iterator[int], held: contextlib.ExitStack) -> Path:
+    """The first folder for compiled kernels that no other process of this machine uses."""
+    for number in numbers:
+        cache = folder / "kernels" / f"{HOST}-{number}"
+        with contextlib.suppress(SplatFileError):
+            held.enter_context(locked_folder(cache))
+            return cache
+    raise AssertionError("numbers do not end")

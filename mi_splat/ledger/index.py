@@ -1,0 +1,115 @@
+"""Labels of jobs, and how far each job is: files beside the results, which no key depends on."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.import_closure import code_digest
+from mi_splat.io.documents import save_text
+from mi_splat.io.parsing import DocumentReader
+from mi_splat.ledger.job import Job
+from mi_splat.ledger.store import Store
+
+STATES = ("waiting", "ready", "running", "done", "failed")
+"""For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
+_OFTEN = 5.0
+"""Least seconds between two writings of a list of jobs that grows."""
+_READER = DocumentReader(expected="a list of jobs", do="plan the study again", most=1 << 30)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A job of an index.
+
+    Attributes:
+        labels: What the plan calls it; empty if only other jobs ask for it.
+        kind: Of the job.
+        state: One of `STATES`.
+        key: Empty while it is not known, as what it reads is not done.
+    """
+
+    labels: tuple[str, ...]
+    kind: str
+    state: str
+    key: str
+
+
+class Index:
+    """The jobs of a plan by name, and the keys of all jobs of a store.
+
+    Args:
+        folder: The store.
+        name: Of the plan.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._path, self._keys_path = folder / "plans" / f"{name}.json", folder / "plans" / "keys"
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._jobs: dict[str, tuple[str, list[str], list[str]]] = {}
+        self._keys = read_keys(folder)
+        self._written = time.monotonic()
+        self._changed = False
+
+    def add(self, job: Job, label: str = "") -> None:
+        """A job of the plan, under one more label."""
+        if job.identity not in self._jobs:
+            self._jobs[job.identity] = (job.kind, [other.identity for other in job.before], [])
+            self._changed = True
+        labels = self._jobs[job.identity][2]
+        if label and label not in labels:
+            labels.append(label)
+            self._changed = True
+        if time.monotonic() - self._written > _OFTEN:
+            self.write()
+
+    def set_key(self, job: Job, code: str, key: str) -> None:
+        """The key of a job whose inputs are done."""
+        if self._keys.get(job.identity) != (code, key):
+            self._keys[job.identity] = (code, key)
+            with self._keys_path.open("a") as file:
+                file.write(f"{job.identity} {code} {key}\n")
+
+    def write(self) -> None:
+        """Write the list of jobs, if it has grown."""
+        if self._changed:
+            save_text(json.dumps([[name, *rest] for name, rest in self._jobs.items()]), self._path)
+            self._written, self._changed = time.monotonic(), False
+
+
+def read_keys(folder: Path) -> dict[str, tuple[str, str]]:
+    """Code and key of every job, by its identity, as the drivers have last known them."""
+    path = folder / "plans" / "keys"
+    lines = path.read_text().splitlines() if path.is_file() else []
+    return {parts[0]: (parts[1], parts[2]) for parts in map(str.split, lines) if len(parts) == 3}
+
+
+def status(store: Store, name: str) -> list[Entry]:
+    """The jobs of a plan and their states, as of its last planning.
+
+    Raises:
+        InvalidValueError: There is no such plan.
+    """
+    path = store.folder / "plans" / f"{name}.json"
+    if not path.is_file():
+        raise InvalidValueError(message(str(path), "a plan", "none", "plan or run the study first"))
+    jobs, keys = _READER.read_json_value(path), read_keys(store.folder)
+    digests = {kind: code_digest(kind) for kind in {kind for _, kind, _, _ in jobs}}
+    finished, live, failed = store.keys(), store.leases.live(), store.failed()
+    known = {name: keys[name][1] for name, kind, _, _ in jobs if name in keys and keys[name][0] == digests[kind]}
+    entries = []
+    for name, kind, before, labels in jobs:
+        key = known.get(name, "")
+        if key in finished:
+            state = "done"
+        elif key in live:
+            state = "running"
+        elif key in failed:
+            state = "failed"
+        else:
+            state = "ready" if all(known.get(other) in finished for other in before) else "waiting"
+        entries.append(Entry(labels=tuple(labels), kind=kind, state=state, key=key))
+    return entries

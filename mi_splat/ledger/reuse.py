@@ -1,0 +1,103 @@
+"""Results of older code that new code would make again to the bit: some are made, and if equal, the rest is taken."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections import Counter
+from dataclasses import dataclass
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.import_closure import closure, code_digest
+from mi_splat.ledger.job import Task
+from mi_splat.ledger.store import FILES, Store, differences
+from mi_splat.ledger.values import decoded, encoded
+from mi_splat.ledger.watching import Child
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reuse:
+    """What was taken over.
+
+    Attributes:
+        code: Digest of the code that made it.
+        verified: Keys of the jobs that were made again.
+        taken: Keys of those that were not.
+    """
+
+    code: str
+    verified: tuple[str, ...]
+    taken: tuple[str, ...]
+
+
+def reuse(store: Store, kind: str, *, verify: int, reason: str, child: Child | None = None) -> Reuse:
+    """Take over the results of a kind that older code made, of the code that made most of them.
+
+    Args:
+        store: The store.
+        kind: Of the jobs.
+        verify: How many are made again under today's code; they are spread over all.
+        reason: Why the change of the code changes no result; it stands in the records.
+        child: What makes them.
+
+    Raises:
+        InvalidValueError: There are none, or one that was made again has other bytes or has failed.
+    """
+    older = _older(store, kind)
+    if not older:
+        raise InvalidValueError(message(kind, "results of older code", "none", "run the study"))
+    code = Counter(record_code for _, _, record_code in older).most_common(1)[0][0]
+    pairs = [(key, task) for key, task, record_code in older if record_code == code]
+    chosen = {number * len(pairs) // max(1, verify) for number in range(verify)} if verify < len(pairs) else None
+    again = [pair for number, pair in enumerate(pairs) if chosen is None or number in chosen]
+    runner = child or Child(store.folder)
+    try:
+        for key, task in again:
+            _compare(store, key, task, runner)
+    finally:
+        runner.close()
+    verified = tuple(task.key for _, task in again)
+    note = {"code": code, "verified": list(verified), "reason": reason}
+    rest = [pair for pair in pairs if pair[1].key not in verified]
+    for key, task in rest:
+        _take(store, key, task, {**note, "from": key})
+    return Reuse(code=code, verified=verified, taken=tuple(task.key for _, task in rest))
+
+
+def _older(store: Store, kind: str) -> list[tuple[str, Task, str]]:
+    """Key, today's task and code of every result of older code that today's code has not made."""
+    found = []
+    code, modules = code_digest(kind), closure(kind)
+    for key in sorted(store.keys()):
+        record = store.record(key)
+        if record["kind"] == kind and record["code"] != code:
+            config = encoded(decoded(record["config"], modules))
+            task = Task(kind=kind, config=config, inputs=record["inputs"], code=code)
+            if not store.has(task.key):
+                found.append((key, task, str(record["code"])))
+    return found
+
+
+def _compare(store: Store, key: str, task: Task, child: Child) -> None:
+    outcome = child.run(task)
+    do = "run the study, its results are other ones"
+    if outcome.state != "done":
+        raise InvalidValueError(message(f"job {task.key}", "a result under today's code", outcome.text, do))
+    names = differences(store.existing(key).record, store.existing(task.key).record)
+    if names:
+        raise InvalidValueError(message(f"job {task.key}", f"the bytes of {key}", f"another {', '.join(names)}", do))
+
+
+def _take(store: Store, key: str, task: Task, note: dict[str, object]) -> None:
+    """The result of an older job as that of a new one; the disk holds its files once, where it can."""
+    done = store.existing(key)
+    with store.leases.held(task.key), store.making(task.key) as (temporary, _):
+        for name in done.record["files"]:
+            target = temporary / FILES / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(done.folder / name, target)
+            except OSError:
+                shutil.copy2(done.folder / name, target)
+        record = {**done.record, "config": task.config, "inputs": task.inputs, "code": task.code, "reused": note}
+        store.publish(temporary, record, task.key)

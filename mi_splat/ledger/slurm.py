@@ -1,0 +1,128 @@
+"""Jobs as arrays of SLURM, one for each level of the graph, and what an element of an array runs.
+
+`python -m mi_splat.ledger.slurm STORE JOBS FIRST LAST` does some of the jobs of a file.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.import_closure import closure
+from mi_splat.io.documents import save_text
+from mi_splat.io.parsing import DocumentReader
+from mi_splat.ledger.engines import Processes
+from mi_splat.ledger.job import Job, Part
+from mi_splat.ledger.plans import Driver, grid
+from mi_splat.ledger.values import decoded
+
+JOBS, SUBMIT = "jobs.json", "submit.sh"
+MOST_ELEMENTS = 1000
+"""Most elements of an array; SLURM itself has 1,001 unless its administrator says otherwise."""
+_READER = DocumentReader(expected="exported jobs", do="export the study again", most=1 << 30)
+
+
+def export(jobs: Iterable[Job], folder: Path, store: Path, *, options: Sequence[str] = ()) -> list[int]:
+    """Write the jobs, a script for each level of their graph, and `submit.sh`, which hands them to SLURM in order.
+
+    Args:
+        jobs: They, and all before them.
+        folder: Where to write.
+        store: The store, as all machines see it.
+        options: Lines for sbatch, as `--time=02:00:00`.
+
+    Returns:
+        How many jobs each level has.
+    """
+    levels = _levels(jobs)
+    ordered = [job for level in levels for job in level]
+    numbers = {job.identity: number for number, job in enumerate(ordered)}
+    folder.mkdir(parents=True, exist_ok=True)
+    save_text(json.dumps([_as_json(job, numbers) for job in ordered]), folder / JOBS)
+    first, submit = 0, ["#!/bin/sh", "set -e", 'cd "$(dirname "$0")"', "after="]
+    for number, level in enumerate(levels):
+        each = -(-len(level) // MOST_ELEMENTS)
+        elements = -(-len(level) // each)
+        command = [sys.executable, "-m", "mi_splat.ledger.slurm", str(store.absolute()), str(folder.absolute() / JOBS)]
+        lines = [
+            "#!/bin/sh",
+            *(f"#SBATCH {option}" for option in (f"--array=0-{elements - 1}", *options)),
+            f"first=$(({first} + SLURM_ARRAY_TASK_ID * {each}))",
+            f"last=$((first + {each} < {first + len(level)} ? first + {each} : {first + len(level)}))",
+            f'exec {shlex.join(command)} "$first" "$last"',
+        ]
+        save_text("\n".join(lines) + "\n", folder / f"level-{number}.sbatch")
+        submit.append(f"after=$(sbatch --parsable ${{after:+--dependency=afterany:$after}} level-{number}.sbatch)")
+        first += len(level)
+    save_text("\n".join(submit) + "\n", folder / SUBMIT)
+    return [len(level) for level in levels]
+
+
+def read_jobs(path: Path) -> list[Job]:
+    """The jobs of an exported file, each after those that it reads.
+
+    Raises:
+        InvalidValueError: It is broken.
+    """
+    jobs: list[Job] = []
+    for kind, config, inputs in _READER.read_json_value(path):
+        sources: dict[str, Job | Part | Path] = {}
+        for name, source in inputs.items():
+            if isinstance(source, str):
+                sources[name] = Path(source)
+            elif source[0] < len(jobs):
+                sources[name] = jobs[source[0]] if source[1] is None else jobs[source[0]].part(source[1])
+            else:
+                raise InvalidValueError(message(str(path), "jobs in their order", source, "export the study again"))
+        jobs.append(Job(kind=kind, config=decoded(config, closure(kind)), inputs=sources))
+    return jobs
+
+
+def run(store: Path, jobs: Path, first: int, last: int) -> int:
+    """Do the jobs from number `first` to before `last`; returns how many have failed."""
+    chosen = {str(number): job for number, job in enumerate(read_jobs(jobs)) if first <= number < last}
+    results = Driver(store, Processes(store, workers=1)).run([grid(chosen)])
+    failed = {number: result for number, result in results.items() if isinstance(result, str)}
+    for number, text in failed.items():
+        sys.stderr.write(f"job {number}: {text}\n")
+    return len(failed)
+
+
+def _levels(jobs: Iterable[Job]) -> list[list[Job]]:
+    """Jobs and all before them, by the longest way that leads to each."""
+    depths: dict[str, int] = {}
+    levels: list[list[Job]] = []
+
+    def depth(job: Job) -> int:
+        if job.identity not in depths:
+            depths[job.identity] = number = 1 + max((depth(needed) for needed in job.before), default=-1)
+            levels.extend([] for _ in range(len(levels), number + 1))
+            levels[number].append(job)
+        return depths[job.identity]
+
+    for job in jobs:
+        depth(job)
+    return levels
+
+
+def _as_json(job: Job, numbers: Mapping[str, int]) -> list[Any]:
+    inputs: dict[str, Any] = {}
+    for name, source in job.inputs.items():
+        if isinstance(source, Path):
+            inputs[name] = str(source.absolute())
+        else:
+            inputs[name] = (
+                [numbers[source.job.identity], source.pattern]
+                if isinstance(source, Part)
+                else [numbers[source.identity], None]
+            )
+    return [job.kind, job.config_json, inputs]
+
+
+if __name__ == "__main__":
+    sys.exit(min(1, run(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))))

@@ -1,0 +1,44 @@
+"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS WORKERS|tcp://...` does a plan of walks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Generator, Mapping
+from pathlib import Path
+
+from mi_splat.ledger.cluster import Cluster
+from mi_splat.ledger.engines import Engine, Processes
+from mi_splat.ledger.job import Done, Job
+from mi_splat.ledger.plans import Driver, Plan, Result
+from mi_splat.ledger.store import Store
+from tests.ledger.kinds.configs import WalkConfig
+
+WALK = "tests.ledger.kinds.walk"
+
+
+def walk(start: int, *, steps: int = 3, seconds: float = 0.0, trouble: str = "", **inputs: Job) -> Job:
+    return Job(kind=WALK, config=WalkConfig(start=start, steps=steps, seconds=seconds, trouble=trouble), inputs=inputs)
+
+
+def two_levels(count: int, *, steps: int = 4, seconds: float = 0.02) -> Plan:
+    """Walks, then walks that read two of them, and then one whose start is what another has found."""
+    first = [walk(number, steps=steps, seconds=seconds) for number in range(count)]
+    second = {
+        f"second-{n}": walk(n, steps=steps, seconds=seconds, one=first[n], other=first[n - 1]) for n in range(count // 2)
+    }
+    results = yield second | {f"first-{number}": job for number, job in enumerate(first)}
+    ends = [result.rows[0]["end"] for result in (results or {}).values() if isinstance(result, Done)]
+    yield {"last": walk(sum(ends), steps=steps)}
+
+
+def engine(store: Path, what: str) -> Engine:
+    return Cluster(store, what) if what.startswith("tcp:") else Processes(store, workers=int(what))
+
+
+def main(store: Path, count: int, what: str) -> int:
+    results = Driver(store, engine(store, what), name="walks").run([two_levels(count)])
+    return sum(isinstance(result, str) for result in results.values())
+
+
+if __name__ == "__main__":
+    sys.exit(min(100, main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])))

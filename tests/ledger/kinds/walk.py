@@ -1,0 +1,37 @@
+"""Goes some steps, remembers how far it has come, and may do what a job should not."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.ledger.kinds.configs import WalkConfig
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+
+def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, int]]:
+    """A chain of numbers, which is the same however often it was interrupted."""
+    kept = out.partial / "kept"
+    step, number = map(int, kept.read_text().split()) if kept.is_file() else (0, config.start)
+    while step < config.steps:
+        if config.trouble == "raise":
+            raise ValueError("no way")
+        if config.trouble == "kill":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if config.trouble == "eat":
+            eaten = bytearray(b"x") * 400_000_000
+            number += len(eaten)
+        time.sleep(config.seconds)
+        step, number = step + 1, (number * 6364136223846793005 + 1) % (1 << 64)
+        (out.partial / "new").write_text(f"{step} {number}")
+        os.replace(out.partial / "new", kept)
+        out.progress("walking", step, config.steps)
+    (out / "end.txt").write_text(str(number))
+    before = sum(int((path / "end.txt").read_text()) for path in inputs.values())
+    return [{"end": number % 1000, "before": before % 1000}]
