@@ -254,6 +254,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
     ),
 }
 EXTRAS = {
+    "cluster": "distributed",
     "figures": "matplotlib",
     "meshes": "trimesh",
     "report": "jinja2",

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import statistics
 import time
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +14,16 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.import_closure import code_digest
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Job
+from mi_splat.ledger.job import Done, Job
+from mi_splat.ledger.running import task_for
 from mi_splat.ledger.store import Store
 
 STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
 _OFTEN = 5.0
 """Least seconds between two writings of a list of jobs that grows."""
+_MEASURED = 50
+"""How many finished jobs of a kind tell how long one takes."""
 _READER = DocumentReader(expected="a list of jobs", do="plan the study again", most=1 << 30)
 
 
@@ -78,6 +84,54 @@ class Index:
         if self._changed:
             save_text(json.dumps([[name, *rest] for name, rest in self._jobs.items()]), self._path)
             self._written, self._changed = time.monotonic(), False
+
+
+def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
+    """Write down the jobs of a plan by their labels, and all before them, and look how far each is.
+
+    Raises:
+        InvalidValueError: An input is not there, or a finished job was changed.
+    """
+    index, results = Index(store.folder, name), dict[str, Done | None]()
+    for label, job in jobs.items():
+        _resolve(job, store, index, results)
+        index.add(job, label)
+    index.write()
+    return status(store, name)
+
+
+def _resolve(job: Job, store: Store, index: Index, results: dict[str, Done | None]) -> None:
+    """Look up a job, those before it first; what reads one that is not done has no key yet."""
+    if job.identity in results:
+        return
+    for needed in job.before:
+        _resolve(needed, store, index, results)
+    index.add(job)
+    finished = {needed.identity: done for needed in job.before if (done := results[needed.identity]) is not None}
+    results[job.identity] = None
+    if all(needed.identity in finished for needed in job.before):
+        task = task_for(job, store, finished)
+        index.set_key(job, task.code, task.key)
+        results[job.identity] = store.done(task.key)
+
+
+def forecast(store: Store, entries: Iterable[Entry]) -> float | None:
+    """Seconds that the jobs which are not done take together, as long as those of their kind took; None for unknown.
+
+    Args:
+        store: The store.
+        entries: Of an index.
+    """
+    seconds: dict[str, list[float]] = {}
+    missing: Counter[str] = Counter()
+    for entry in entries:
+        if entry.state == "done" and len(seconds.setdefault(entry.kind, [])) < _MEASURED:
+            seconds[entry.kind].append(float(store.record(entry.key)["seconds"]))
+        missing[entry.kind] += entry.state != "done"
+    needed = {kind: count for kind, count in missing.items() if count}
+    if any(not seconds.get(kind) for kind in needed):
+        return None
+    return sum(count * statistics.mean(seconds[kind]) for kind, count in needed.items())
 
 
 def read_keys(folder: Path) -> dict[str, tuple[str, str]]:

@@ -145,12 +145,10 @@ class Store:
             SplatFileError: The disk is full or cannot be written.
         """
         files = {name: sha256(path) for name, path in _files(temporary / FILES).items()}
-        whole = {**record, "files": files, "content": digest([files, record["rows"]])}
         target = self.folder_of(key)
         try:
-            lines = (f"{canonical(name)}: {canonical(value)}" for name, value in whole.items())
-            (temporary / RECORD).write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
-            if not whole["files"]:
+            (temporary / RECORD).write_text(record_text(record, files), "utf-8")
+            if not files:
                 shutil.rmtree(temporary / FILES)
             _sync(temporary)
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -159,7 +157,7 @@ class Store:
             except OSError:
                 if not self.has(key):
                     raise
-                return self._second(temporary, whole, key)
+                return self._second(temporary, {**record, "files": files}, key)
         except OSError as error:
             raise from_os_error(str(target), "a folder that can be written", error) from error
         shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
@@ -212,6 +210,12 @@ class Store:
         for key in _names(self.folder / "partial"):
             if key not in live and self.has(key):
                 shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
+
+
+def record_text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
+    """job.json of a record and the SHA-256 of its files, a line for each value."""
+    whole = {**record, "files": files, "content": digest([files, record["rows"]])}
+    return "{\n" + ",\n".join(f"{canonical(name)}: {canonical(value)}" for name, value in whole.items()) + "\n}\n"
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:

@@ -1,16 +1,14 @@
-"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS WORKERS|tcp://...` does a plan of walks."""
+"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS ENGINE` does a plan of walks."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator, Mapping
 from pathlib import Path
 
 from mi_splat.ledger.cluster import Cluster
 from mi_splat.ledger.engines import Engine, Processes
 from mi_splat.ledger.job import Done, Job
-from mi_splat.ledger.plans import Driver, Plan, Result
-from mi_splat.ledger.store import Store
+from mi_splat.ledger.plans import Driver, Plan
 from tests.ledger.kinds.configs import WalkConfig
 
 WALK = "tests.ledger.kinds.walk"
@@ -24,7 +22,8 @@ def two_levels(count: int, *, steps: int = 4, seconds: float = 0.02) -> Plan:
     """Walks, then walks that read two of them, and then one whose start is what another has found."""
     first = [walk(number, steps=steps, seconds=seconds) for number in range(count)]
     second = {
-        f"second-{n}": walk(n, steps=steps, seconds=seconds, one=first[n], other=first[n - 1]) for n in range(count // 2)
+        f"second-{n}": walk(n, steps=steps, seconds=seconds, one=first[n], other=first[n - 1])
+        for n in range(count // 2)
     }
     results = yield second | {f"first-{number}": job for number, job in enumerate(first)}
     ends = [result.rows[0]["end"] for result in (results or {}).values() if isinstance(result, Done)]
