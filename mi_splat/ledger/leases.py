@@ -132,8 +132,11 @@ def _write(path: Path, token: str) -> None:
     """Write a lease, which appears whole."""
     lease = {"host": HOST, "boot": boot_id(), "process": os.getpid(), "start": start_of(os.getpid()), "token": token}
     temporary = path.with_name(f".{path.name}.{token}")
-    temporary.write_text(json.dumps(lease))
-    os.replace(temporary, path)
+    try:
+        temporary.write_text(json.dumps(lease))
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _read(path: Path) -> dict[str, Any]:

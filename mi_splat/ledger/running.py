@@ -32,22 +32,16 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
     if (done := store.done(task.key)) is not None:
         on_event(Event(state="kept", key=task.key, kind=task.kind))
         return done
-    with store.leases.held(task.key):
-        if (done := store.done(task.key)) is None:  # nobody has done it while this process came to the lease
-            on_event(Event(state="running", key=task.key, kind=task.kind))
-            begun = time.monotonic()
-            try:
+    try:
+        with store.leases.held(task.key):
+            if not store.has(task.key):  # nobody has done it while this process came to the lease
                 _make(store, task, on_event)
-            except Exception as error:
-                if is_disk_full(error):
-                    do = "free some space; what is done stays, and the job goes on from what it kept"
-                    text = message(str(store.folder), "space on the disk", "none", do)
-                    raise DiskFullError(text) from error
-                _note(store, task, error, time.monotonic() - begun, on_event)
-                raise
-            on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - begun))
-            done = store.existing(task.key)
-    return done
+    except Exception as error:
+        if not is_disk_full(error):
+            raise
+        do = "free some space; what is done stays, and the job goes on from what it kept"
+        raise DiskFullError(message(str(store.folder), "space on the disk", "none", do)) from error
+    return store.existing(task.key)
 
 
 def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
@@ -92,6 +86,23 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
 
 
 def _make(store: Store, task: Task, on_event: OnEvent) -> None:
+    """Do a job, and write down a failure."""
+    on_event(Event(state="running", key=task.key, kind=task.kind))
+    begun = time.monotonic()
+    try:
+        _run(store, task, on_event)
+    except Exception as error:
+        if not is_disk_full(error):  # which is no fault of the job's, and could not hold it
+            seconds, text = time.monotonic() - begun, "".join(traceback.format_exception(error))
+            tries = store.note_failure(task, text, round(seconds, 3))
+            text = f"try {tries} of {TRIES}: {error}"
+            on_event(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
+        raise
+    on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - begun))
+
+
+def _run(store: Store, task: Task, on_event: OnEvent) -> None:
+    """Do a job, and put its result into the store."""
     if code_digest(task.kind) != task.code:
         do = "plan the job again, with the same code everywhere"
         raise InvalidValueError(message(f"code of {task.kind}", task.code, code_digest(task.kind), do))
@@ -133,14 +144,6 @@ def _checked(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
                 expected = "a finite number of Python, a text, a truth value or None"
                 raise InvalidValueError(message(f"rows of {kind}: {name}", expected, repr(value), "convert it"))
     return [dict(row) for row in rows]
-
-
-def _note(store: Store, task: Task, error: Exception, seconds: float, on_event: OnEvent) -> None:
-    """Write a failed try down."""
-    text = "".join(traceback.format_exception(error))
-    tries = store.note_failure(task, text, round(seconds, 3))
-    text = f"try {tries} of {TRIES}: {error}"
-    on_event(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
 
 
 def is_disk_full(error: BaseException | None) -> bool:

@@ -1,4 +1,4 @@
-"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS ENGINE` does a plan of walks."""
+"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS ENGINE SECONDS` does a plan of walks."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def engine(store: Path, what: str) -> Engine:
     return Cluster(store, what) if what.startswith("tcp:") else Processes(store, workers=int(what))
 
 
-def main(store: Path, count: int, what: str) -> int:
-    results = Driver(store, engine(store, what), name="walks").run([two_levels(count)])
+def main(store: Path, count: int, what: str, seconds: float) -> int:
+    results = Driver(store, engine(store, what), name="walks").run([two_levels(count, seconds=seconds)])
     return sum(isinstance(result, str) for result in results.values())
 
 
 if __name__ == "__main__":
-    sys.exit(min(100, main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])))
+    sys.exit(min(100, main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4]))))

@@ -1,4 +1,4 @@
-"""Goes some steps, remembers how far it has come, and may do what a job should not."""
+"""Goes some steps, remembers how far it has come, may do what a job should not, and leaves its name in the store."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, int]]:
     """A chain of numbers, which is the same however often it was interrupted."""
     kept = out.partial / "kept"
+    with (out.kept.parents[1] / "runs").open("a") as runs:
+        runs.write(f"{out.kept.name}\n")
     step, number = map(int, kept.read_text().split()) if kept.is_file() else (0, config.start)
     while step < config.steps:
         if config.trouble == "raise":

@@ -1,0 +1,185 @@
+"""Plans and what runs them: order, failures, limits, two drivers, plans that go on with results."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.ledger import Done, Event, Job, Ledger, Store
+from mi_splat.ledger.engines import InProcess, Processes, share_of_cores
+from mi_splat.ledger.index import forecast, plan, status
+from mi_splat.ledger.job import Task
+from mi_splat.ledger.plans import Driver, Plan, Result, grid
+from mi_splat.ledger.running import task_for
+from mi_splat.ledger.watching import EngineError, Limits
+from tests.ledger.drive import two_levels, walk
+from tests.project.layers import ROOT
+
+
+def run(
+    folder: Path, jobs: dict[str, Job], limits: Limits | None = None, *, events: list[Event] | None = None
+) -> dict[str, Result]:
+    told = [] if events is None else events
+    engine = Processes(folder, workers=2, limits=limits, on_event=told.append)
+    return Driver(folder, engine, name="plan", on_event=told.append).run([grid(jobs)])
+
+
+def states(folder: Path) -> Counter[str]:
+    return Counter(entry.state for entry in status(Store(folder), "plan"))
+
+
+def test_one_poisoned_of_200_fails_alone_after_three_tries_with_its_signal_named(tmp_path: Path) -> None:
+    jobs = {str(number): walk(number, steps=1) for number in range(199)}
+    jobs["poisoned"] = walk(0, trouble="kill")
+    jobs["after"] = walk(1, before=jobs["poisoned"])
+    events: list[Event] = []
+    results = run(tmp_path, jobs, events=events)
+    assert results.pop("poisoned") == "ended by SIGSEGV"
+    assert "has failed" in str(results.pop("after"))
+    assert all(isinstance(result, Done) for result in results.values())
+    assert [event.text for event in events if event.state == "failed"] == [
+        f"try {number}: ended by SIGSEGV" for number in (1, 2, 3)
+    ]
+    assert states(tmp_path) == {"done": 199, "failed": 1, "waiting": 1}
+    (key,) = (entry.key for entry in status(Store(tmp_path), "plan") if entry.state == "failed")
+    events.clear()
+    assert run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events) == {"poisoned": "ended by SIGSEGV"}
+    assert events == []  # it is not tried again until somebody says so
+    assert Store(tmp_path).forgive(key)
+    run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events)
+    assert [event.state for event in events] == ["running", "failed"] * 3
+
+
+@pytest.mark.parametrize(
+    ("trouble", "limits", "why"),
+    [
+        ("raise", Limits(), "ValueError: no way"),
+        ("eat", Limits(megabytes=200.0), "MB of memory, more than 200"),
+        ("", Limits(seconds=0.3), r"ran longer than 0.3 s"),
+    ],
+)
+def test_a_failure_says_why(trouble: str, limits: Limits, why: str, tmp_path: Path) -> None:
+    slow = walk(0, steps=1, seconds=2.0, trouble=trouble)
+    Store(tmp_path).folder.mkdir(exist_ok=True)
+    for _ in range(2):  # two tries of the three were made before
+        Store(tmp_path).note_failure(_task(tmp_path, slow), "earlier", 0.0)
+    results = run(tmp_path, {"slow": slow}, limits)
+    assert why in str(results["slow"])
+
+
+def _task(folder: Path, job: Job) -> Task:
+    return task_for(job, Store(folder), {})
+
+
+def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def halved() -> Plan:
+        low, high = 0, 16
+        while high - low > 1:
+            middle = (low + high) // 2
+            asked.append(middle)
+            results = yield {f"at {middle}": walk(middle, steps=1)}
+            result = (results or {})[f"at {middle}"]
+            assert isinstance(result, Done)
+            low, high = (low, middle) if middle >= 11 else (middle, high)
+
+    results = Driver(tmp_path, InProcess(tmp_path), name="plan").run([halved(), grid({}), grid({"one": walk(99)})])
+    assert asked == [8, 12, 10, 11]
+    assert set(results) == {"one", "at 8", "at 12", "at 10", "at 11"}
+    assert states(tmp_path) == {"done": 5}
+
+
+def test_what_a_job_raises_in_this_process_ends_the_plan(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no way"):
+        Driver(tmp_path, InProcess(tmp_path)).run([grid({"bad": walk(0, trouble="raise")})])
+
+
+def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
+    store, first = Store(tmp_path), walk(1)
+    jobs = {"second": walk(2, one=first), "third": walk(3)}
+    assert Counter(entry.state for entry in plan(store, "plan", jobs)) == {"ready": 2, "waiting": 1}
+    assert forecast(store, status(store, "plan")) is None
+    Ledger(tmp_path).do(first)
+    assert Counter(entry.state for entry in plan(store, "plan", jobs)) == {"ready": 2, "done": 1}
+    seconds = store.record(next(iter(store.keys())))["seconds"]
+    assert forecast(store, status(store, "plan")) == pytest.approx(2 * seconds)
+    (entry,) = (entry for entry in status(store, "plan") if entry.labels == ("second",))
+    with store.leases.held(entry.key):
+        assert states(tmp_path) == {"ready": 1, "done": 1, "running": 1}
+    with pytest.raises(InvalidValueError, match="expected a plan, got none"):
+        status(store, "other")
+
+
+def test_two_drivers_run_no_job_twice(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.ledger.drive", str(tmp_path), "24", "1", "0.01"]
+    drivers = [subprocess.Popen(command, cwd=ROOT) for _ in range(2)]
+    assert [driver.wait(60) for driver in drivers] == [0, 0]
+    assert len(Store(tmp_path).keys()) == 24 + 12 + 1
+    assert not (tmp_path / "different").exists()
+    runs = Counter((tmp_path / "runs").read_text().split())
+    assert set(runs.values()) == {1}, "a job was run twice"
+    assert len(runs) == 37
+
+
+def test_a_child_ends_with_its_driver(tmp_path: Path) -> None:
+    driver = subprocess.Popen([sys.executable, "-m", "tests.ledger.drive", str(tmp_path), "2", "2", "60"], cwd=ROOT)
+    try:
+        until(lambda: len(Store(tmp_path).leases.live()) == 2)
+    finally:
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+    until(lambda: not Store(tmp_path).leases.live())
+
+
+def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_an_engine_that_is_closed_blames_no_job(tmp_path: Path) -> None:
+    engine = Processes(tmp_path, workers=1)
+    outcomes: list[str] = []
+    engine.submit(_task(tmp_path, walk(0, steps=1, seconds=60.0)), lambda outcome: outcomes.append(outcome.state))
+    until(lambda: bool(Store(tmp_path).leases.live()))
+    engine.close()
+    assert outcomes == ["stopped"]
+    assert not (tmp_path / "failed").exists()
+
+
+def test_a_child_that_cannot_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(EngineError, match="expected one that starts, got ended with status 1"):
+        run(tmp_path, {"any": walk(0)})
+    assert not (tmp_path / "failed").exists()
+
+
+def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {1, 2, 3, 5, 8}, raising=False)
+    assert [share_of_cores(worker, 2) for worker in range(2)] == [[1, 3, 8], [2, 5]]
+    assert [share_of_cores(worker, 7) for worker in range(7)] == [[1], [2], [3], [5], [8], [1], [2]]
+
+
+def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    Driver(one, InProcess(one)).run([two_levels(6, seconds=0.0)])
+    Driver(two, Processes(two, workers=2)).run([two_levels(6, seconds=0.0)])
+    assert bytes_of(one) == bytes_of(two)
+
+
+def bytes_of(folder: Path) -> dict[str, object]:
+    """Files and rows of every job by its key."""
+    store = Store(folder)
+    done = map(store.existing, store.keys())
+    return {job.key: (job.record["files"], job.rows) for job in done}

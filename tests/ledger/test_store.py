@@ -1,0 +1,164 @@
+"""The folder of results: a second result, what varies, a full disk, what a killed process leaves."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import errno
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import sha256
+from mi_splat.io.parsing import read_json
+from mi_splat.ledger import Event, Job, Ledger
+from mi_splat.ledger.job import DiskFullError
+from mi_splat.ledger.running import run_job, task_for
+from mi_splat.ledger.store import Store, content_of_path, record_text
+from tests.ledger.drive import walk
+from tests.ledger.kinds.configs import NumbersConfig
+
+NUMBERS = "tests.ledger.kinds.numbers"
+
+
+def both(store: Store, change: Callable[[Path], None]) -> list[Event]:
+    """A job that another process finishes first, with what `change` makes of its files; the events of the second."""
+    job = Job(kind=NUMBERS, config=NumbersConfig())
+    task = task_for(job, store, {})
+    other = Store(store.folder.with_name("other"))
+    events: list[Event] = []
+
+    def tell(event: Event) -> None:
+        events.append(event)
+        if event.state == "progress":  # in the middle of our job, the other process ends its own
+            run_job(other, task)
+            change(other.folder_of(task.key))
+            store.folder_of(task.key).parent.mkdir(parents=True)
+            shutil.copytree(other.folder_of(task.key), store.folder_of(task.key))
+
+    run_job(store, task, tell)
+    return events
+
+
+def rewritten(folder: Path) -> None:
+    """Another sum, in the record too, as another machine might have found."""
+    (folder / "files" / "sum.txt").write_text("7")
+    record = read_json(folder / "job.json")
+    files = {"sum.txt": sha256(folder / "files" / "sum.txt")}
+    (folder / "job.json").write_text(record_text(record, files))
+
+
+def test_an_equal_second_result_is_dropped_and_a_different_one_kept_and_reported(tmp_path: Path) -> None:
+    store = Store(tmp_path / "equal")
+    assert [event.state for event in both(store, lambda folder: None)] == ["running", "progress", "done"]
+    assert not (store.folder / "different").exists()
+    shutil.rmtree(tmp_path / "other")
+    store = Store(tmp_path / "different")
+    events = both(store, rewritten)
+    assert [event.state for event in events] == ["running", "progress", "different", "done"]
+    assert "another sum.txt" in events[2].text
+    (kept,) = (store.folder / "different").iterdir()
+    assert (kept / "files" / "sum.txt").read_text() == "1.0"
+    assert [done.folder.joinpath("sum.txt").read_text() for done in map(store.existing, store.keys())] == ["7"]
+
+
+def test_rows_that_were_changed_are_an_error(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path)
+    done = ledger.do(Job(kind=NUMBERS, config=NumbersConfig()))
+    assert list(ledger.store.rows([done.key])) == [(done.key, [{"sum": 1.0}])]
+    record = ledger.store.folder_of(done.key) / "job.json"
+    record.write_text(record.read_text().replace('[{"sum":1.0}]', '[{"sum":2.0}]'))
+    with pytest.raises(InvalidValueError, match="expected the rows that the job wrote"):
+        list(ledger.store.rows([done.key]))
+    with pytest.raises(InvalidValueError, match=r"expected the record of job"):
+        Ledger(tmp_path).do(Job(kind=NUMBERS, config=NumbersConfig()))
+
+
+def test_a_failed_job_goes_on_where_it_was(tmp_path: Path) -> None:
+    steps: list[int] = []
+
+    def interrupt(event: Event) -> None:
+        if event.state == "progress":
+            steps.append(event.done)
+            if event.done == 3 and steps.count(3) == 1:
+                raise InterruptedError("enough")
+
+    ledger = Ledger(tmp_path / "interrupted", on_event=interrupt)
+    with pytest.raises(InterruptedError):
+        ledger.do(walk(7, steps=5))
+    (failed,) = (tmp_path / "interrupted" / "failed").iterdir()
+    assert "InterruptedError: enough" in failed.read_text()
+    done = ledger.do(walk(7, steps=5))
+    assert steps == [1, 2, 3, 4, 5]
+    assert done.record["files"] == Ledger(tmp_path / "whole").do(walk(7, steps=5)).record["files"]
+    assert not [*(tmp_path / "interrupted" / "failed").iterdir(), *(tmp_path / "interrupted" / "partial").iterdir()]
+
+
+def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, calls, at = tmp_path / "store", 0, 0
+
+    def limited(real: Callable[..., Any], writes: Callable[..., bool]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            nonlocal calls
+            if writes(*arguments, **options):
+                calls += 1
+                if calls >= at > 0:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return real(*arguments, **options)
+
+        return call
+
+    def opened_to_write(path: Any, mode: str = "r", *rest: Any, **options: Any) -> bool:
+        return "w" in mode or "a" in mode
+
+    everything: Callable[..., bool] = lambda *arguments, **options: True  # noqa: E731
+    job = walk(3, steps=2, one=walk(1, steps=2))
+    with monkeypatch.context() as patch:
+        patch.setattr(builtins, "open", limited(open, opened_to_write))
+        patch.setattr("io.open", limited(open, opened_to_write))
+        for name in ("mkdir", "rename", "replace", "fsync"):
+            patch.setattr(os, name, limited(getattr(os, name), everything))
+        while len(Store(store).keys()) < 2:
+            calls, at = 0, at + 1
+            with contextlib.suppress(DiskFullError):
+                Ledger(store).do(job)
+            calls, limit, at = 0, at, 0
+            for key in Store(store).keys():  # noqa: SIM118 - not a dictionary's
+                Store(store).existing(key)
+            left = [path for name in ("failed", "tmp", "leases") for path in (store / name).glob("*[!k]")]
+            assert left == [], "a full disk is no fault of a job, and leaves nothing half-written"
+            at = limit
+    assert at > 15
+    assert not list((store / "different").glob("*"))
+
+
+def test_what_killed_processes_leave_is_swept(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    done = Ledger(tmp_path).do(walk(1))
+    unfinished = "f" * 32
+    for name in (f"tmp/{unfinished}.abc", f"partial/{done.key}", f"partial/{unfinished}"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "some").write_text("some")
+    store.sweep()
+    assert [path.name for path in (tmp_path / "partial").iterdir()] == [unfinished]
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_the_content_of_a_path_is_that_of_its_files(tmp_path: Path) -> None:
+    (tmp_path / "folder" / "in").mkdir(parents=True)
+    (tmp_path / "folder" / "in" / "a").write_text("1")
+    before = content_of_path(tmp_path / "folder")
+    assert content_of_path(tmp_path / "folder") == before
+    (tmp_path / "folder" / "in" / "a").rename(tmp_path / "folder" / "in" / "b")
+    renamed = content_of_path(tmp_path / "folder")
+    (tmp_path / "folder" / "in" / "b").write_text("22")
+    assert len({before, renamed, content_of_path(tmp_path / "folder")}) == 3
+    with pytest.raises(InvalidValueError, match="expected a file or a folder to read, got nothing"):
+        content_of_path(tmp_path / "nothing")
