@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import queue
 import shutil
 from collections import Counter
 from dataclasses import dataclass
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.import_closure import closure, code_digest
+from mi_splat.ledger.engines import Engine
 from mi_splat.ledger.job import Task
 from mi_splat.ledger.store import FILES, Store, differences
 from mi_splat.ledger.values import decoded, encoded
-from mi_splat.ledger.watching import Child
+from mi_splat.ledger.watching import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,15 +32,15 @@ class Reuse:
     taken: tuple[str, ...]
 
 
-def reuse(store: Store, kind: str, *, verify: int, reason: str, child: Child | None = None) -> Reuse:
+def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) -> Reuse:
     """Take over the results of a kind that older code made, of the code that made most of them.
 
     Args:
         store: The store.
         kind: Of the jobs.
+        engine: What makes some of them again; it is closed.
         verify: How many are made again under today's code; they are spread over all.
         reason: Why the change of the code changes no result; it stands in the records.
-        child: What makes them.
 
     Raises:
         InvalidValueError: There are none, or one that was made again has other bytes or has failed.
@@ -50,12 +52,15 @@ def reuse(store: Store, kind: str, *, verify: int, reason: str, child: Child | N
     pairs = [(key, task) for key, task, record_code in older if record_code == code]
     chosen = {number * len(pairs) // max(1, verify) for number in range(verify)} if verify < len(pairs) else None
     again = [pair for number, pair in enumerate(pairs) if chosen is None or number in chosen]
-    runner = child or Child(store.folder)
+    outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
     try:
-        for key, task in again:
-            _compare(store, key, task, runner)
+        for _, task in again:
+            engine.submit(task, outcomes.put)
+        ended = {outcome.key: outcome for outcome in (outcomes.get() for _ in again)}
     finally:
-        runner.close()
+        engine.close()
+    for key, task in again:
+        _compare(store, key, ended[task.key])
     verified = tuple(task.key for _, task in again)
     note = {"code": code, "verified": list(verified), "reason": reason}
     rest = [pair for pair in pairs if pair[1].key not in verified]
@@ -78,14 +83,15 @@ def _older(store: Store, kind: str) -> list[tuple[str, Task, str]]:
     return found
 
 
-def _compare(store: Store, key: str, task: Task, child: Child) -> None:
-    outcome = child.run(task)
-    do = "run the study, its results are other ones"
+def _compare(store: Store, key: str, outcome: Outcome) -> None:
+    """Raise unless a job that was made again is the older one."""
+    do = "run the study: its results are other ones"
     if outcome.state != "done":
-        raise InvalidValueError(message(f"job {task.key}", "a result under today's code", outcome.text, do))
-    names = differences(store.existing(key).record, store.existing(task.key).record)
+        raise InvalidValueError(message(f"job {outcome.key}", "a result under today's code", outcome.text, do))
+    names = differences(store.existing(key).record, store.existing(outcome.key).record)
     if names:
-        raise InvalidValueError(message(f"job {task.key}", f"the bytes of {key}", f"another {', '.join(names)}", do))
+        got = f"another {', '.join(names)}"
+        raise InvalidValueError(message(f"job {outcome.key}", f"the bytes of {key}", got, do))
 
 
 def _take(store: Store, key: str, task: Task, note: dict[str, object]) -> None:
