@@ -84,7 +84,14 @@ def read_jobs(path: Path) -> list[Job]:
 
 
 def run(store: Path, jobs: Path, first: int, last: int) -> int:
-    """Do the jobs from number `first` to before `last`; returns how many have failed."""
+    """Do some jobs of an exported file; returns how many have failed.
+
+    Args:
+        store: The store.
+        jobs: The file.
+        first: Number of the first of them.
+        last: Number after that of the last.
+    """
     chosen = {str(number): job for number, job in enumerate(read_jobs(jobs)) if first <= number < last}
     results = Driver(store, Processes(store, workers=1)).run([grid(chosen)])
     failed = {number: result for number, result in results.items() if isinstance(result, str)}

@@ -103,7 +103,6 @@ def run_killed(folder: Path, count: int, kills: int, *, seed: int, dask: bool, e
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     with killing(seed) as processes:
-        done = 0
         while True:
             if dask:
                 quiet = ["--no-dashboard"]
@@ -117,9 +116,8 @@ def run_killed(folder: Path, count: int, kills: int, *, seed: int, dask: bool, e
                 return processes
             for path in folder.glob("failed/*"):  # a job that was hit three times is tried again
                 Store(folder).forgive(path.stem)
-            if done < kills:
+            if sum(processes.kills.values()) < kills:
                 processes.kill()
-                done += 1
 
 
 def unkilled(folder: Path, count: int) -> dict[str, object]:
@@ -135,8 +133,9 @@ def test_a_run_with_kills_leaves_the_bytes_of_one_without(tmp_path: Path) -> Non
 @pytest.mark.nightly
 @pytest.mark.parametrize("dask", [False, pytest.param(True, marks=DASK)])
 def test_200_kills(dask: bool, tmp_path: Path) -> None:
-    processes = run_killed(tmp_path / "killed", 400, 200, seed=3, dask=dask, every=1.5 if dask else 0.4)
-    check(tmp_path, 400, processes, 100)
+    count = 1500 if dask else 500
+    processes = run_killed(tmp_path / "killed", count, 200, seed=3, dask=dask, every=1.5 if dask else 0.4)
+    check(tmp_path, count, processes, 200)
 
 
 def check(folder: Path, count: int, processes: Killing, least: int) -> None:
