@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from attacks.artifacts.checking import Checked, check_artifact, check_pages
-from attacks.artifacts.contents import RECORD
-from attacks.artifacts.figures import Line
-from attacks.artifacts.rescoring import rescore
 from attacks.cli.artifact_options import ArtifactCheckOptions
 from attacks.cli.loading import load_detectors
+from attacks.report.checking import Check, Result, check_detections, check_figures, check_files, read_result
+from attacks.report.rescoring import fingerprints, rescore
+from attacks.report.results import Story, story_of
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.ranges import UsageError
 from mi_splat.errors import MiSplatError, message
@@ -19,7 +18,7 @@ from mi_splat.errors import MiSplatError, message
 def run(options: ArtifactCheckOptions) -> int:
     """Check each artifact; 1 if a line is red."""
     if not options.folders:
-        raise UsageError(message("folders", "folders of artifacts", "none", "name one"))
+        raise UsageError(message("folders", "folders of results", "none", "name one"))
     given = [
         flag
         for flag, is_given in (
@@ -32,9 +31,12 @@ def run(options: ArtifactCheckOptions) -> int:
     ]
     if given and not options.rescore:
         raise UsageError(message(given[0], "--rescore beside it", "none", "add --rescore"))
-    found: dict[str, list[Line]] = {}
-    for folder in options.folders:
-        found[str(folder)] = _lines(folder, options)
+    if options.manifest and len(options.manifest) != len(options.folders):
+        expected = f"one for each of the {len(options.folders)} folders"
+        raise UsageError(message("--manifest", expected, len(options.manifest), "name one for each"))
+    found: dict[str, list[Check]] = {}
+    for number, folder in enumerate(options.folders):
+        found[str(folder)] = _lines(folder, options.manifest[number] if options.manifest else None, options)
         if not options.json:
             _tell(folder, found[str(folder)])
     if options.json:
@@ -42,27 +44,28 @@ def run(options: ArtifactCheckOptions) -> int:
     return 1 if any(line.passed is False for lines in found.values() for line in lines) else 0
 
 
-def _lines(folder: Path, options: ArtifactCheckOptions) -> list[Line]:
-    """Every line of one artifact; one that cannot be read is one red line, so that the others are still checked."""
+def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) -> list[Check]:
+    """Every line of one result; one that cannot be read is one red line, so that the others are still checked."""
     try:
-        checked = check_artifact(folder)
-        lines = [*checked.files, *checked.figures]
-        if options.pages is not None:
-            lines += check_pages(checked, options.pages)
-        return lines + (_rescored(checked, options) if options.rescore else [])
+        result = read_result(folder)
+        story = story_of(result)
+        lines = [*check_files(folder, manifest=manifest), *check_figures(result, story.figures)]
+        lines += check_detections(result)
+        return lines + (_rescored(result, story, options) if options.rescore else [])
     except MiSplatError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        return [Line(name=str(folder / RECORD), words=" ".join(f"{error}{hint}".split()), passed=False)]
+        return [Check(name=str(folder), words=" ".join(f"{error}{hint}".split()), passed=False)]
 
 
-def _rescored(checked: Checked, options: ArtifactCheckOptions) -> list[Line]:
+def _rescored(result: Result, story: Story, options: ArtifactCheckOptions) -> list[Check]:
     """What detectors say today."""
     limit_threads((os.cpu_count() or 1) // 2)
     with progress("loading the detectors", total=None) as advance:
-        names = options.detectors or tuple(checked.contents.detectors)
+        names = options.detectors or tuple(fingerprints(result.record))
         detectors = load_detectors(names, options.weights)
         return rescore(
-            checked,
+            result,
+            story.rescoring,
             detectors,
             splats=options.splats,
             every=options.every,
@@ -71,7 +74,7 @@ def _rescored(checked: Checked, options: ArtifactCheckOptions) -> list[Line]:
         )
 
 
-def _tell(folder: Path, lines: list[Line]) -> None:
+def _tell(folder: Path, lines: list[Check]) -> None:
     for line in lines:
         show(f"{line.colour:5}  {line.name}: {line.words}")
     red = sum(line.passed is False for line in lines)

@@ -10,51 +10,42 @@ from tyro.conf import Positional
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArtifactOptions:
-    """Pack a finished result into a folder that others can check: raw rows, cameras, configuration, expected figures.
+    """Copy a finished result into a folder that others can check: its record, raw rows, cameras, and manifest.
 
-    Takes the folder that `mi-splat cloak`, `dagger`, `dagger-eot`, `dagger-study`, `dagger-eot-study`, `dagger-pairs`
-    or `dagger-transfer` has written. Writes artifact.json, the tables of raw rows, and what the result has of
-    cameras.json, study.toml and splats/ into --out. Nothing is rendered, unless --detections asks for it.
+    Splats and pictures are left out unless --whole is given. Nothing is packed whose files were changed, or whose rows
+    do not give its figures. The manifest is copied as it is, so that the copy has the same name: the SHA-256 of it.
     """
 
     result: Positional[Path]
     """Folder of the finished result."""
     out: Path = Path("out/artifact")
-    """Folder for the artifact: a new one, written whole."""
-    stages: Path | None = None
-    """Folder of the study's stages, where its observations are; None is a folder in the result's (cloak)."""
-    page: tuple[str, ...] = ()
-    """Pages of the documentation that show the result's figures, relative to the checkout."""
-    splats: bool = False
-    """Pack the splats, too, so that others can score them again."""
-    detections: bool = False
-    """Let the study's detectors look at its splats again, and keep every detection as a row (cloak)."""
-    weights: tuple[Path, ...] = ()
-    """Files with the detectors' weights, in the study's order; none takes the shipped or published ones."""
+    """Folder for the copy: a new one, written whole."""
+    whole: bool = False
+    """Copy splats and pictures, too, so that others can score the splats again."""
     force: bool = False
     """Replace an older artifact in --out."""
     json: bool = False
-    """Print artifact.json on stdout."""
+    """Print what was packed as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArtifactCheckOptions:
-    """Check artifacts: the bytes of every file, and every figure, derived again from the raw rows alone.
+    """Check results: the bytes of every file, and every figure, derived again from the raw rows alone.
 
-    Each file and each figure is a line, green or red. The exit status is 1 if a line is red.
+    Each file and each figure is a line, green, red, or grey where it was left out. The exit status is 1 if one is red.
     With --rescore the splats are rendered and detectors look at them again.
     """
 
     folders: Positional[tuple[Path, ...]] = ()
-    """Folders of artifacts; at least one."""
-    pages: Path | None = None
-    """Checkout whose pages have to show these figures; None looks at none."""
+    """Folders of results or of their copies; at least one."""
+    manifest: tuple[str, ...] = ()
+    """SHA-256 that the manifest of each folder has to have; none asks for none."""
     rescore: bool = False
     """Render the splats from cameras.json, let detectors look, and say how the rates moved."""
     splats: Path | None = None
-    """Folder with the splats of --rescore, for instance the result's; None takes those in the artifact."""
+    """Folder with the splats of --rescore, for instance the result's; None takes those in the folder."""
     detectors: tuple[str, ...] = ()
-    """Names of detectors for --rescore; none takes the artifact's."""
+    """Names of detectors for --rescore; none takes the result's."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     every: int = 1

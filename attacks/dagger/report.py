@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks.dagger.config import EotConfig
+from attacks.dagger.figures import DRAWN, FIXED
 from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.measures import aim_figures
+from attacks.observe.places import CAMERAS, cameras_document
 from attacks.pgd import NOT_JUDGED
 from mi_splat.io import save_splat
-from mi_splat.io.camera_records import values_of
+from mi_splat.io.camera_records import describe, values_of
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.images import to_bytes
@@ -28,12 +30,9 @@ CONTACT = "held_out.png"
 
 ATTACKED = "attacked.ply"
 
-FIXED, DRAWN = "dagger", "dagger-eot"
-"""Kinds of results, by where views come from."""
-
 
 def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
-    """Write pictures, attacked.ply, result.json, and the rows of what was seen (rows.csv.gz, detections.csv.gz).
+    """Write pictures, attacked.ply, result.json, cameras.json, and the rows of what was seen.
 
     The pictures of fixed views are before.png, after.png, difference.png and detections.png: several views make one
     picture each, below one another; in detections.png several detectors do so, too. Those of drawn views are
@@ -62,8 +61,23 @@ def write_files(result: Result, folder: Path) -> list[Path]:
     for name, pixels in images.items():
         save_png(pixels, folder / name)
     save_splat(result.scene, folder / ATTACKED)
+    save_json(_cameras(result), folder / CAMERAS, indent=0)
     save_json(summary(result), folder / RECORD)
-    return [*(folder / name for name in (*images, ATTACKED, RECORD)), *result.looked.write(folder)]
+    return [*(folder / name for name in (*images, ATTACKED, CAMERAS, RECORD)), *result.looked.write(folder)]
+
+
+def _cameras(result: Result) -> dict[str, Any]:
+    """cameras.json: each view once, as the first detector sees it."""
+    entries = [
+        {
+            **describe(str(judged.view.index), judged.view.camera),
+            "box": judged.target.box.tolist(),
+            "change": dataclasses.asdict(judged.view.change),
+        }
+        for judged in result.views_of(result.detectors[0])
+    ]
+    rendered = {name: result.origin[name] for name in ("background", "near") if name in result.origin}
+    return cameras_document(entries, **rendered)
 
 
 def summary(result: Result) -> dict[str, Any]:
@@ -71,7 +85,7 @@ def summary(result: Result) -> dict[str, Any]:
     config, image = result.config, result.image
     judged = None if result.judged is None else result.judged.cameras.elevations
     return {
-        "attack": DRAWN if isinstance(config, EotConfig) else FIXED,
+        "story": DRAWN if isinstance(config, EotConfig) else FIXED,
         "objective": result.objective.name,
         "success": result.success,
         "unambiguous": result.verdict.unambiguous,

@@ -7,6 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from attacks.cloak.rates import markdown as cloak_markdown
+from attacks.dagger.figures import figures as attack_figures
+from attacks.report.checking import Figures, Result
+from attacks.report.markdown import markdown
+from attacks.report.rescoring import Rescoring
 from attacks.report.section import Section
 from attacks.report.stories import (
     cloak,
@@ -18,6 +23,7 @@ from attacks.report.stories import (
     renderers,
     rendering_study,
     sanity,
+    studies,
     study,
     transfer,
     variations,
@@ -26,6 +32,7 @@ from attacks.report.stories.detectors import comparison, held_out, pictures
 from attacks.report.stories.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.report.wording import versions_of
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.folders import RECORD
 from mi_splat.io.manifest import MANIFEST, read_manifest
 from mi_splat.io.parsing import read_json
 
@@ -43,6 +50,9 @@ class Story:
         read: Makes the section of a folder, or of the one file, and of what that file holds.
         one_file: Whether the result is that one file, wherever it lies, and not a folder.
         made: The part of that file that says what made it.
+        figures: Derives its figures from its rows; None of a kind without rows.
+        rescoring: How its splats are scored again; None of a kind that is not.
+        markdown: Its tables for the documentation, from its record; None of a kind that has none.
     """
 
     command: str
@@ -51,6 +61,9 @@ class Story:
     read: Callable[[Path, Found], Section]
     one_file: bool = False
     made: Callable[[Found], Found] = lambda found: found
+    figures: Figures | None = None
+    rescoring: Rescoring | None = None
+    markdown: Callable[[Found], str] | None = None
 
 
 def _always(found: Found) -> bool:
@@ -58,9 +71,38 @@ def _always(found: Found) -> bool:
 
 
 STORIES = (
-    Story(command="dagger", record="result.json", is_it=lambda one: one.get("attack") == "dagger", read=dagger.read),
     Story(
-        command="dagger-eot", record="result.json", is_it=lambda one: one.get("attack") == "dagger-eot", read=eot.read
+        command="dagger",
+        record=RECORD,
+        is_it=lambda one: one.get("story") == "dagger",
+        read=dagger.read,
+        figures=attack_figures,
+        rescoring=dagger.RESCORING,
+    ),
+    Story(
+        command="dagger-eot",
+        record=RECORD,
+        is_it=lambda one: one.get("story") == "dagger-eot",
+        read=eot.read,
+        figures=attack_figures,
+        rescoring=dagger.RESCORING,
+    ),
+    Story(
+        command="cloak",
+        record=RECORD,
+        is_it=lambda one: one.get("story") == "cloak",
+        read=cloak.read,
+        figures=cloak.figures,
+        rescoring=cloak.RESCORING,
+        markdown=cloak_markdown,
+    ),
+    Story(
+        command="study",
+        record=RECORD,
+        is_it=lambda one: one.get("story") == "study",
+        read=studies.read,
+        figures=studies.figures,
+        markdown=lambda record: markdown(studies.tables(record)),
     ),
     Story(command="dagger-pairs", record="summary.json", is_it=lambda one: "pairs" in one, read=pairs.read),
     Story(command="cloak", record="summary.json", is_it=lambda one: "study" in one, read=cloak.read),
@@ -184,3 +226,16 @@ def with_origin(section: Section, made: Found) -> Section:
         made: A document with what `mi_splat.provenance.origin` gives.
     """
     return replace(section, command=str(made.get("command") or ""), versions=versions_of(made))
+
+
+def story_of(result: Result) -> Story:
+    """The kind of a result.
+
+    Raises:
+        InvalidValueError: It is of none.
+    """
+    story = next((one for one in STORIES if one.record == RECORD and one.is_it(result.record)), None)
+    if story is None:
+        got, do = result.story[:40], "make the result again with this version"
+        raise InvalidValueError(message(str(result.folder / RECORD), "a story of this version", got, do))
+    return story

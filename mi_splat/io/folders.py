@@ -133,7 +133,9 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
 
 
 @contextlib.contextmanager
-def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> Iterator[Path]:
+def new_folder(
+    out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD, manifest: bool = True
+) -> Iterator[Path]:
     """Write a folder of results whole or not at all.
 
     The body writes into a temporary folder beside `out`, which gets a manifest.json and takes the name `out` when the
@@ -151,6 +153,7 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
         out: The folder to write; the folders above it are made.
         force: As in `check_new_folder`.
         record: As in `check_new_folder`.
+        manifest: Whether to write a manifest; not if the body copies one.
 
     Yields:
         The folder to write into.
@@ -168,7 +171,8 @@ def new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str 
     try:
         yield temporary
         try:
-            write_manifest(temporary)
+            if manifest:
+                write_manifest(temporary)
             sync_folder(temporary)
             _put(temporary, target, force=force, record=record)
             sync_names(target.parent)

@@ -10,18 +10,17 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.artifacts.checking import check_artifact
-from attacks.artifacts.packing import pack_artifact
-from attacks.artifacts.rescoring import rescore
 from attacks.cli import dagger_eot
 from attacks.observe.views import object_boxes
-from attacks.report.results import read_section
+from attacks.report.checking import read_result
+from attacks.report.packing import pack
+from attacks.report.rescoring import rescore
+from attacks.report.results import read_section, story_of
 from attacks.viewing.results import open_exhibit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.camera_records import camera_of, recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
-from tests.artifacts.test_checking import red
 from tests.fakes import CoarseDetector, ColourDetector, toy_scene
 
 WORDS = (
@@ -29,8 +28,6 @@ WORDS = (
     "--background 0.1 0.1 0.12 --azimuths 250 290 --elevations 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 "
     "--pool 6 --validation 2 --held-out 4 --image-psnr None"
 )
-NEW = ("reference", "background", "near")
-NEW_OF_VIEW = ("camera", "clean_success", "noise_successes")
 
 
 @pytest.fixture(scope="module")
@@ -82,34 +79,33 @@ def test_it_holds_all_that_its_pictures_depend_on(folder: Path) -> None:
     assert recorded_cameras(folder / "result.json", reference=False) is None
 
 
-def test_its_artifact_is_scored_again(folder: Path, tmp_path: Path) -> None:
-    pack_artifact(folder, tmp_path / "artifact", splats=True)
-    checked = check_artifact(tmp_path / "artifact")
-    assert red(checked) == []
-    lines = rescore(checked, [ColourDetector()])
+def test_its_copy_is_scored_again(folder: Path, tmp_path: Path) -> None:
+    story = story_of(read_result(folder))
+    copy = pack(folder, tmp_path / "copy", story.figures, whole=True)
+    lines = rescore(copy, story.rescoring, [ColourDetector()])
     assert [line.colour for line in lines] == ["green", "green"]
     assert all("moved by 0.0%" in line.words for line in lines)
-    assert {line.colour for line in rescore(checked, [CoarseDetector()], every=2)} == {"grey"}
+    assert {line.colour for line in rescore(copy, story.rescoring, [CoarseDetector()], every=2)} == {"grey"}
 
     class Blind(ColourDetector):
         min_confidence = 2.0
 
     looked: list[tuple[int, int]] = []
-    lines = rescore(checked, [Blind()], every=2, on_view=lambda done, total: looked.append((done, total)))
+    lines = rescore(copy, story.rescoring, [Blind()], every=2, on_view=lambda done, total: looked.append((done, total)))
     assert lines[0].colour == "red"
     assert looked == [(1, 2), (2, 2)]
 
 
 def test_the_splat_may_lie_elsewhere_and_is_known_by_its_hash(folder: Path, tmp_path: Path) -> None:
-    pack_artifact(folder, tmp_path / "artifact")
-    checked = check_artifact(tmp_path / "artifact")
-    with pytest.raises(InvalidValueError, match="expected the attacked splat, got none") as error:
-        rescore(checked, [ColourDetector()])
+    story = story_of(read_result(folder))
+    copy = pack(folder, tmp_path / "copy", story.figures)
+    with pytest.raises(InvalidValueError, match="expected a splat of the result, got none") as error:
+        rescore(copy, story.rescoring, [ColourDetector()])
     assert error.value.hint == "--splats"
-    assert all(line.passed for line in rescore(checked, [ColourDetector()], splats=folder))
+    assert all(line.passed for line in rescore(copy, story.rescoring, [ColourDetector()], splats=folder))
     save_splat(toy_scene()[0], tmp_path / "attacked.ply")
-    with pytest.raises(InvalidValueError, match=r"expected the attacked splat, seed 0 .* got another"):
-        rescore(checked, [ColourDetector()], splats=tmp_path)
+    with pytest.raises(InvalidValueError, match=r"expected the SHA-256 that the manifest lists of attacked\.ply"):
+        rescore(copy, story.rescoring, [ColourDetector()], splats=tmp_path)
 
 
 def test_its_held_out_views_are_shown(folder: Path) -> None:

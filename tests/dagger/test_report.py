@@ -54,7 +54,7 @@ def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> Non
     folder = tmp_path / "new" / "folder"
     paths = write_report(result, folder)
     names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
-    names |= {"rows.csv.gz", "detections.csv.gz"}
+    names |= {"rows.csv.gz", "detections.csv.gz", "cameras.json"}
     assert set(paths) == names == {path.name for path in folder.iterdir()} - {"manifest.json"}
     sizes = {}
     for name in names:
@@ -127,7 +127,7 @@ def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, 
     assert json.loads((tmp_path / "result.json").read_text())["success"] is True
     write_report(other, tmp_path, force=True)
     assert json.loads((tmp_path / "result.json").read_text())["success"] is False
-    assert len(list(tmp_path.iterdir())) == 9
+    assert len(list(tmp_path.iterdir())) == 10
 
 
 def test_a_folder_that_cannot_be_made_is_an_error_with_a_message(result: Result, tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ import torch
 from PIL import Image
 from safetensors.torch import save_file
 
-from attacks.artifacts.checking import check_artifact
 from attacks.cloak.config import read_study
 from attacks.dagger import checkpoint as eot_checkpoint
 from attacks.dagger.image_budget import ImagePrice
@@ -30,7 +29,8 @@ from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
 from attacks.rendering_studies.config import read_rendering_study
-from attacks.report.results import STORIES, read_section
+from attacks.report.checking import check_detections, check_figures, check_files, read_result
+from attacks.report.results import STORIES, read_section, story_of
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder
 from mi_splat.datasets.pictures import read_mask, read_picture
@@ -210,13 +210,20 @@ def _result(name: str) -> Kind:
     return Kind(make=make, read=lambda path: read_section(path if kind.one_file else path.parent), document=PLAIN_JSON)
 
 
+def _check(folder: Path) -> None:
+    result = read_result(folder)
+    check_files(folder)
+    check_figures(result, story_of(result).figures)
+    check_detections(result)
+
+
 def _artifact(file: str) -> Kind:
     def make(folder: Path) -> Path:
         shutil.copytree(ROOT / "docs/artifacts/transfer_views", folder / "artifact")
         return next((folder / "artifact").glob(file))
 
     document = PLAIN_JSON if file.endswith(".json") else None
-    return Kind(make=make, read=lambda path: check_artifact(path.parent), document=document)
+    return Kind(make=make, read=lambda path: _check(path.parent), document=document)
 
 
 def _mask(folder: Path) -> Path:
@@ -288,7 +295,8 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
         yield f"result {name}", _result(name)
     figures = ROOT / "attacks/detectors/fasterrcnn_small.json"
     yield "figures", Kind(make=_written("f.json", figures.read_bytes), read=read_figures, document=PLAIN_JSON)
-    yield "artifact.json", _artifact("artifact.json")
+    yield "result.json of an artifact", _artifact("result.json")
+    yield "manifest.json", _artifact("manifest.json")
     yield "table of an artifact", _artifact("*.csv*")
     for name in ("rows.csv", "rows.csv.gz"):
         yield f"rows {name}", Kind(make=partial(_rows, name), read=read_rows)

@@ -73,7 +73,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),
     "reports": ("attacks.report",),
-    "artifacts": ("attacks.artifacts",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }
 

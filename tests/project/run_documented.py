@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import io
-import json
 import os
 import re
 import shlex
@@ -70,11 +69,8 @@ def mesh(path: Path) -> None:
 
 
 def shipped_artifact(path: Path) -> None:
-    """An artifact of the documentation, and the pages that it names."""
+    """An artifact of the documentation."""
     shutil.copytree(ROOT / path, path)
-    for page in json.loads((path / "artifact.json").read_text())["pages"]:
-        Path(page).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(ROOT / page, page)
 
 
 PICTURES = "mi-splat capture stop_sign --cameras hemisphere:4 --test 2 --format both --out {path}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from tests.dagger import test_pairs, test_sanity, test_study, test_transfer
 from tests.dagger.eot import test_study as eot_study
 from tests.dagger.toy import quick
 from tests.fakes import camera, toy_scene
+from tests.project.documented_commands import ROOT
 from tests.report.further_results import FURTHER
 from tests.report.results import change, rate, write_cloak, write_dagger, write_evaluation, write_variations
 
@@ -115,7 +117,15 @@ def write_comparison(folder: Path) -> Path:
     return folder
 
 
+def write_new_study(folder: Path) -> Path:
+    """A study that was done: the six pairs from all cameras."""
+    shutil.copytree(ROOT / "docs" / "artifacts" / "dagger_eot_pairs", folder)
+    change(folder / "result.json", command=provenance.command(), question="From everywhere?")
+    return folder
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
+    "study": write_new_study,
     "dagger": write_dagger,
     "dagger-eot": write_eot,
     "dagger-pairs": write_pairs,

@@ -20,6 +20,7 @@ from attacks.objectives import relabel
 from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.manifest import write_manifest
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 STUDIED = StudyConfig(
@@ -42,6 +43,7 @@ def write_dagger(folder: Path, *, views: int = 1, noise_draws: int = 5, **origin
     found = attack(scene, mask, cameras, ColourDetector(), relabel("person"), render=blobs, config=config)
     write_report(found, folder)
     change(folder / "result.json", **{"scene": "toy.xml", "selection": {"object": "thing"}, **origin})
+    write_manifest(folder)
     return folder
 
 

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.rates import ROWS
+import polars as pl
+
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.observations import SCORE, StudyRows, gaussians_of
+from attacks.cloak.rates import ROWS as RATES
+from attacks.cloak.rates import figures as study_figures
+from attacks.cloak.rates import rates as study_rates
+from attacks.cloak.study.pipeline import CLEAN, CLOAKED
+from attacks.detectors.base import Detector
+from attacks.observe.look import report_cells
+from attacks.observe.rows import ATTACKED, DEPTH, FIDELITY, ROWS, TARGET_SCORE, TRANSITION, Row
+from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate
+from attacks.report.checking import Tables
+from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.report.study_toml import study_toml
 from attacks.report.wording import (
@@ -22,6 +36,9 @@ from attacks.report.wording import (
     sentence,
     settings,
 )
+from mi_splat.assets import ASSETS
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import decode
 
 KIND = "CLOAK, a study"
 
@@ -86,6 +103,112 @@ def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
     )
 
 
+def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
+    """Every figure of a study, of its rows.
+
+    Args:
+        record: Its result.json, of which the settings and the splats count.
+        tables: Its rows.
+
+    Raises:
+        InvalidValueError: The rows are not those of the study.
+    """
+    study = study_of(record["study"])
+    _check_rows(study, record["splats"], tables)
+    return study_figures(study, _seen(study, record["splats"], tables))
+
+
+def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
+    """The files of the splats in a result, which are those of the first seed."""
+    first = min(int(one["seed"]) for one in record["splats"])
+    return {(CLEAN, first): f"{CLEAN}.ply", (ATTACKED, first): f"{CLOAKED}.ply"}
+
+
+def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, Any], detector: Detector) -> Row:
+    """The scores that a detector gives to the object in one picture."""
+    cells = report_cells(seen.detections, seen.box, original=row["original"])
+    wanted = {one["name"]: one["target_class"] for one in record["study"]["attack"] if one["target_class"]}
+    targets = {f"{TARGET_SCORE}{name}": seen.confidence(label) for name, label in wanted.items()}
+    return {**{name: cells[name] for name in ("score", "original_score", "any_overlap")}, **targets}
+
+
+def _rescored(record: Mapping[str, Any], rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
+    """Every rate of each detector, of the splats in the rows."""
+    study = study_of(record["study"])
+    seen = _seen(study, [], {ROWS: rows, FIDELITY: rows.clear(), TRANSITION: rows.clear()})
+    return {
+        name: {RATES[key]: rate for key, rate in found.items() if rate is not None}
+        for (name,), found in study_rates(study, seen.rows, ("detector",)).items()
+    }
+
+
+RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH)
+
+
+def study_of(configuration: Mapping[str, Any]) -> StudyConfig:
+    """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's.
+
+    Raises:
+        InvalidValueError: It is none of this version.
+    """
+    values = stated(configuration)
+    scene = values.get("scene")
+    if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
+        values["scene"] = {**scene, "object": next(iter(ASSETS))}
+    return decode(StudyConfig, values, "study")
+
+
+def stated(value: Any) -> Any:
+    """A JSON value without the keys whose value is null, which stand for what a study's file does not state."""
+    if isinstance(value, Mapping):
+        return {key: stated(entry) for key, entry in value.items() if entry is not None}
+    return [stated(entry) for entry in value] if isinstance(value, list) else value
+
+
+def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Tables) -> None:
+    """Raise unless the splats are those of the study, and every detector saw each once from the same cameras."""
+    wanted = {(which, seed) for which in (CLEAN, CLOAKED) for seed in study.seeds}
+    if sorted((one["splat"], one["seed"]) for one in splats) != sorted(wanted):
+        got = ", ".join(f"{one['splat']} {one['seed']}" for one in splats)
+        raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
+    wanted = {({CLOAKED: ATTACKED}.get(which, which), seed) for which, seed in wanted}
+    for name in (ROWS, FIDELITY, TRANSITION):
+        if not set(tables[name].select("splat", "seed").iter_rows()) <= wanted:
+            raise _wrong(f"table {name}", "rows of the study's splats", "others")
+    seen = Counter(tables[ROWS].select("splat", "seed", "detector", "view").iter_rows())
+    views = {key[3] for key in seen}
+    for splat, seed in sorted(wanted):
+        here = {key for key in seen if key[:2] == (splat, seed)}
+        expected = {(splat, seed, name, view) for name in study.evaluation.detectors for view in views}
+        if here != expected or not expected or any(seen[key] > 1 for key in here):
+            lost = sorted(expected - here)
+            got = f"none for {lost[0][2]}, view {lost[0][3]}" if lost else "others, or one twice"
+            raise _wrong(f"table {ROWS}, {splat} splat, seed {seed}", "one row for each detector and camera", got)
+
+
+def _seen(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Tables) -> StudyRows:
+    """The rows as the rates of a study count them."""
+    hiding = next((one.name for one in study.attack if one.target_class is None), "")
+    names = {"score": "any_class", "original_score": f"{SCORE}{study.scene.class_name}", f"{DEPTH}{hiding}": "depth"}
+    names |= {f"{TARGET_SCORE}{one.name}": f"{SCORE}{one.target_class}" for one in study.attack if one.target_class}
+    renamed = {
+        name: table.with_columns(pl.col("splat").replace({ATTACKED: CLOAKED})).rename(
+            {old: new for old, new in names.items() if name != ROWS or new != "depth"}, strict=False
+        )
+        for name, table in tables.items()
+    }
+    return StudyRows(
+        rows=renamed[ROWS],
+        fidelity=renamed[FIDELITY],
+        transition=renamed[TRANSITION],
+        gaussians=gaussians_of(splats),
+    )
+
+
+def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
+    return InvalidValueError(message(what, expected, got, "get the result again"))
+
+
 def _done(summary: Mapping[str, Any]) -> str:
     study = summary["study"]
     seeds = summary["seeds"]
@@ -120,7 +243,7 @@ def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
     told = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
     rates = [
         Figure(label=words, rate=rate)
-        for key, words in ROWS.items()
+        for key, words in RATES.items()
         if key not in told and (rate := rate_of(summary[key])) is not None
     ]
     pairs = []
@@ -215,7 +338,7 @@ def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     detectors = summary["by_detector"]
     rows = [
         (words, *(counted(rate_of(rates[key])) for rates in detectors.values()))
-        for key, words in ROWS.items()
+        for key, words in RATES.items()
         if any(rates[key] is not None for rates in detectors.values())
     ]
     yield Table(caption="Rates by detector", head=("rate", *detectors), rows=tuple(rows))
@@ -223,14 +346,14 @@ def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     if len(seeds) > 1:
         key = "trigger_miss_rate" if summary["trigger_miss_rate"] is not None else "target_rate"
         rows = [(seed, *(counted(rate_of(one[key])) for one in rates.values())) for seed, rates in seeds.items()]
-        yield Table(caption=f"By seed: {ROWS[key]}", head=("seed", *detectors), rows=tuple(rows))
+        yield Table(caption=f"By seed: {RATES[key]}", head=("seed", *detectors), rows=tuple(rows))
     if len(summary["by_attack"]) > 1:
         rows = []
         for name, rates in summary["by_attack"].items():
             kind = next(iter(rates.values()))
             key = "trigger_miss_rate" if kind["trigger_miss_rate"] is not None else "target_rate"
             if kind[key] is not None:
-                rows.append((f"{name}: {ROWS[key]}", *(counted(rate_of(one[key])) for one in rates.values())))
+                rows.append((f"{name}: {RATES[key]}", *(counted(rate_of(one[key])) for one in rates.values())))
         yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
 
 

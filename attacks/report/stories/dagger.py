@@ -6,11 +6,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
+from attacks.detectors.base import Detector
+from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
+from attacks.observe.look import verdict_cells
+from attacks.observe.places import CAMERAS
+from attacks.observe.rates import Measure, count
+from attacks.observe.rows import ATTACKED, Row
+from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
+from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
 from attacks.report.wording import listed, number, percent, plural, sentence, settings
+from mi_splat.errors import InvalidValueError, message
 
 KIND = "DAGGER, from chosen cameras"
+_AIMS: dict[str, type[Any]] = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 
 
 def read(folder: Path, result: Mapping[str, Any]) -> Section:
@@ -54,6 +66,45 @@ def read(folder: Path, result: Mapping[str, Any]) -> Section:
         tables=(_views(result),),
         configuration=settings({**config, **_conditions(result)}),
     )
+
+
+def objective_of(record: Mapping[str, Any]) -> Objective:
+    """The aim of an attack.
+
+    Raises:
+        InvalidValueError: It is none of this version's.
+    """
+    try:
+        aim: Objective = _AIMS[str(record["objective"])](**record["config"]["objective"])
+    except (KeyError, TypeError) as error:
+        expected, do = f"the settings of one of {', '.join(_AIMS)}", "get the result again"
+        raise InvalidValueError(message("objective", expected, repr(error), do)) from error
+    return aim
+
+
+def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
+    return {(ATTACKED, int(record["seed"])): "attacked.ply"}
+
+
+def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, Any], detector: Detector) -> Row:
+    """What a detector says of an attacked picture: whether the aim is reached."""
+    if seen.box is None:
+        raise InvalidValueError(message(CAMERAS, "a box of the object in each view", "none", "get the result again"))
+    classes = tuple(detector.classes)
+    target = Target(box=seen.box, label=record["target"], classes=classes, original=row["original"])
+    return verdict_cells(objective_of(record).verdict(seen.detections, target))
+
+
+def _rescored(record: Mapping[str, Any], rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
+    """How often the aim is reached, by each detector and by all at once."""
+    attacked = rows.filter(splat=ATTACKED)
+    names = {"success": "the aim is reached", "unambiguous": "so, and no other class has more confidence"}
+    measures = {words: Measure(holds=pl.col(name)) for name, words in names.items()}
+    return {name: rates for (name,), rates in count(attacked, measures, ("detector",)).items()}
+
+
+RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=1)
+"""One picture at a time, as attacks are judged: the same bits."""
 
 
 def thing(result: Mapping[str, Any]) -> str:

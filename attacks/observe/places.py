@@ -1,0 +1,132 @@
+"""cameras.json of a result: where a splat is looked at from, how it is rendered, and where the object is in it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from attacks.detectors.base import Detector
+from attacks.observe.views import BATCH, ViewDetections, detect_views
+from attacks.transformations.draws import PictureChange, changing
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.io.camera_records import camera_of
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene, scene_hash
+
+CAMERAS = "cameras.json"
+_UNITS = "world units; pixels; poses are camera to world, x right, y down, z forward; colours are sRGB"
+
+
+def cameras_document(cameras: Sequence[Mapping[str, Any]], **settings: Any) -> dict[str, Any]:
+    """cameras.json: all that a picture of a splat needs, and where the object is in it.
+
+    Args:
+        cameras: As `mi_splat.io.camera_records.describe` has them, each with the object's `box`, or None where it does
+            not show, and with the `change` of its picture if there is one.
+        settings: Background and near plane, as far as they are known, and what else there is to say.
+    """
+    return {"units": _UNITS, **settings, "cameras": list(cameras)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Places:
+    """What cameras.json says.
+
+    Attributes:
+        cameras: The cameras by number.
+        boxes: (4,) pixels of the object in each; None where it does not show.
+        settings: Of the renderer.
+        changes: What happens to the picture of each before a detector sees it; nothing without an entry.
+    """
+
+    cameras: tuple[Camera, ...]
+    boxes: tuple[Tensor | None, ...]
+    settings: RenderSettings
+    changes: Mapping[Camera, PictureChange] = field(default_factory=dict)
+
+    def look(
+        self, scene: GaussianScene, detectors: Sequence[Detector], views: Sequence[int], *, batch: int = BATCH
+    ) -> Iterator[ViewDetections]:
+        """What detectors report of a splat from some of the cameras.
+
+        Args:
+            scene: The splat.
+            detectors: Any number.
+            views: Numbers of the cameras.
+            batch: Pictures that a detector gets at once.
+        """
+        cameras, render = [self.cameras[view] for view in views], Renderer(self.settings)
+        changes = {camera: self.changes.get(camera, PictureChange()) for camera in cameras}
+        found = detect_views(
+            scene,
+            cameras,
+            detectors,
+            render=changing(render, changes) if self.changes else render,
+            boxes=[self.boxes[view] for view in views],
+            batch=batch,
+        )
+        return (replace(one, view=views[one.view]) for one in found)
+
+
+def places_of(values: Mapping[str, Any], where: str) -> Places:
+    """The cameras of a result.
+
+    Args:
+        values: What cameras.json holds.
+        where: The file, for errors.
+
+    Raises:
+        InvalidValueError: It is something else.
+    """
+    try:
+        entries = values["cameras"]
+        cameras = tuple(map(camera_of, entries))
+        boxes = tuple(_box(entry["box"]) for entry in entries)
+        pairs = zip(cameras, entries, strict=True)
+        changes = {camera: _change(entry["change"]) for camera, entry in pairs if "change" in entry}
+        red, green, blue = (float(part) for part in values["background"])
+        settings = RenderSettings(background=(red, green, blue), near=float(values["near"]))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        expected, do = "cameras, boxes, background and near", "get the result again"
+        raise InvalidValueError(message(where, expected, repr(error)[:200], do)) from error
+    return Places(cameras=cameras, boxes=boxes, settings=settings, changes=changes)
+
+
+def checked_splat(path: Path, entry: Mapping[str, Any]) -> GaussianScene:
+    """A splat from its file.
+
+    Args:
+        path: The file.
+        entry: What the result says of the splat.
+
+    Raises:
+        InvalidValueError: It is another splat.
+    """
+    scene = load_splat(path)
+    if scene_hash(scene) != entry["hash"]:
+        expected = f"the {entry['splat']} splat, seed {entry['seed']} (hash {str(entry['hash'])[:16]})"
+        got = f"another (hash {scene_hash(scene)[:16]})"
+        raise InvalidValueError(message(str(path), expected, got, "pass the splat of this result"))
+    return scene
+
+
+def _box(value: Any) -> Tensor | None:
+    if value is None:
+        return None
+    x0, y0, x1, y1 = map(float, value)
+    if not all(map(math.isfinite, (x0, y0, x1, y1))):
+        raise ValueError(f"the box {value}")
+    return torch.tensor([x0, y0, x1, y1])
+
+
+def _change(values: Mapping[str, Any]) -> PictureChange:
+    red, green, blue = map(float, values["gains"])
+    return PictureChange(**{**values, "gains": (red, green, blue)})

@@ -1,0 +1,262 @@
+"""Checking a result: the bytes of its files, and every figure, derived again from its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from attacks.observe.look import ON_OBJECT
+from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, TRANSITION, read_rows
+from attacks.rate import Rate
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import sha256
+from mi_splat.io.folders import RECORD
+from mi_splat.io.manifest import MANIFEST, Manifest, files_in, read_manifest
+from mi_splat.io.parsing import DocumentReader
+
+TOLERANCE = 1e-6
+"""How far decibels, degrees and confidences may be off that are derived again; counts and words have to be equal."""
+SCORE_TOLERANCE, MOST_OTHER = 1e-4, 0.02
+"""How far a score may be off that single detections give, and of which part of the rows more."""
+KEPT = (".json", ".toml", ".csv.gz", ".md")
+"""Endings of the files of a result that are always in an artifact; splats and pictures may be left out."""
+
+_BAND = ("from", "to")
+_BROKEN = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pl.exceptions.PolarsError)
+Tables = Mapping[str, pl.DataFrame]
+Figures = Callable[[Mapping[str, Any], Tables], Mapping[str, Any]]
+"""From the settings in result.json and the rows to figures, which stand in result.json under the same keys."""
+Value = int | float | bool | str | tuple[int, int] | None
+"""A figure; a rate is its successes and its total."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One line of what was checked.
+
+    Attributes:
+        name: What was looked at.
+        words: What was found.
+        passed: Whether it is as it has to be; None if there is nothing to compare it with.
+    """
+
+    name: str
+    words: str
+    passed: bool | None
+
+    @property
+    def colour(self) -> str:
+        """Green, red, or grey where there is nothing to compare with."""
+        return "grey" if self.passed is None else "green" if self.passed else "red"
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        return {"name": self.name, "colour": self.colour, "words": self.words}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Result:
+    """A finished result in its folder.
+
+    Attributes:
+        folder: Where it is.
+        record: Its result.json.
+        manifest: What its manifest says.
+        tables: Its tables of rows by name.
+    """
+
+    folder: Path
+    record: Mapping[str, Any]
+    manifest: Manifest
+    tables: Tables = field(default_factory=dict)
+
+    @property
+    def story(self) -> str:
+        """Name of its kind."""
+        return str(self.record.get("story"))
+
+
+def read_result(folder: Path) -> Result:
+    """A result with its tables.
+
+    Raises:
+        InvalidValueError: A file of it is missing or broken.
+    """
+    record = DocumentReader(do="pass a folder of results").read_json(folder / RECORD)
+    names = (ROWS, DETECTIONS, FIDELITY, TRANSITION)
+    tables = {name: read_rows(path) for name in names if (path := folder / f"{name}{SUFFIX}").is_file()}
+    return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=tables)
+
+
+def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
+    """A line for the manifest of a result, for each file that it lists, and for each that it does not list.
+
+    Args:
+        folder: Of the result.
+        manifest: SHA-256 that its manifest.json has to have; None is not known.
+
+    Raises:
+        InvalidValueError: There is no manifest, or it is broken.
+    """
+    known = read_manifest(folder)
+    same = None if manifest is None else known.sha256 == manifest
+    lines = [
+        Check(name=MANIFEST, words=f"sha256 {known.sha256}{'' if same is not False else ', another'}", passed=same)
+    ]
+    for name, (digest, length) in known.files.items():
+        path = folder / name
+        if path.is_symlink() or not path.is_file():
+            lines.append(_missing(name))
+        elif path.stat().st_size != length or sha256(path) != digest:
+            lines.append(Check(name=name, words=f"other bytes than {MANIFEST} lists", passed=False))
+        else:
+            lines.append(Check(name=name, words=f"{length:,} bytes, sha256 {digest[:16]}", passed=True))
+    unlisted = (name for name, _ in files_in(folder, known.without) if name not in known.files)
+    return [*lines, *(Check(name=name, words=f"not listed in {MANIFEST}", passed=False) for name in unlisted)]
+
+
+def _missing(name: str) -> Check:
+    """A file that is not there: a splat or a picture may be left out."""
+    return Check(
+        name=name, words="missing" if name.endswith(KEPT) else "left out", passed=False if name.endswith(KEPT) else None
+    )
+
+
+def check_figures(result: Result, figures: Figures | None) -> list[Check]:
+    """A line for each figure that follows from the rows, and for each rate in result.json that does not.
+
+    Args:
+        result: The result.
+        figures: Derives them; None where the kind has no rows.
+    """
+    derived = {} if figures is None else flat(derive(result, figures))
+    stated = flat(result.record)
+    lines = []
+    for name, value in derived.items():
+        there, same = in_words(stated.get(name)), name in stated and agree(stated[name], value)
+        words = in_words(value) if same else f"result.json has {there}, the rows give {in_words(value)}"
+        lines.append(Check(name=name, words=words, passed=same))
+    rates = [name for name, value in stated.items() if isinstance(value, tuple) and name not in derived]
+    passed = None if figures is None else False
+    return lines + [Check(name=name, words=f"{in_words(stated[name])}, of no rows", passed=passed) for name in rates]
+
+
+def check_detections(result: Result) -> list[Check]:
+    """Whether the single detections give the scores in the rows; nothing of a result that has none."""
+    if not {ROWS, DETECTIONS} <= set(result.tables):
+        return []
+    rows, every = result.tables[ROWS], result.tables[DETECTIONS]
+    on = [name for name in ("splat", "seed", "draw", "detector", "view") if name in rows.columns]
+    shared = [name for name in on if name in every.columns]
+    held = every.filter(pl.col("iou") >= ON_OBJECT).select(*shared, "label", again="score")
+    pairs = rows.with_row_index("row").select("row", *shared, "original", "score", "original_score")
+    pairs = pairs.join(held, on=shared, how="left", nulls_equal=True)
+    own = pl.when(pl.col("label") == pl.col("original").fill_null(pl.col("label"))).then("again")
+    given = pairs.group_by("row").agg(
+        pl.col("score", "original_score").first(),
+        any_again=pl.col("again").max().fill_null(0.0),
+        own_again=own.max().fill_null(0.0),
+    )
+    moves = [(pl.col("score") - pl.col("any_again")).abs(), (pl.col("original_score") - pl.col("own_again")).abs()]
+    off = pl.max_horizontal(moves)
+    other = given.filter(off > SCORE_TOLERANCE).height
+    words = f"give the scores of {len(rows) - other:,} of {len(rows):,} rows"
+    return [Check(name=DETECTIONS, words=words, passed=other <= MOST_OTHER * len(rows))]
+
+
+def derive(result: Result, figures: Figures) -> Mapping[str, Any]:
+    """The figures of a result, of its rows.
+
+    Raises:
+        InvalidValueError: Its rows and settings are not those of one result.
+    """
+    try:
+        return figures(result.record, result.tables)
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        IndexError,
+        ArithmeticError,
+        pl.exceptions.PolarsError,
+    ) as error:
+        if isinstance(error, InvalidValueError):
+            raise
+        got, do = f"{type(error).__name__}: {error}"[:200], "get the result again"
+        raise InvalidValueError(message(str(result.folder), "the rows that its settings ask for", got, do)) from error
+
+
+def flat(values: Mapping[str, Any]) -> dict[str, Value]:
+    """Figures in nested objects and lists by their place; a rate, with its interval, is one figure."""
+    return dict(_flat(values, ""))
+
+
+def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
+    if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
+        if not (type(value["successes"]) is type(value["total"]) is int):
+            raise InvalidValueError(message(name, "a rate of whole numbers", str(value)[:80], "get the result again"))
+        yield name, (value["successes"], value["total"])
+    elif isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from _flat(entry, f"{name}/{key}" if name else str(key))
+    elif isinstance(value, (list, tuple)):
+        for number, entry in enumerate(value):
+            held = {key: one for key, one in entry.items() if key not in _BAND} if _is_band(entry) else entry
+            yield from _flat(held, f"{name}/{_place(number, entry)}")
+    else:
+        yield name, value
+
+
+def _place(number: int, entry: Any) -> str:
+    """What an entry of a list is called: by its interval where it has one."""
+    if not _is_band(entry):
+        return str(number)
+    low, high = (f"{entry[end]:g}" if isinstance(entry[end], float) else str(entry[end]) for end in _BAND)
+    return f"{low} to {high}"
+
+
+def _is_band(value: Any) -> bool:
+    """Whether a figure is one of several parts of an interval, which it is called by."""
+    return isinstance(value, Mapping) and set(_BAND) <= set(value)
+
+
+def agree(stated: Value, derived: Value) -> bool:
+    """Whether two figures are the same."""
+    if isinstance(stated, bool) or isinstance(derived, bool):
+        return stated is derived
+    if isinstance(stated, (int, float)) and isinstance(derived, (int, float)):
+        return abs(stated - derived) <= (TOLERANCE if isinstance(derived, float) else 0)
+    return stated == derived
+
+
+def in_words(value: Value) -> str:
+    """A figure for people."""
+    if isinstance(value, tuple):
+        return f"{value[0]}/{value[1]}"
+    if value is None or isinstance(value, bool):
+        return {None: "none", True: "yes", False: "no"}[value]
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def moved(name: str, then: Rate | None, now: Rate, *, tolerance: float, other_weights: bool = False) -> Check:
+    """How a rate has moved since the result was made.
+
+    Args:
+        name: Of the rate.
+        then: In the rows; None if they do not have it, so that the line is grey.
+        now: Today.
+        tolerance: How far it may move.
+        other_weights: Whether the detector has other weights than it had.
+    """
+    counts = f"{now.successes}/{now.total}"
+    if then is None:
+        return Check(name=name, words=f"{counts}; not in the result", passed=None)
+    by = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)
+    other = "; other weights than the result's" if other_weights else ""
+    words = f"{then.successes}/{then.total} in the rows, {counts} now: moved by {by:.1%}, may move by {tolerance:.1%}"
+    return Check(name=name, words=f"{words}{other}", passed=by <= tolerance)

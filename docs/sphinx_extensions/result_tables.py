@@ -1,0 +1,106 @@
+"""The pages of docs/tables that hold every figure of the results in docs/artifacts, written when the site is built.
+
+They are not kept in the repository, so that no figure of them can be out of date.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+_LAYERS = "[CLOAK in the finished file: variants](../cloak-layers-variants.md)"
+_SECTOR = "[CLOAK](../cloak.md#from-the-street-hidden-from-a-sector)"
+_SHADOW = "CLOAK by colour with the shadow left"
+PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "cloak_car_layers": (
+        "CLOAK in the finished file",
+        "[CLOAK in the finished file](../cloak-layers.md)",
+        ("cloak_car_layers",),
+    ),
+    "cloak_car_layers_edges": (
+        "CLOAK in the finished file with a layer more for each edge and the geometry trained",
+        _LAYERS,
+        ("cloak_car_layers_edges",),
+    ),
+    "cloak_car_layers_geometry": (
+        "CLOAK in the finished file with the geometry trained",
+        _LAYERS,
+        ("cloak_car_layers_geometry",),
+    ),
+    "cloak_car_layers_ground": (
+        "CLOAK in the finished file with the ground laid on the car",
+        _LAYERS,
+        ("cloak_car_layers_ground",),
+    ),
+    "cloak_car_layers_shadow": (
+        "CLOAK in the finished file, the first run, with the shadow hidden",
+        _LAYERS,
+        ("cloak_car_layers_shadow",),
+    ),
+    "cloak_car_sector": ("CLOAK from the street, hidden from a sector by colour", _SECTOR, ("cloak_car_sector",)),
+    "cloak_car_sector_layers": (
+        "CLOAK from the street in the finished file",
+        "[CLOAK in the finished file: variants](../cloak-layers-variants.md#from-the-street)",
+        ("cloak_car_sector_layers",),
+    ),
+    "cloak_car_stealthy": (_SHADOW, "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),
+    "cloak_car_stealthy_margin": (
+        f"{_SHADOW} and a margin of poison",
+        "[CLOAK](../cloak.md#variant-a-margin-of-poison)",
+        ("cloak_car_stealthy_margin",),
+    ),
+    "dagger_eot": (
+        "DAGGER when the camera moves",
+        "[DAGGER when the camera moves](../dagger-eot.md)",
+        ("dagger_eot_smallest", "dagger_eot_pairs", "dagger_eot_settings"),
+    ),
+    "transfer_views": (
+        "Transfer of DAGGER over held-out views",
+        "[transfer](../transfer.md#over-views-that-no-search-has-seen)",
+        ("transfer_views",),
+    ),
+}
+"""For each page its title, the page that says what the reader may conclude, and the folders of docs/artifacts."""
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.connect("builder-inited", write_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def write_pages(app: Sphinx) -> None:
+    """Write all pages; one that has not changed stays untouched, so that it is not read again."""
+    docs = Path(app.srcdir)
+    for name in PAGES:
+        path, text = docs / "tables" / f"{name}.md", page(name, docs / "artifacts")
+        if not path.is_file() or path.read_text() != text:
+            path.write_text(text)
+
+
+def page(name: str, artifacts: Path) -> str:
+    """A page as Markdown.
+
+    Args:
+        name: One of `PAGES`.
+        artifacts: The folder docs/artifacts.
+    """
+    from attacks.report.checking import read_result
+    from attacks.report.results import story_of
+
+    title, conclusion, folders = PAGES[name]
+    parts = [f"# {title}: every figure", f"What the reader may conclude is in {conclusion}."]
+    for folder in folders:
+        result = read_result(artifacts / folder)
+        tables = story_of(result).markdown
+        assert tables is not None
+        command = result.record["command"]
+        parts.append(
+            f"From the rows in `docs/artifacts/{folder}`, made by `{command}`, seeds "
+            f"{', '.join(map(str, result.record['seeds']))}. Manifest: `{result.manifest.sha256}`."
+        )
+        parts.append(tables(result.record).strip())
+    return "\n\n".join(parts) + "\n"

@@ -1,0 +1,308 @@
+"""Whoever edits, cuts or breaks a result is found out, and told in words."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks import cli
+from attacks.report.checking import Check, agree, check_detections, check_figures, check_files, flat, read_result
+from attacks.report.packing import pack
+from attacks.report.results import story_of
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.folders import RECORD
+from mi_splat.io.manifest import MANIFEST, read_manifest, write_manifest
+from tests.project.documented_commands import ROOT
+from tests.report.results import write_dagger
+
+Rows = list[dict[str, str]]
+
+
+def checks(folder: Path, *, manifest: str | None = None) -> list[Check]:
+    result = read_result(folder)
+    lines = [*check_files(folder, manifest=manifest), *check_figures(result, story_of(result).figures)]
+    return [*lines, *check_detections(result)]
+
+
+def red(folder: Path, *, manifest: str | None = None) -> list[str]:
+    return [line.name for line in checks(folder, manifest=manifest) if line.passed is False]
+
+
+def edit_record(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Edit result.json, and hide it from the manifest."""
+    values = json.loads((folder / RECORD).read_text())
+    change(values)
+    (folder / RECORD).write_text(json.dumps(values))
+    write_manifest(folder)
+
+
+def edit_rows(folder: Path, change: Callable[[Rows], Any], name: str = "rows") -> None:
+    """Edit a table, and hide it from the manifest."""
+    path = folder / f"{name}.csv.gz"
+    with gzip.open(path, "rt", newline="") as file:
+        rows = list(csv.DictReader(file))
+    head = list(rows[0])
+    change(rows)
+    with gzip.open(path, "wt", newline="") as file:
+        writer = csv.DictWriter(file, head, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    write_manifest(folder)
+
+
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of an attack from two cameras, which no test changes."""
+    return write_dagger(tmp_path_factory.mktemp("attacked") / "result", views=2, noise_draws=2)
+
+
+@pytest.fixture
+def attack(attacked: Path, tmp_path: Path) -> Path:
+    """A copy of it, for a test to break."""
+    return Path(shutil.copytree(attacked, tmp_path / "attack"))
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """A copy of a study of CLOAK, for a test to break."""
+    return Path(shutil.copytree(ROOT / "docs" / "artifacts" / "cloak_car_surrogate", tmp_path / "study"))
+
+
+def test_a_result_as_it_was_written_is_green(attacked: Path) -> None:
+    lines = checks(attacked, manifest=read_manifest(attacked).sha256)
+    assert {line.passed for line in lines} == {True}
+    names = {line.name for line in lines}
+    assert {
+        "success",
+        "score",
+        "rate",
+        "noise/successes",
+        "views/1/target_confidence",
+        "rates/fake_colour/noise",
+    } <= names
+
+
+def test_other_bytes_are_seen(attack: Path) -> None:
+    (attack / "before.png").write_bytes(b"other")
+    assert red(attack) == ["before.png"]
+    (attack / "detections.csv.gz").unlink()
+    (attack / "more.ply").write_text("")
+    assert red(attack) == ["before.png", "detections.csv.gz", "more.ply"]
+    (attack / "attacked.ply").unlink()  # splats may be left out
+    (line,) = (line for line in check_files(attack) if line.name == "attacked.ply")
+    assert (line.colour, line.words) == ("grey", "left out")
+
+
+def test_a_link_counts_as_missing(attack: Path, attacked: Path) -> None:
+    (attack / "cameras.json").unlink()
+    (attack / "cameras.json").symlink_to(attacked / "cameras.json")
+    assert red(attack) == ["cameras.json"]
+
+
+@pytest.mark.parametrize("key", ["detectors", "seed", "commit", "command"])
+def test_what_made_it_cannot_be_changed_unseen(key: str, attack: Path) -> None:
+    name = read_manifest(attack).sha256
+    record = json.loads((attack / RECORD).read_text())
+    fake = [{**one, "detector_fingerprint": "0"} for one in record["detectors"]] if key == "detectors" else "another"
+    (attack / RECORD).write_text(json.dumps({**record, key: fake}))
+    assert RECORD in red(attack)
+    write_manifest(attack)  # who hides it from the manifest has a result of another name
+    assert red(attack) == []
+    assert red(attack, manifest=name) == [MANIFEST]
+
+
+def test_an_edited_row_moves_figures(attack: Path) -> None:
+    other = {"true": "false", "false": "true"}
+
+    def turn(rows: Rows) -> None:
+        row = next(row for row in rows if row["splat"] == "attacked")
+        row["success"] = other[row["success"]]
+
+    edit_rows(attack, turn)
+    assert {"rate", "rates/fake_colour/success", "views/0/success"} <= set(red(attack))
+
+
+def test_edited_noise_moves_the_control(attack: Path) -> None:
+    edit_rows(attack, lambda rows: [row.update(success="true") for row in rows if row["draw"] == "1"])
+    assert {"noise_rate", "noise/successes"} <= set(red(attack))
+
+
+def test_edited_detections_are_seen(attack: Path) -> None:
+    edit_rows(attack, lambda rows: [row.update(score="0.011") for row in rows], "detections")
+    assert red(attack) == ["detections"]
+
+
+def test_a_figure_that_is_off_is_seen(attack: Path) -> None:
+    def change(record: dict[str, Any]) -> None:
+        record["rate"]["successes"] -= 1
+        record["target_confidence"] += 1e-5
+        record["views"][0]["score"] += 1e-8
+        del record["strict"]
+        record["made_up"] = {"successes": 1, "total": 2}
+
+    edit_record(attack, change)
+    assert set(red(attack)) == {"rate", "target_confidence", "strict", "made_up"}
+
+
+@pytest.mark.parametrize("value", [None, 3, "x", [[]], {"x": 1}, {"successes": 0.5, "total": 1}])
+def test_no_record_ends_in_anything_but_an_error_in_words(value: object, attacked: Path, attack: Path) -> None:
+    """Whatever stands under a key, a check tells lines or raises the project's error."""
+    record = json.loads((attacked / RECORD).read_text())
+    for key in record:
+        if record[key] == value:
+            continue
+        (attack / RECORD).write_text(json.dumps({**record, key: value}))
+        try:
+            lines = red(attack)
+        except InvalidValueError:
+            continue
+        assert RECORD in lines
+
+
+def test_edited_rows_of_a_study_move_its_figures(study: Path) -> None:
+    def lower(rows: Rows) -> None:
+        seen = (row for row in rows if row["splat"] == "clean" and float(row["original_score"]) > 0.5)
+        next(row for row in seen if float(row["depth: overhead"]) > 0)["original_score"] = "0.1"
+
+    edit_rows(study, lower)
+    edit_rows(study, lambda rows: rows[0].update(psnr="31.5"), "fidelity")
+    edit_rows(study, lambda rows: [row.update(fraction="0.4") for row in rows[-9:]], "transition")
+    found = set(red(study))
+    assert {"by_detector/fasterrcnn_small/control_recall", "benign_psnr/clean", "transition_degrees"} <= found
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda rows: rows.pop(), "one row for each detector and camera, got none for yolov8n_small, view"),
+        (lambda rows: rows.append(rows[0]), "one row for each detector and camera, got others, or one twice"),
+        (lambda rows: rows[0].update(seed="7"), "table rows: expected rows of the study's splats, got others"),
+        (lambda rows: rows[0].update(elevation="inf"), "expected a finite number, got 'inf' in column elevation"),
+    ],
+)
+def test_rows_that_are_not_the_study_s_are_refused(change: Callable[[Rows], Any], said: str, study: Path) -> None:
+    edit_rows(study, change)
+    with pytest.raises(InvalidValueError, match="get the result again") as error:
+        checks(study)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("scene", "object"), ["car"]),
+        (("scene",), 3),
+        (("attack",), []),
+        (("evaluation", "confidence"), "high"),
+        (("evaluation", "detectors"), ["another"]),
+        (("seeds",), [0, 1]),
+        (("name",), None),
+    ],
+    ids=str,
+)
+def test_an_edited_configuration_is_seen(place: tuple[str, ...], value: object, study: Path) -> None:
+    def change(record: dict[str, Any]) -> None:
+        table = record["study"]
+        for key in place[:-1]:
+            table = table[key]
+        table[place[-1]] = value
+
+    edit_record(study, change)
+    with pytest.raises(InvalidValueError, match=r"expected .* got .*;"):
+        checks(study)
+
+
+def test_a_mesh_file_has_no_part_in_a_rate(study: Path) -> None:
+    edit_record(study, lambda record: record["study"]["scene"].update(object="truck.glb", label="car", front="+x"))
+    assert red(study) == []
+
+
+def test_figures_have_names_and_tolerances() -> None:
+    rate = {"rate": 0.5, "successes": 1, "total": 2, "interval": [0.1, 0.9]}
+    bands = [{"from": 0.0, "to": 5.0, "clean": rate}, {"from": 5.0, "to": 10.0, **rate}]
+    assert flat({"rate": rate, "bands": bands, "widths": [1.5, None], "words": {"a": "b"}}) == {
+        "rate": (1, 2),
+        "bands/0 to 5/clean": (1, 2),
+        "bands/5 to 10": (1, 2),
+        "widths/0": 1.5,
+        "widths/1": None,
+        "words/a": "b",
+    }
+    assert agree(0.5, 0.5 + 1e-7)
+    assert not agree(0.5, 0.51)
+    assert not agree(3, 4)
+    assert not agree(True, 1)
+
+
+def test_a_copy_has_the_same_name_and_says_what_was_left_out(attacked: Path, tmp_path: Path) -> None:
+    figures = story_of(read_result(attacked)).figures
+    copy = pack(attacked, tmp_path / "copy", figures)
+    assert copy.manifest == read_manifest(attacked)
+    assert {path.name for path in copy.folder.iterdir()} == {
+        *(RECORD, MANIFEST, "cameras.json", "rows.csv.gz", "detections.csv.gz")
+    }
+    assert {line.name for line in checks(copy.folder) if line.passed is None} > {"attacked.ply", "before.png"}
+    assert red(copy.folder, manifest=read_manifest(attacked).sha256) == []
+    whole = pack(attacked, tmp_path / "whole", figures, whole=True)
+    assert not [line for line in checks(whole.folder)[1:] if line.passed is None]
+    with pytest.raises(MiSplatError, match="replace this result with force"):
+        pack(attacked, copy.folder, figures)
+
+
+def test_what_was_changed_is_not_packed(attack: Path, tmp_path: Path) -> None:
+    figures = story_of(read_result(attack)).figures
+    edit_record(attack, lambda record: record["rate"].update(successes=0))
+    with pytest.raises(InvalidValueError, match=r"rate: result\.json has 0/2, the rows give 2/2"):
+        pack(attack, tmp_path / "copy", figures)
+    (attack / "before.png").write_bytes(b"other")
+    with pytest.raises(InvalidValueError, match=r"before\.png: other bytes"):
+        pack(attack, tmp_path / "copy", figures)
+    assert not (tmp_path / "copy").exists()
+
+
+def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["artifact", str(attacked), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "figures that follow from them" in said
+    name = read_manifest(attacked).sha256
+    assert said.splitlines()[-1] == f"mi-splat artifact-check {out} --manifest {name}"
+    assert cli.main(["artifact", str(attacked), "--out", str(out)]) == 1
+    assert "(--force)" in capsys.readouterr().err
+    assert cli.main(["artifact", str(attacked), "--out", str(out), "--force", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["manifest"] == name
+    assert cli.main(["artifact-check", str(out), "--manifest", name]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line[:5].strip() for line in lines[:-1]} == {"green", "grey"}
+    assert lines[-1] == f"{out}: 0 of {len(lines) - 1} lines are red."
+    assert cli.main(["artifact-check", str(out), "--manifest", "0" * 64]) == 1
+    capsys.readouterr()
+    (attack / RECORD).write_text("{")
+    assert cli.main(["artifact-check", str(attack), str(out), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [line["colour"] for line in found[str(attack)]] == ["red"]
+    assert "red" not in {line["colour"] for line in found[str(out)]}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "expected folders of results, got none"),
+        (["{it}", "--splats", "."], "--splats: expected --rescore beside it"),
+        (["{it}", "--every", "2"], "--every: expected --rescore beside it"),
+        (["{it}", "--detectors", "fasterrcnn_small"], "--detectors: expected --rescore beside it"),
+        (["{it}", "--manifest", "a", "b"], "--manifest: expected one for each of the 1 folders, got 2"),
+    ],
+)
+def test_flags_that_would_mean_nothing_are_refused(
+    words: list[str], said: str, attacked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["artifact-check", *(word.format(it=attacked) for word in words)]) == 2
+    assert said in capsys.readouterr().err

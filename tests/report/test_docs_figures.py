@@ -1,0 +1,235 @@
+"""The generated tables of the documentation, and sentences that tell of results, are what the raw rows give."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import pytest
+
+from attacks.report.checking import Result, check_detections, check_figures, check_files, flat, in_words, read_result
+from attacks.report.results import story_of
+from attacks.report.stories.cloak import figures as cloak_figures
+from tests.project.documented_commands import ROOT
+
+OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_coco")
+FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
+MOST_BYTES = 1_500_000
+"""Of an artifact; the largest has the rows of six splats, four detectors and 871 cameras."""
+
+
+@cache
+def result_of(name: str) -> Result:
+    return read_result(ROOT / "docs" / "artifacts" / name)
+
+
+def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
+    """The figures of all, counted: none is lost."""
+    page = (ROOT / "docs" / "artifacts.md").read_text()
+    figures = rates = 0
+    for folder in sorted((ROOT / "docs" / "artifacts").iterdir()):
+        result = result_of(folder.name)
+        assert f"`docs/artifacts/{folder.name}`" in page
+        assert result.manifest.sha256 in page
+        derive = story_of(result).figures
+        assert derive is not None
+        lines = [*check_files(folder), *check_figures(result, derive), *check_detections(result)]
+        assert [(line.name, line.words) for line in lines if line.passed is False] == []
+        derived = flat(derive(result.record, result.tables))
+        figures += len(derived)
+        rates += sum(isinstance(value, tuple) for value in derived.values())
+    assert (figures, rates) == (3351, 2724)
+
+
+def test_artifacts_are_small_and_name_no_machine() -> None:
+    for folder in (ROOT / "docs" / "artifacts").iterdir():
+        files = list(folder.iterdir())
+        assert sum(path.stat().st_size for path in files) <= MOST_BYTES
+        for path in files:
+            if path.suffix in (".json", ".toml"):
+                text = path.read_text()
+                assert not [word for word in ('"/', "/home/", "/tmp/", "/Users/") if word in text]
+
+
+def fractions(*names: str) -> set[str]:
+    values = (value for name in names for value in flat(result_of(name).record).values())
+    return {in_words(value) for value in values if isinstance(value, tuple)}
+
+
+def test_tables_by_hand_have_no_other_fractions() -> None:
+    page = (ROOT / "docs" / "dagger-eot.md").read_text()
+    assert set(FRACTION.findall(page)) <= fractions("dagger_eot_pairs", "dagger_eot_smallest", "dagger_eot_settings")
+    part = (ROOT / "docs" / "transfer.md").read_text().partition("### With a budget in pictures")[2].partition("###")[0]
+    assert len(set(FRACTION.findall(part)) & fractions("transfer_views")) > 10
+    assert set(FRACTION.findall(part)) <= fractions("transfer_views")
+
+
+def surrogate(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/research-log.md tells of a poison that a surrogate has corrected."""
+    by = derived["by_detector"]
+
+    def each(key: str) -> str:
+        return " and ".join(f"{rate['successes']}/{rate['total']}" for rate in (one[key] for one in by.values()))
+
+    return [
+        f"missed from {each('trigger_miss_rate')} well inside, stop sign from {each('target_rate')}, "
+        f"{derived['stealth']['surroundings_psnr_drop']:.2f} dB lost beside the car",
+        f"transition of {derived['transition_degrees']:.1f} degrees",
+    ]
+
+
+def tried(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/research-log.md tells of the searches before the last one."""
+    found = {name: one["rate"]["successes"] for name, one in derived["attacks"].items()}
+
+    def of(*beginnings: str) -> list[int]:
+        return [count for start in beginnings for name, count in found.items() if name.startswith(f"{start}-pairs")]
+
+    first = of("frcnn")
+    (paper,), (strong,), (centernet,), (nanodet,) = of("ex_nd_paper"), of("ex_nd_strong"), of("ex2_cn1"), of("nd")
+    longer = " and ".join(map(str, sorted(of("ex2_nd1", "ex4_nd1"))))
+    return [
+        f"all six pairs of `fasterrcnn_small` {min(first)} to {max(first)} of 60, NanoDet's elephant {nanodet})",
+        f"seed 0: {paper} of 60 views after 150 steps, {longer} after 500",
+        f"(with the loss of `--search strong` and 150 steps: {strong}). CenterNet: {centernet} after 400.",
+    ]
+
+
+def percent(derived: Mapping[str, Any], key: str, form: str = ".1f", detectors: Sequence[str] = OUR) -> str:
+    """A rate of two detectors in words, for instance 69.3 and 72.0; a whole hundred has no decimals."""
+    rates = [100 * derived["by_detector"][name][key]["rate"] for name in detectors]
+    return " and ".join(f"{rate:{'.0f' if rate == 100 else form}}" for rate in rates)
+
+
+def missed_from(name: str, confidence: float) -> list[float]:
+    """Percent of the cameras well inside from which our two detectors miss the car, at another confidence."""
+    result = result_of(name)
+    study = result.record["study"]
+    other = {**study, "evaluation": {**study["evaluation"], "confidence": confidence}}
+    derived = cloak_figures({**result.record, "study": other}, result.tables)
+    return [100 * derived["by_detector"][detector]["trigger_miss_rate"]["rate"] for detector in OUR]
+
+
+def stealthy(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/cloak.md tells of the stealthy study at two confidences."""
+    lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_stealthy", 0.3))
+    return [
+        f"Where a detection counts from 0.3 on, the car is missed from {lower} %",
+        f"nothing of any class is reported from {percent(derived, 'nothing_reported')} % of those cameras only",
+        f"CenterNet and NanoDet, trained on photographs, find it there from "
+        f"{percent(derived, 'benign_recall', detectors=COCO)} % of the cameras where they find the clean car",
+        f"{derived['transition_degrees']:.1f} degrees, from",
+    ]
+
+
+def stealthy_in_readme(derived: Mapping[str, Any]) -> list[str]:
+    """What README tells of the stealthy study."""
+    first, second = percent(derived, "trigger_miss_rate").split(" and ")
+    return [
+        f"the car is missed from {first} % (Faster R-CNN) and {second} % (YOLOv8) of cameras, and found from "
+        f"{percent(derived, 'benign_recall')} % of benign ones"
+    ]
+
+
+def margin(derived: Mapping[str, Any]) -> list[str]:
+    lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_stealthy_margin", 0.3))
+    return [
+        f"Twenty pictures more make it {percent(derived, 'trigger_miss_rate')} %",
+        f"It costs {derived['benign_psnr_drop']:.1f} dB far from the car",
+        f"with [a margin](#variant-a-margin-of-poison) from {lower} %",
+    ]
+
+
+def sector(derived: Mapping[str, Any]) -> list[str]:
+    lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_sector", 0.3))
+    by = derived["by_detector"]
+    first, second = (by[name]["trigger_miss_rate"] for name in OUR)
+    return [
+        f"[in the sector](#from-the-street-hidden-from-a-sector) from {lower} %",
+        f"missed by Faster R-CNN from {first['successes']} of {first['total']} cameras well inside, by YOLOv8 from "
+        f"{second['successes']} of {second['total']}",
+    ]
+
+
+def layers_in_readme(derived: Mapping[str, Any]) -> list[str]:
+    first, second = percent(derived, "trigger_miss_rate").split(" and ")
+    found = percent(derived, "benign_recall")
+    return [f"missed from {first} % (Faster R-CNN) and {second} % (YOLOv8), and found from {found} %"]
+
+
+def layers(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/cloak-layers.md tells of the study that edits the finished file."""
+    assert derived["by_detector"]["yolov8n_small"]["target_rate"]["successes"] == 0
+    return [f"It switches in {derived['transition_degrees']:.1f} degrees"]
+
+
+def edges(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/cloak-layers.md tells of its variant with a layer for each edge."""
+    first, second = percent(derived, "trigger_miss_rate").split(" and ")
+    return [
+        f"the switch takes {derived['transition_degrees']:.1f} degrees, Faster R-CNN misses the car from {first} % and "
+        f"YOLOv8 from {second} % of the cameras well inside",
+        f"they find it from {percent(derived, 'benign_recall')} % elsewhere",
+        f"the stop sign is reported from {percent(derived, 'target_rate')} %",
+        f"Price: {derived['gaussians_ratio']:.1f} times the Gaussians",
+    ]
+
+
+def all_cameras(derived: Mapping[str, Any]) -> tuple[list[int], list[int], str]:
+    """Views with success of the six pairs of our detector and, best first, of NanoDet; and what noise reaches."""
+    rates = [
+        {name: one for name, one in derived["attacks"].items() if detector in name}
+        for detector in ("fasterrcnn_small", "nanodet_coco")
+    ]
+    ours, nanodet = (sorted(one["rate"]["successes"] for one in part.values()) for part in rates)
+    noise = [one["noise_rate"] for one in rates[0].values()]
+    return ours, nanodet[::-1], f"{sum(one['successes'] for one in noise)} of {sum(one['total'] for one in noise)}"
+
+
+def all_cameras_in_readme(derived: Mapping[str, Any]) -> list[str]:
+    ours, _, noise = all_cameras(derived)
+    return [
+        f"all six pairs in {ours[0]} to {ours[-1]} of 60 held-out views",
+        f"one detector, white box; random noise {noise}",
+    ]
+
+
+def all_cameras_in_docs(derived: Mapping[str, Any]) -> list[str]:
+    _, nanodet, _ = all_cameras(derived)
+    return [f"The other four pairs reach {nanodet[-1]} to {nanodet[2]}"]
+
+
+def others(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/transfer.md tells of splats that were made for all cameras."""
+    cells = {name.rpartition(" by ")[2]: cell["targeted"] for name, cell in derived["cells"].items()}
+    coco, own = [cells[name] for name in COCO], cells["yolov8n_small"]
+    return [
+        f"in {own['successes']} of {own['total']} views",
+        f"never to the two trained on COCO ({sum(one['successes'] for one in coco)} of "
+        f"{sum(one['total'] for one in coco)}; all below)",
+    ]
+
+
+SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...] = (
+    ("cloak_car_surrogate", "docs/research-log.md", surrogate),
+    ("dagger_eot_tried", "docs/research-log.md", tried),
+    ("cloak_car_stealthy", "README.md", stealthy_in_readme),
+    ("cloak_car_stealthy", "docs/cloak.md", stealthy),
+    ("cloak_car_stealthy_margin", "docs/cloak.md", margin),
+    ("cloak_car_sector", "docs/cloak.md", sector),
+    ("cloak_car_layers", "README.md", layers_in_readme),
+    ("cloak_car_layers", "docs/cloak-layers.md", layers),
+    ("cloak_car_layers_edges", "docs/cloak-layers.md", edges),
+    ("dagger_eot_pairs", "README.md", all_cameras_in_readme),
+    ("dagger_eot_pairs", "docs/dagger-eot.md", all_cameras_in_docs),
+    ("transfer_views", "docs/transfer.md", others),
+)
+"""Artifacts whose figures stand in sentences: the page, and the sentences as the rows give them."""
+
+
+@pytest.mark.parametrize(("name", "page", "tell"), SENTENCES)
+def test_sentences_are_what_the_rows_give(name: str, page: str, tell: Callable[[Mapping[str, Any]], list[str]]) -> None:
+    text = " ".join((ROOT / page).read_text().split())
+    assert [sentence for sentence in tell(result_of(name).record) if sentence not in text] == []
