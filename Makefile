@@ -38,7 +38,7 @@ demo-cloak: $(STAMP)
 
 demo-coco: $(STAMP)
 	@$(BIN)/mi-splat detectors --get centernet_coco nanodet_coco
-	@$(BIN)/mi-splat dagger-pairs --detectors centernet_coco nanodet_coco --search strong --eps 10 --steps 40 --out $(OUT)-coco
+	@$(BIN)/mi-splat study run scenes/studies/coco_demo.toml --out $(OUT)-coco
 
 test: lint types pytest
 

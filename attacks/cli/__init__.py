@@ -83,8 +83,12 @@ COMMANDS = {
         "evaluate",
         "how often an object is found, missed or misread, clean and attacked",
     ),
-    "dagger-study": Command(
-        "attacks.cli", "DaggerStudyOptions", "dagger_study", "many such attacks, and tables of what comes of them"
+    "study": Command(
+        "attacks.cli",
+        "StudyOptions",
+        "study",
+        "many attacks and what they hang on, from one TOML file: plan, run, status",
+        options_module="study",
     ),
     "dagger-transfer": Command(
         "attacks.cli",
@@ -106,12 +110,6 @@ COMMANDS = {
         "dagger_sanity",
         "whether DAGGER is a sane attack on an object and a detector, line by line",
         options_module="transfer_options",
-    ),
-    "dagger-pairs": Command(
-        "attacks.cli",
-        "DaggerPairsOptions",
-        "dagger_pairs",
-        "the paper's six attacks on several detectors, side by side",
     ),
     "dagger-eot-study": Command(
         "attacks.cli",

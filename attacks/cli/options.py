@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from attacks.dagger.config import DaggerConfig
-from attacks.limits import SearchName
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.values import Colour, Size
 from mi_splat.selection.config import Selection
@@ -130,60 +129,6 @@ class EvaluateOptions:
     """Replace a folder that an earlier call has written."""
     json: bool = False
     """Print the figures as one JSON document on stdout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DaggerStudyOptions:
-    """Run many attacks: the paper's pairs, smaller balls, other norms, hiding, every other attribute; make tables.
-
-    A study that was interrupted goes on where it stopped when the same command is given again. Writes jobs/, table.md,
-    table.json and curve.png into --out.
-    """
-
-    seeds: int = 3
-    """Number of seeds."""
-    groups: tuple[str, ...] = ()
-    """Tables to make, all if none is named."""
-    scenes: Path = Path("scenes")
-    """Folder with the scene files."""
-    detector: OneDetector = "fasterrcnn_small"
-    """Name of the detector (see `mi-splat detectors`)."""
-    weights: Path | None = None
-    """File with the detector's weights; None takes the shipped ones."""
-    out: Path = Path("out/studies/dagger")
-    """Folder for the results: a new one, or that of the same study."""
-    json: bool = False
-    """Print the names of the files as one JSON document on stdout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DaggerPairsOptions:
-    """Attack the paper's six pairs, car to person, elephant, stop sign and sign to tv, train, bird, on any detectors.
-
-    An attack that was done is not done again when the same command is given again. Writes summary.json, table.md and a
-    folder for each detector, with a picture and a JSON of each attack, into --out.
-    """
-
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
-    """Names of the detectors (see `mi-splat detectors`)."""
-    eps: tuple[float, ...] = (5.0,)
-    """Radii of the l2 ball over the SH of the object; every pair is attacked with each."""
-    steps: int = 11
-    """Steps of each attack."""
-    search: SearchName = "paper"
-    """How the attacker searches: steps of one length, or momentum and shorter steps towards one box."""
-    confidence: float = 0.5
-    """Confidence from which the class wanted counts as seen."""
-    seeds: int = 1
-    """Number of seeds; all but the first move the camera."""
-    radii: tuple[float, ...] = ()
-    """Radii among which the smallest that suffices is looked for, with every seed."""
-    scenes: Path = Path("scenes")
-    """Folder with the scene files."""
-    out: Path = Path("out/dagger-pairs")
-    """Folder for the results: a new one, or that of the same study."""
-    json: bool = False
-    """Print what summary.json holds on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

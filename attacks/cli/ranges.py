@@ -42,9 +42,10 @@ ALL_RANGES: dict[str, Range] = {
     "rounds": Range(0, 1000, unit="rounds", do="5 is usual"),
     "amplify": Range(1, 1000, unit="times", do="8 is usual"),
     # studies
+    "workers": Range(0, 1024, unit="processes"),
+    "verify": at_least(1, "jobs"),
     "seeds": Range(0, SEED.high, unit="whole"),
     "gradient_power": FRACTION,
-    "radii": above(0, "units of the splat file"),
     "every": at_least(1, "cameras"),
     "rate_tolerance": FRACTION,
     "port": Range(0, 65535, do="0 takes a free one"),

@@ -12,7 +12,7 @@ from tyro.conf import Positional
 class ReportOptions:
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
-    Takes folders that mi-splat dagger, dagger-eot, dagger-study, dagger-eot-study, dagger-pairs, dagger-transfer,
+    Takes folders that mi-splat dagger, dagger-eot, study, dagger-eot-study, dagger-transfer,
     dagger-sanity, evaluate, compare, detect and cloak have written, and the JSON files of evaluate-detector,
     compare-detectors and cloak-experiment. The page is one file without a script, and asks nothing of any network.
     """

@@ -101,7 +101,7 @@ COLUMNS = (
     _text("attack", "name of the attack in its study"),
     _text("sources", "the detectors that were attacked, with + between them"),
     _whole("seed", "of the attack or of the training; empty for true pictures", optional=True),
-    _text("condition", "how the splat was looked at: a renderer, a file format, an hour; empty: as it was attacked"),
+    _text("condition", "how the splat was looked at: a renderer, a format, an hour; empty: as attacked", optional=True),
     _text("splat", "clean (the control), attacked, noise (random, of the attack's size), or true (of the scene)"),
     _whole("draw", "number of the draw of random noise, from 0; empty for other splats", optional=True),
     _text("detector", "name of the detector"),

@@ -20,7 +20,7 @@ def test_no_value_is_called_by_its_type(command: str) -> None:
 def test_there_is_a_word_for_each_value() -> None:
     assert metavar("CameraOptions", "centre", "FLOAT FLOAT FLOAT") == "X Y Z"
     assert metavar("CloakOptions", "seeds", "[INT ...]") == "[SEED ...]"
-    assert metavar("DaggerStudyOptions", "seeds", "INT") == "COUNT"
+    assert metavar("DaggerSanityOptions", "seeds", "INT") == "COUNT"
     assert metavar("AnyOptions", "unheard_of", "FLOAT") == "NUMBER"
 
 

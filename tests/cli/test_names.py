@@ -24,13 +24,13 @@ ROOT = Path(__file__).resolve().parents[2]
         ("dagger-eot --objective untargeted --target car", "none beside --objective untargeted, got car"),
         ("dagger --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
         ("dagger-sanity --detectors fasterrcnn", "detector: expected"),
-        ("dagger-pairs --detectors nanodet", "did you mean nanodet_coco?"),
+        ("dagger-eot-study --detectors nanodet", "did you mean nanodet_coco?"),
         ("dagger-transfer --judges yolo8n", "did you mean yolov8n?"),
         ("view a.ply --detectors yolo8n", "did you mean yolov8n?"),
         ("evaluate a.ply b.ply --original car --target car", "another class than the object's, car"),
         ("evaluate a.ply b.ply --detectors yolov8n_small yolov8n_small", "--detectors: expected different names"),
         ("detect a.png --weights a b", "--weights: expected 1 files, got 2"),
-        ("dagger-pairs --eps 0", "--eps: expected a number > 0"),
+        ("dagger --eps 0", "--eps: expected a number > 0"),
     ],
 )
 def test_wrong_names_are_refused_before_a_command_starts(

@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.select.choose",)),
     "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.cli.example_scenes.make",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger.attack",)),
-    "dagger-study": (["dagger-study"], "{}", ("attacks.cli.dagger_study.run_jobs",)),
+    "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.plan.Work",)),
     "dagger-transfer": (["dagger-transfer"], "{}", ("attacks.cli.dagger_transfer.run_transfer",)),
     "rendering-study": (["rendering-study", "study.toml"], "{}", ("attacks.cli.rendering_study.run_study",)),
     "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity.run_checks",)),
@@ -61,6 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_splat(random_scene(60), tmp_path / "a.ply")
     save_splat(random_scene(60), tmp_path / "b.ply")
     (tmp_path / "study.toml").write_text(STUDY)
+    (tmp_path / "attacks.toml").write_text('study = "dagger"')
     return tmp_path
 
 

@@ -31,6 +31,7 @@ NEEDED = {
     "info": ["a.ply"],
     "example-scenes": ["stop_sign"],
     "cloak": ["study.toml"],
+    "study": ["plan", "study.toml"],
     "rendering-study": ["study.toml"],
     "view": ["a.ply"],
     "cloak-experiment": ["surroundings", "study.toml"],

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from attacks.cli import main
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.jobs import AttackScene, Job, JobRunner
 from attacks.dagger.pairs import SEARCHES, ledger, pair_job, pairs_table, run_pairs, smallest_radius, write_summary
@@ -109,9 +108,3 @@ def test_the_objective_s_settings_reach_the_attack_and_the_ledger() -> None:
 def test_what_a_step_cannot_be_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(InvalidValueError, match=next(iter(change))):
         DaggerConfig(**change)
-
-
-def test_doubled_names_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dagger-pairs", "--eps", "5", "5", "--out", str(tmp_path / "o")]) == 1
-    assert "eps: expected one or more, each once" in capsys.readouterr().err
-    assert not (tmp_path / "o").exists()

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
-from attacks import cli
-from attacks.cli import dagger_study
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.eot.jobs import EotJob, EotJobRunner
-from attacks.dagger.jobs import AttackScene, Job, JobRunner, jittered
-from attacks.dagger.study import CAMERAS, PAIRS, as_json, run_jobs, study_jobs
-from attacks.dagger.tables import TITLES, by_radius, markdown, rows, write_tables
+from attacks.dagger.jobs import AttackScene, Job, JobRunner
+from attacks.dagger.study import as_json, run_jobs
+from attacks.dagger.tables import by_radius, markdown, rows, write_tables
 from attacks.dagger.transfer.scenes import AttackScenes
-from attacks.limits import NORM_NAMES
-from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera, project_points
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -104,29 +98,6 @@ def test_attacks_that_differ_in_anything_have_files_of_their_own() -> None:
     others = [dataclasses.replace(first, config=dataclasses.replace(first.config, steps=steps)) for steps in (11, 40)]
     others += [dataclasses.replace(first, views=2), dataclasses.replace(first, scene="other")]
     assert len({job.name for job in others}) == 4
-
-
-def test_the_study_holds_what_the_paper_leaves_open() -> None:
-    jobs = study_jobs(3)
-    assert len({job.name for job in jobs}) == len(jobs)
-    paper = [job for job in jobs if job.group == "pairs"]
-    assert len(paper) == 18
-    assert {(job.scene, job.object, job.target) for job in paper} == set(PAIRS)
-    assert {job.config for job in paper} == {DaggerConfig(seed=seed, random_start=seed > 0) for seed in range(3)}
-    assert {job.config.eps for job in jobs if job.group == "curve"} == {(0.5,), (1.0,), (2.0,)}
-    assert {job.config.attributes for job in jobs} == {(name,) for name in ATTRIBUTES}
-    assert {job.config.norm for job in jobs} == set(NORM_NAMES)
-    assert {job.group for job in jobs} == set(TITLES)
-    assert {job.object for job in jobs if job.target is None} == {"car", "stop_sign"}
-    assert len(study_jobs(1)) * 3 == len(jobs)
-
-
-@pytest.mark.parametrize("scene", sorted({scene for scene, _, _ in PAIRS}))
-def test_every_camera_of_the_scenes_is_studied(scene: str) -> None:
-    path = Path(__file__).parents[2] / "scenes" / f"{scene}.xml"
-    assert path.read_text().count("<sensor ") == CAMERAS
-    looked = {job.camera for job in study_jobs(1) if job.scene == scene and job.views == 1}
-    assert looked == set(range(CAMERAS))
 
 
 def test_records_are_complete(records: list[dict[str, Any]]) -> None:
@@ -217,53 +188,6 @@ def test_tables_are_written(records: list[dict[str, Any]], tmp_path: Path) -> No
     assert paths[2].read_bytes().startswith(b"\x89PNG")
 
 
-def test_jitter_keeps_the_object_in_the_middle() -> None:
-    centre = torch.tensor([0.0, 0.0, 0.0])
-    assert jittered(camera(), centre, seed=0) is not None
-    assert torch.equal(jittered(camera(), centre, seed=0).to_world, camera().to_world)
-    moved = [jittered(camera(), centre, seed=seed) for seed in (1, 1, 2)]
-    assert torch.equal(moved[0].to_world, moved[1].to_world)
-    assert not torch.equal(moved[0].to_world, moved[2].to_world)
-    for view in moved:
-        pixel, depth = project_points(centre[None].double(), view)
-        assert pixel[0].tolist() == pytest.approx([16.0, 16.0], abs=1e-6)
-        assert 3 * 0.95 - 1e-6 <= float(depth[0]) <= 3 * 1.05 + 1e-6
-        turn = math.degrees(math.acos(min(1.0, float(view.to_world[:3, 2] @ camera().to_world[:3, 2]))))
-        assert turn <= 6.0 + 1e-6
-
-
-def test_jitter_uses_the_whole_of_its_range() -> None:
-    centre, start = torch.zeros(3), camera()
-    distance = float(start.position.norm())
-    turns, moves = [], []
-    for seed in range(1, 201):
-        moved = jittered(start, centre, seed=seed)
-        turns.append(math.degrees(math.acos(min(1.0, float(moved.to_world[:3, 2] @ start.to_world[:3, 2])))))
-        moves.append(float(moved.position.norm()) / distance - 1)
-    assert 5.9 < max(turns) <= 6.0 + 1e-6
-    assert 0.048 < max(moves) <= 0.05 + 1e-6
-    assert -0.05 - 1e-6 <= min(moves) < -0.048
-
-
 def test_an_object_that_is_not_there_is_named() -> None:
     with pytest.raises(InvalidValueError, match="object of toy: expected one of rest, thing, got tree"):
         runner().run(dataclasses.replace(JOBS[0], object="tree"))
-
-
-def test_the_command_runs_the_tables_that_are_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(dagger_study, "study_jobs", lambda seeds: JOBS[:1] * seeds + JOBS[3:4])
-    monkeypatch.setattr(dagger_study, "load_detector", lambda name, weights: ColourDetector())
-    monkeypatch.setattr(dagger_study, "read_attack_scene", lambda path: toy())
-    words = ["dagger-study", "--seeds", "1", "--groups", "hide", "--out", str(tmp_path), "--json"]
-    assert cli.main(words) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["jobs"] == 1
-    assert str(tmp_path / "table.md") in document["files"]
-    assert [path.stem for path in (tmp_path / "jobs").iterdir()] == [JOBS[3].name]
-
-
-def test_the_command_refuses_unknown_tables(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["dagger-study", "--groups", "colours"]) == 1
-    assert "groups: expected some of pairs, curve" in capsys.readouterr().err

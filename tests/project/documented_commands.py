@@ -42,8 +42,8 @@ FAST = {
 }
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
-    *("cloak", "cloak-experiment", "dagger-eot-study", "dagger-study", "doctor", "evaluate-detector", "view", "python"),
-    *("compare-detectors", "dagger-pairs", "dagger-sanity", "dagger-transfer", "rendering-study"),
+    *("cloak", "cloak-experiment", "dagger-eot-study", "doctor", "evaluate-detector", "view", "python"),
+    *("compare-detectors", "dagger-sanity", "dagger-transfer", "rendering-study"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {
@@ -56,6 +56,7 @@ ELSEWHERE = {
     "make docs": ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has built",
     "make nightly": "runs these tests",
     "make commands": "the same",
+    "study": "tests/studies/test_shipped.py plans every study that is shipped, and test_run.py does small ones",
     "detectors --get": "tests/detectors/test_fetch.py runs it, with an npm of its own",
     "detectors --from": "the same",
     "pip": "the tests run in what it has installed; the extras that it names are checked",
@@ -175,8 +176,6 @@ TINY: dict[str, dict[str, Change]] = {
     },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
-    "dagger-pairs": {"--detectors": to("fasterrcnn_small"), "--steps": to("1"), "--seeds": to("1"), "--radii": to()},
-    "dagger-study": {"--seeds": to("1"), "--groups": to("hide")},
     "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
     "rendering-study": {"--seeds": to("1"), "--detectors": to("fasterrcnn_small")},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},

@@ -69,6 +69,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
+    "studies": ("attacks.studies",),
     "rendering studies": ("attacks.rendering_studies",),
     "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),

@@ -1,0 +1,297 @@
+"""`mi-splat study`: what a study will take, its run, how far it is, and what to do with what it keeps."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, warn
+from mi_splat.errors import InvalidValueError, message
+
+if TYPE_CHECKING:
+    from attacks.studies.plan import Work
+    from attacks.studies.study_file import Study
+    from mi_splat.ledger import Event, Store
+    from mi_splat.ledger.engines import Engine
+
+_FAILED = 1
+_MEASURED = 200
+"""Most finished jobs whose seconds a forecast is made of."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyOptions:
+    """Do a study: a TOML file that says what is attacked, and what of it varies.
+
+    plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
+    result.json, rows.csv.gz and table.md into --out. status: how far it is. retry: let jobs that have failed three
+    times be tried again. reuse: take over results of older code, after some were made again with the same bytes.
+    export: arrays of SLURM, one for each level of jobs. clean: delete what the store keeps of this study alone.
+
+    The shipped studies are in scenes/studies. Finished jobs are kept in --store, which several studies may share: what
+    one has done, no other does again, and what was interrupted goes on where it stopped.
+    """
+
+    action: Positional[Literal["plan", "run", "status", "retry", "reuse", "export", "clean"]]
+    """What to do."""
+    study: Positional[Path]
+    """TOML file of the study."""
+    store: Path = Path("out/store")
+    """Folder of finished jobs."""
+    out: Path | None = None
+    """Folder for the result; None is out/studies/NAME."""
+    parts: tuple[str, ...] = ()
+    """Names of cases to do; all if none is named."""
+    workers: int = 1
+    """Processes that do jobs side by side; 0 does them in this one."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs."""
+    verify: int = 2
+    """Jobs that reuse makes again."""
+    reason: str | None = None
+    """Why the change of the code changes no result (reuse)."""
+    sbatch: tuple[str, ...] = ()
+    """Options of each array without their dashes, as time=02:00:00 (export)."""
+    json: bool = False
+    """Print one JSON document on stdout."""
+
+
+def run(options: StudyOptions) -> int:
+    """Do what is asked for."""
+    from attacks.studies.study_file import read_study
+
+    return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))
+
+
+def _out(options: StudyOptions, study: Study) -> Path:
+    return options.out or Path("out/studies") / study.name
+
+
+def _work(study: Study) -> Work:
+    limit_threads(1)
+    from attacks.studies.plan import Work
+
+    return Work(study)
+
+
+def _plan(options: StudyOptions, study: Study) -> int:
+    """Count the jobs, and forecast."""
+    from mi_splat.ledger import Store
+
+    work = _work(study)
+    store = Store(options.store)
+    states = work.states(store)
+    waiting = Counter(job.kind for job, done in states if done is None)
+    seconds, unknown = 0.0, 0
+    for kind, count in waiting.items():
+        measured = _measured(store, kind, [done.record["seconds"] for job, done in states if done and job.kind == kind])
+        seconds += count * statistics.median(measured) if measured else 0.0
+        unknown += 0 if measured else count
+    document = {
+        "study": work.study.name,
+        "jobs": len(states),
+        "done": len(states) - sum(waiting.values()),
+        "seconds": round(seconds, 1),
+        "not_measured": unknown,
+        "searches": len(work.searches),
+    }
+    if options.json:
+        show_json(document)
+        return 0
+    show(f"{work.study.question or work.study.name}")
+    show(f"{document['jobs']} jobs, {document['done']} of them done.")
+    if work.searches:
+        show(f"Of {len(work.searches)} searches some of the jobs: which ones, their results say.")
+    show(
+        f"About {_words(seconds / max(1, options.workers))} by what was measured, on {max(1, options.workers)} workers."
+    )
+    if unknown:
+        show(f"Of {unknown} jobs no like was done yet, so their time is not known.")
+    return 0
+
+
+def _measured(store: Store, kind: str, seconds: list[float]) -> list[float]:
+    """Seconds of finished jobs of the study, or else of others of their kind."""
+    if seconds:
+        return seconds
+    records = (store.record(key) for key in sorted(store.keys())[:_MEASURED])
+    return [record["seconds"] for record in records if record["kind"] == kind]
+
+
+def _words(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
+
+
+def _run(options: StudyOptions, study: Study) -> int:
+    """Do the jobs, and write the result."""
+    from attacks.studies.result import STUDY_FILE, write_result
+    from mi_splat.io.folders import own_folder
+    from mi_splat.io.manifest import write_manifest
+    from mi_splat.ledger.plans import Driver
+
+    out = _out(options, study)
+    with own_folder(out, STUDY_FILE):
+        work = _work(study)
+        with progress("preparing", total=None if work.searches else work.size) as advance:
+            engine = _engine(options, _follow(advance))
+            driver = Driver(options.store, engine, name=work.study.name, on_event=_follow(advance))
+            results = driver.run(work.plans())
+        failed = {label: result for label, result in results.items() if isinstance(result, str)}
+        paths = [] if len(failed) == len(results) else write_result(work, results, out)
+        if paths:
+            write_manifest(out)
+    if options.json:
+        show_json({"jobs": len(results), "failed": failed, "files": [str(path) for path in paths]})
+    else:
+        _tell(failed, paths, options.study)
+    return _FAILED if failed else 0
+
+
+def _tell(failed: Mapping[str, str], paths: list[Path], study: Path) -> None:
+    for label, text in failed.items():
+        warn(f"{label}: {text.strip().splitlines()[-1]}")
+    if failed:
+        warn(f"{len(failed)} jobs have failed; mend the cause, then: mi-splat study retry {study}")
+    show("\n".join(map(str, paths)))
+
+
+def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
+    from mi_splat.ledger.engines import InProcess, Processes
+
+    if options.scheduler is not None:
+        from mi_splat.ledger.cluster import Cluster
+
+        return Cluster(options.store, options.scheduler)
+    if options.workers == 0:
+        return InProcess(options.store, on_event=on_event)
+    return Processes(options.store, workers=options.workers, on_event=on_event)
+
+
+def _follow(advance: Advance) -> Callable[[Event], None]:
+    """What shows the events of jobs."""
+
+    def told(event: Event) -> None:
+        if event.state in ("done", "kept"):
+            advance(units=1)
+        elif event.state in ("failed", "different"):
+            warn(event.text)
+        elif event.text:
+            advance(f"{event.text}, {event.done} of {event.total}" if event.total else event.text, units=0)
+
+    return told
+
+
+def _export(options: StudyOptions, study: Study) -> int:
+    """Write what SLURM runs; then `run` finds everything done and writes the result."""
+    from mi_splat.ledger.slurm import SUBMIT, export
+
+    work, folder = _work(study), _out(options, study).with_name(f"{_out(options, study).name}-slurm")
+    jobs = {label: job for attempt in work.attempts for label, job in attempt.jobs().items()}
+    levels = export(jobs.values(), folder, options.store, options=[f"--{option}" for option in options.sbatch])
+    if work.searches:
+        warn("a search looks at some of its values only; all of them are exported")
+    if options.json:
+        show_json({"levels": levels, "file": str(folder / SUBMIT)})
+    else:
+        show(f"{sum(levels)} jobs in {len(levels)} arrays: sh {folder / SUBMIT}")
+    return 0
+
+
+def _reuse(options: StudyOptions, study: Study) -> int:
+    """Take over what older code has made."""
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.reuse import reuse
+
+    if options.reason is None:
+        do = "say why the change of the code changes no result"
+        raise InvalidValueError(message("--reason", "a reason", "none", do))
+    kinds = dict.fromkeys(job.kind for attempt in _work(study).attempts for job in attempt.jobs().values())
+    taken = {}
+    for kind in kinds:
+        with progress("making some again") as advance:
+            engine = _engine(options, _follow(advance))
+            found = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
+        taken[kind] = {"verified": len(found.verified), "taken": len(found.taken)}
+    if options.json:
+        show_json(taken)
+    else:
+        for kind, counts in taken.items():
+            show(f"{kind}: {counts['verified']} made again with the same bytes, {counts['taken']} taken over")
+    return 0
+
+
+def _status(options: StudyOptions, study: Study) -> int:
+    """How far the study is, as of its last planning."""
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.index import STATES, status
+
+    store = Store(options.store)
+    entries = status(store, study.name)
+    counts = Counter(entry.state for entry in entries)
+    failed = {_title(entry): store.failures(entry.key)[-1]["error"] for entry in entries if entry.state == "failed"}
+    if options.json:
+        show_json({**{state: counts[state] for state in STATES}, "failures": failed})
+        return 0
+    show(", ".join(f"{counts[state]} {state}" for state in STATES))
+    for label, text in failed.items():
+        show(f"{label}: {text.strip().splitlines()[-1]}")
+    return 0
+
+
+def _title(entry: Any) -> str:
+    return entry.labels[0] if entry.labels else f"{entry.kind} {entry.key}"
+
+
+def _retry(options: StudyOptions, study: Study) -> int:
+    """Forget what has failed."""
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.index import status
+
+    store = Store(options.store)
+    forgiven = [_title(entry) for entry in status(store, study.name) if entry.key and store.forgive(entry.key)]
+    if options.json:
+        show_json({"forgiven": forgiven})
+    else:
+        show(f"{len(forgiven)} jobs will be tried again by: mi-splat study run {options.study}")
+    return 0
+
+
+def _clean(options: StudyOptions, study: Study) -> int:
+    """Delete the results that no other study of the store uses."""
+    import shutil
+
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.index import status
+
+    store = Store(options.store)
+    others = [path.stem for path in (options.store / "plans").glob("*.json") if path.stem != study.name]
+    used = {entry.key for other in others for entry in status(store, other)}
+    keys = sorted({entry.key for entry in status(store, study.name) if entry.key} - used)
+    for key in keys:
+        store.forgive(key)
+        shutil.rmtree(store.folder_of(key), ignore_errors=True)
+    store.sweep()
+    if options.json:
+        show_json({"deleted": len(keys)})
+    else:
+        show(f"{len(keys)} jobs deleted from {options.store}; the result folder of the study stays as it is.")
+    return 0
+
+
+_ACTIONS: Mapping[str, Callable[[StudyOptions, Study], int]] = {
+    "plan": _plan,
+    "run": _run,
+    "status": _status,
+    "retry": _retry,
+    "reuse": _reuse,
+    "export": _export,
+    "clean": _clean,
+}

@@ -1,0 +1,175 @@
+"""One attack of a study: an object attacked from some of its scene's cameras, or from all cameras of a region.
+
+What it leaves: result.json as `mi-splat dagger` and `dagger-eot` write it, a picture of what was reported before and
+after, and the splat: object.ply has the object's Gaussians alone, attacked.ply of a region the whole scene.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from attacks.dagger.attack import attack, attack_views
+from attacks.dagger.checkpoint import Checkpoint
+from attacks.dagger.config import DaggerConfig, EotConfig
+from attacks.dagger.report import before_and_after, summary, write_files
+from attacks.dagger.result import Result
+from attacks.dagger.views import ViewDistribution
+from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.pgd import Step
+from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
+from attacks.transformations.config import Transformations
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.io import save_splat
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.folders import RECORD
+from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from mi_splat.ledger import Out
+
+VARIES = (RECORD,)
+SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attack:
+    """One attack.
+
+    Attributes:
+        object: Id of the object.
+        objective: What the detectors shall see.
+        detectors: Names of those that are attacked at once.
+        fingerprints: Of the detectors whose weights are in no file.
+    """
+
+    object: str
+    objective: Relabel | Hide | Untargeted
+    detectors: tuple[str, ...]
+    fingerprints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedAttack(Attack):
+    """An attack from some of the scene's cameras.
+
+    Attributes:
+        attack: How to attack. Its seed also moves the cameras, see `attacks.studies.scenes.jittered`.
+        camera: Position of the first camera that is attacked, in the order of the scene file.
+        views: Number of the cameras that are attacked together, from that one on; 0 is all of them.
+        renderer: Whose pictures the attacker looks at; "" is the scene's own.
+        gradient: Whose gradient the attacker follows; "" is that of the pictures.
+    """
+
+    attack: DaggerConfig
+    camera: int = 0
+    views: int = 1
+    renderer: str = ""
+    gradient: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnAttack(Attack):
+    """An attack from all cameras of a region.
+
+    Attributes:
+        attack: How to attack.
+        transformations: The views that it is made for.
+        judged: The views that judge it, where these are others.
+    """
+
+    attack: EotConfig
+    transformations: Transformations = field(default_factory=Transformations)
+    judged: Transformations | None = None
+
+
+def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+    """Attack, and write what comes of it; returns a row for each splat, view and detector."""
+    place = attack_scene(inputs["scene"])
+
+    def follow(step: Step) -> None:
+        out.progress("attacking", step.index, config.attack.steps)
+
+    if isinstance(config, FixedAttack):
+        result = _fixed(config, place, inputs, follow)
+        named = len(result.detectors) > 1
+        save_png(np.concatenate([before_and_after(view, named=named) for view in result.views]), out / PICTURE)
+        save_splat(result.scene.select(place.rows(config.object)), out / SPLAT)
+        save_json(summary(result), out / RECORD)
+    else:
+        result = _drawn(config, place, inputs, out, follow)
+        write_files(result, out.files)
+    return list(result.looked.rows.iter_rows(named=True))
+
+
+def _fixed(
+    config: FixedAttack, place: AttackScene, inputs: Mapping[str, Path], follow: Callable[[Step], None]
+) -> Result:
+    return attack(
+        place.scene,
+        place.rows(config.object),
+        place.views(config.object, camera=config.camera, count=config.views, seed=config.attack.seed),
+        detectors_of(config.detectors, inputs),
+        config.objective,
+        render=attackers_renderer(place, config.renderer, config.gradient),
+        config=config.attack,
+        on_step=follow,
+    )
+
+
+def _drawn(
+    config: DrawnAttack, place: AttackScene, inputs: Mapping[str, Path], out: Out, follow: Callable[[Step], None]
+) -> Result:
+    out.partial.mkdir(parents=True, exist_ok=True)
+    return attack_views(
+        distribution(place, config.object, config.transformations),
+        detectors_of(config.detectors, inputs),
+        config.objective,
+        config=config.attack,
+        judged=None if config.judged is None else distribution(place, config.object, config.judged),
+        checkpoint=Checkpoint(path=out.partial / "search.checkpoint"),
+        on_step=follow,
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def distribution(place: AttackScene, name: str, transformations: Transformations) -> ViewDistribution:
+    """The views of an object; drawn once for all jobs of a process."""
+    return ViewDistribution(place.scene, place.rows(name), place.cameras[0], transformations, render=place.renderer(""))
+
+
+def attackers_renderer(place: AttackScene, renderer: str, gradient: str) -> RenderFn:
+    """What makes the attacker's pictures, with the gradient of another renderer if one is named."""
+    picture = place.renderer(renderer)
+    same = gradient in ("", renderer)
+    return picture if same else with_gradient_of(place.renderer(gradient), picture)
+
+
+def with_gradient_of(gradient: RenderFn, picture: RenderFn) -> RenderFn:
+    """The pictures of `picture`, through which autograd goes as through those of `gradient`.
+
+    A derivative of the loss by the pixels is therefore that at the picture that is shown; the derivative of the pixels
+    by the Gaussians is the other renderer's.
+
+    Args:
+        gradient: A differentiable renderer.
+        picture: Any renderer.
+    """
+
+    def rendered(scene: GaussianScene, camera: Camera) -> Tensor:
+        with torch.no_grad():
+            shown = picture(scene.detach(), camera)
+        if not any(tensor.requires_grad for tensor in scene.tensors()):
+            return shown
+        carrier = gradient(scene, camera)
+        return carrier + (shown - carrier).detach()
+
+    return rendered

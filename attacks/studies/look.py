@@ -1,0 +1,261 @@
+"""What one detector reports on one attacked splat under one condition: clean, attacked, and with noise of its size."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Generator, Tensor
+
+from attacks.budgets import Budget
+from attacks.gaussian_subset import GaussianSubset
+from attacks.limits import NormName
+from attacks.observe.conditions import FORMATS, Condition, SunTable, file_forms, rendered, street_at
+from attacks.observe.look import look, report_cells, seen_from
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE
+from attacks.observe.views import ViewDetections, object_boxes
+from attacks.studies.attack import distribution
+from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
+from attacks.transformations.config import Transformations
+from attacks.transformations.draws import changing
+from mi_splat.attributes import ATTRIBUTES, Attribute
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.comparison.methods import method_names
+from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.io import load_splat
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import MAX_DEGREE
+from mi_splat.sun import clock
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+OWN, HELD_OUT = "own renderer", "held-out views"
+"""Names of the conditions of looks in the scene's own renderer, and from a region."""
+_HOUR = re.compile(r"[0-2]\d:[0-5]\d")
+_ANY = 1e9
+"""A radius that binds nothing: noise has the size of the attack."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """One look.
+
+    Attributes:
+        object: Id of the object; with spaces for its underscores it is the object's class.
+        target: Class wanted; None for none.
+        detector: Name of the one that looks.
+        attributes: What the attack could change.
+        norm: Norm of its balls.
+        seed: Of the noise, and of the views.
+        fingerprints: Of the detector, if its weights are in no file.
+    """
+
+    object: str
+    target: str | None
+    detector: str
+    attributes: tuple[Attribute, ...]
+    norm: NormName
+    seed: int
+    fingerprints: tuple[str, ...] = ()
+
+    @property
+    def original(self) -> str:
+        """The object's class."""
+        return self.object.replace("_", " ")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedLook(Look):
+    """A look through the cameras that were attacked.
+
+    Attributes:
+        eps: Radii of the attack's balls, which noise stays in: one for all attributes, or one for each.
+        camera: See `attacks.studies.attack.FixedAttack`.
+        views: See there.
+        condition: How the splat is looked at, see `condition_of`.
+        sun: The street of meshes, if the condition is an hour.
+    """
+
+    eps: tuple[float, ...]
+    camera: int = 0
+    views: int = 1
+    condition: str = ""
+    sun: SunTable | None = None
+
+    @property
+    def shown(self) -> str:
+        """What the condition is called in rows."""
+        return self.condition or OWN
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnLook(Look):
+    """A look from held-out views of a region.
+
+    Attributes:
+        sh_degree: Highest degree of the SH coefficients that the attack could change; None is the splat's.
+        transformations: The views.
+        views: Their number.
+    """
+
+    sh_degree: int | None
+    transformations: Transformations
+    views: int
+
+    @property
+    def shown(self) -> str:
+        """What the condition is called in rows."""
+        return HELD_OUT
+
+
+def run(config: FixedLook | DrawnLook, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+    """Look, and return a row for each splat and view."""
+    place = attack_scene(inputs["scene"])
+    saved = load_splat(inputs["attacked"])
+    shown = _fixed(config, place, saved) if isinstance(config, FixedLook) else _drawn(config, place, saved)
+    splats, boxes, condition = shown
+    (detector,) = detectors_of((config.detector,), inputs)
+    centre = tuple(place.scene.means[place.rows(config.object)].mean(0).tolist())
+    directions = seen_from(centre)
+
+    def cells(seen: ViewDetections) -> dict[str, Any]:
+        reported = report_cells(seen.detections, seen.box, original=config.original, target=config.target)
+        return {**directions(seen), **reported}
+
+    looked = look([condition], splats, list(boxes), [detector], boxes=boxes.__getitem__, cells=cells)
+    return [{**row, "condition": config.shown} for row in looked.rows.iter_rows(named=True)]
+
+
+_Looked = tuple[dict[str, GaussianScene], dict[Camera, Tensor], Condition]
+
+
+def _fixed(config: FixedLook, place: AttackScene, saved: GaussianScene) -> _Looked:
+    rows = place.rows(config.object)
+    clean, attacked = clean_and_attacked(place.scene, rows, saved, config.attributes)
+    reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
+    radii = config.eps if len(config.eps) > 1 else config.eps * len(config.attributes)
+    budget = Budget(radius=dict(zip(config.attributes, radii, strict=True)), norm=config.norm)
+    noisy = clean.applied(budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
+    boxes = {}
+    cameras = place.views(config.object, camera=config.camera, count=config.views, seed=config.seed)
+    for camera, box in zip(cameras, object_boxes(place.scene, rows, cameras, render=place.renderer("")), strict=True):
+        if box is None:
+            do = "choose another camera or seed"
+            raise InvalidValueError(message(config.object, "a view that shows the object", "none of it", do))
+        boxes[camera] = box
+    splats = {CLEAN: clean.scene, ATTACKED: attacked.scene, NOISE: noisy}
+    return splats, boxes, condition_of(config.condition, place, config.object, config.sun)
+
+
+def _drawn(config: DrawnLook, place: AttackScene, attacked: GaussianScene) -> _Looked:
+    views = distribution(place, config.object, config.transformations).views(config.seed, config.views)
+    splats = {CLEAN: place.scene, ATTACKED: attacked, NOISE: _noisy(place, attacked, config)}
+    render = changing(place.renderer(""), {view.camera: view.change for view in views})
+    return splats, {view.camera: view.box for view in views}, rendered(HELD_OUT, render)
+
+
+def _noisy(place: AttackScene, attacked: GaussianScene, config: DrawnLook) -> GaussianScene:
+    """The clean scene with random noise as large as the attack, on what the attack could change."""
+    rows = place.rows(config.object)
+    clean = GaussianSubset.of(place.scene.with_degree(max(attacked.degree, place.scene.degree)), rows)
+    reference = clean.parameters(config.attributes)
+    moved = GaussianSubset.of(attacked, rows).parameters(config.attributes)
+    bands = slice(None if config.sh_degree is None else (config.sh_degree + 1) ** 2)
+    budget = Budget(radius=dict.fromkeys(config.attributes, _ANY), norm=config.norm)
+    after, before = ({name: _part(name, one[name], bands) for name in one} for one in (moved, reference))
+    noise = budget.noise(after, before, Generator().manual_seed(config.seed + 1))
+    for name, value in reference.items():
+        reference[name] = value.clone()
+        _part(name, reference[name], bands)[...] = noise[name]
+    return clean.applied(reference)
+
+
+def _part(name: str, value: Tensor, bands: slice) -> Tensor:
+    return value[:, bands] if name == "sh" else value
+
+
+def clean_and_attacked(
+    scene: GaussianScene, rows: slice, saved: GaussianScene, attributes: Sequence[str]
+) -> tuple[GaussianSubset, GaussianSubset]:
+    """An object in the clean scene, with as many coefficients as the attacked one has, and in the attacked scene.
+
+    Args:
+        scene: The clean scene.
+        rows: The object.
+        saved: Its Gaussians after the attack, as they were loaded from their file.
+        attributes: What of them was attacked; all else is taken from the clean scene.
+    """
+    clean = GaussianSubset.of(scene.with_degree(max(saved.degree, scene.degree)), rows)
+    values = {
+        name: whole.clone().index_put((clean.rows,), part)
+        for name, whole, part in zip(ATTRIBUTES, clean.scene.tensors(), saved.tensors(), strict=True)
+        if name in attributes
+    }
+    return clean, GaussianSubset.of(clean.scene.replace(**values), rows)
+
+
+def condition_of(name: str, place: AttackScene, object_name: str, sun: SunTable | None = None) -> Condition:
+    """How a splat is looked at.
+
+    Args:
+        name: "" for the scene's own renderer; a renderer as in `mi-splat compare`; a format, as .spz, that the whole
+            scene goes through; "SH in float16"; "SH of degree 1"; or an hour, as 09:30, on a street of meshes.
+        place: The scene.
+        object_name: Id of the object, which stands alone on the street.
+        sun: The street.
+
+    Raises:
+        InvalidValueError: There is no such condition, or the street holds other Gaussians than the object's.
+    """
+    check_condition(name, sun)
+    if sun is not None:
+        return _on_street(place, object_name, sun)
+    if name == "" or name in method_names():
+        return rendered(name, place.renderer(name))
+    return next(form for form in _forms(place.renderer("")) if form.name == name)
+
+
+def check_condition(name: str, sun: SunTable | None) -> None:
+    """Raise unless there is a condition of this name.
+
+    Args:
+        name: See `condition_of`.
+        sun: The street, which hours need.
+    """
+    known = (*method_names(), *(form.name for form in _forms(lambda scene, camera: scene.means)))
+    if name and name not in known and not (_HOUR.fullmatch(name) and sun is not None):
+        do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
+        raise InvalidValueError(message("condition", ", ".join(known), name, do))
+
+
+def _forms(render: RenderFn) -> list[Condition]:
+    """Every form of a file that a splat can go through."""
+    return file_forms(render, files=FORMATS, float16=True, sh_degrees=range(MAX_DEGREE + 1))
+
+
+def hour_of(name: str) -> float:
+    """The hour that a condition as 09:30 is.
+
+    Raises:
+        InvalidValueError: It is none.
+    """
+    if not _HOUR.fullmatch(name):
+        raise InvalidValueError(message("condition", "an hour as 09:30", name, "write two digits each"))
+    hours, minutes = name.split(":")
+    return int(hours) + int(minutes) / 60
+
+
+def _on_street(place: AttackScene, name: str, sun: SunTable) -> Condition:
+    """The object alone, on a street of meshes."""
+    (hour,) = sun.hours
+    rows, street = place.rows(name), street_at(sun, hour)
+    alone, inside = place.scene.select(rows), street.splats.scene
+    if len(inside) != len(alone) or not torch.equal(inside.means, alone.means):
+        expected, do = f"the Gaussians of {name} and no others", "name the file of that object in the scene"
+        raise InvalidValueError(message(sun.scene, expected, f"{len(inside):,} Gaussians", do))
+    return rendered(clock(hour), street, lambda scene: scene.select(rows))

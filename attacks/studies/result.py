@@ -1,0 +1,280 @@
+"""The result of a study: one table of rows for all of it, what each attack says of itself, and the figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, attacks_of, joint_views, transfer_measures, with_control
+from attacks.observe.rates import blocks_of, count
+from attacks.observe.rows import ATTACKED, NOISE, ROWS, SUFFIX, column_of, frame_of, write_rows
+from attacks.rate import Rate
+from attacks.studies.plan import Attempt, Work, record_of
+from attacks.studies.table import markdown
+from mi_splat import provenance
+from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.folders import RECORD
+from mi_splat.ledger import Done
+from mi_splat.ledger.plans import Result
+
+STORY, STUDY_FILE, TABLE = "study", "study.toml", "table.md"
+POOLED = ("seed", "pair")
+"""Axes over which looks are pooled; the attacks over the first alone."""
+_STATED = (
+    *("steps", "image_psnr", "image", "noise_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
+    *("clamped_fraction", "redraws", "warnings", "seconds", "versions", "variant", "commit"),
+)
+"""What an attack says of itself that does not follow from rows."""
+_NAME_DIGITS = 12
+
+Record = Mapping[str, Any]
+Tables = Mapping[str, pl.DataFrame]
+
+
+def write_result(work: Work, results: Mapping[str, Result], out: Path) -> list[Path]:
+    """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there.
+
+    Args:
+        work: The study.
+        results: Of its jobs, by their labels.
+        out: The folder.
+
+    Returns:
+        The files.
+    """
+    done = list(work.done(results))
+    rows = frame_of(_whole([row for attempt, result in done for row in _rows(attempt, result, results)]))
+    record = {
+        "story": STORY,
+        "study": work.study.kind,
+        "name": work.study.name,
+        "question": work.study.question,
+        "attacks": {_name(result): _attack(attempt, result) for attempt, result in done},
+        "detectors": _detectors(done),
+        **provenance.origin(),
+    }
+    record = merged_figures(record, figures(record, {ROWS: rows}))
+    paths = [out / name for name in (f"{ROWS}{SUFFIX}", RECORD, STUDY_FILE, TABLE)]
+    write_rows(rows, paths[0])
+    save_json(record, paths[1])
+    save_text(work.study.text, paths[2])
+    save_text(markdown(record), paths[3])
+    return paths
+
+
+def _name(result: Done) -> str:
+    return result.key[:_NAME_DIGITS]
+
+
+def _rows(attempt: Attempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
+    """Every row of an attack and of the looks at it."""
+    settings = attempt.settings
+    ids = {"attack": _name(result), "sources": "+".join(settings.detectors), "seed": settings.seed}
+    yield from ({**ids, **row} for row in result.rows)
+    for look in attempt.looks:
+        looked = results.get(look.label)
+        yield from ({**ids, **row} for row in (looked.rows if isinstance(looked, Done) else ()))
+
+
+def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows without the columns that some of them lack and none may."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    kept = [name for name in names if column_of(name).optional or all(row.get(name) is not None for row in rows)]
+    return [{name: row.get(name) for name in kept} for row in rows]
+
+
+def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
+    """What is known of an attack besides its rows."""
+    record, settings = record_of(result), attempt.settings
+    confidence: Any = attempt.job.config.objective.confidence
+    return {
+        "part": attempt.point.part,
+        "labels": dict(attempt.point.labels),
+        "bisected": attempt.bisected,
+        "object": settings.object,
+        "target": settings.target,
+        "sources": list(settings.detectors),
+        "confidence": confidence,
+        "seed": settings.seed,
+        "config": dataclasses.asdict(attempt.job.config.attack),
+        "key": result.key,
+        **{name: record[name] for name in _STATED if name in record},
+    }
+
+
+def _detectors(done: Sequence[tuple[Attempt, Done]]) -> dict[str, str]:
+    """Fingerprints of the weights of every detector attacked, by its name."""
+    marks: dict[str, str] = {}
+    for _, result in done:
+        marks |= {one["detector"]: one["detector_fingerprint"] for one in record_of(result)["detectors"]}
+    return marks
+
+
+def merged_figures(record: Record, derived: Record) -> dict[str, Any]:
+    """A record with figures at their places."""
+    attacks = {name: {**one, **derived["attacks"][name]} for name, one in record["attacks"].items()}
+    return {**record, **derived, "attacks": attacks}
+
+
+def figures(record: Record, tables: Tables) -> dict[str, Any]:
+    """Every figure of a study, of its rows, and of what its attacks say of themselves.
+
+    Args:
+        record: result.json.
+        tables: Its tables.
+    """
+    rows, attacks = tables[ROWS], record["attacks"]
+    looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
+    own, looks = rows.filter(~looked), rows.filter(looked)
+    each = _of_attacks(attacks, own)
+    groups = [
+        _group(part, labels, members, each, attacks, own) for part, labels, members in _grouped(attacks, ("seed",))
+    ]
+    return {"attacks": each, "groups": groups, "smallest": _smallest(attacks, each), "looks": _looks(attacks, looks)}
+
+
+def _of_attacks(attacks: Record, own: pl.DataFrame) -> dict[str, dict[str, Any]]:
+    """Whether each attack has its aim: in enough fixed views, or in enough of the views of a region."""
+    each: dict[str, dict[str, Any]] = {}
+    for name, rows in _by_attack(own).items():
+        config = attacks[name]["config"]
+        attacked = rows.filter(splat=ATTACKED)
+        if "held_out" in config:
+            rates = {key: rate.as_dict() for key, rate in count(joint_views(rows), AIMS)[()].items()}
+            needed = config["required_views"] - 1e-9
+            each[name] = {"success": rates["success"]["rate"] >= needed, "rates": rates}
+        else:
+            reached = attacks_of(
+                rows,
+                required_views=config["required_views"],
+                required_detectors=config["required_detectors"],
+            )
+            (mine,) = reached.filter(splat=ATTACKED).iter_rows(named=True)
+            noise = reached.filter(splat=NOISE)
+            each[name] = {
+                **{key: mine[key] for key in ("success", "strict", "unambiguous")},
+                "score": mine["aim"],
+                "noise": {"successes": int(noise["success"].sum()), "draws": len(noise), "best": noise["aim"].max()},
+            }
+        each[name]["original_after"] = attacked["original_score"].max()
+    return each
+
+
+def _by_attack(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    return {str(name): part for (name,), part in rows.group_by("attack", maintain_order=True)}
+
+
+Group = tuple[str, dict[str, Any], list[str]]
+"""Part, labels, and names of the attacks."""
+
+
+def _grouped(attacks: Record, pooled: Sequence[str]) -> list[Group]:
+    """Attacks that differ in nothing but some axes."""
+    groups: dict[tuple[Any, ...], Group] = {}
+    for name, one in attacks.items():
+        labels = {axis: label for axis, label in one["labels"].items() if axis not in pooled}
+        groups.setdefault((one["part"], *labels.items()), (one["part"], labels, []))[2].append(name)
+    return list(groups.values())
+
+
+def _group(
+    part: str,
+    labels: Record,
+    members: Sequence[str],
+    each: Mapping[str, Record],
+    attacks: Record,
+    own: pl.DataFrame,
+) -> dict[str, Any]:
+    """What attacks that differ in the seed alone have reached."""
+    known = [each[name] for name in members]
+    group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
+    for name in ("steps", "image_psnr", "psnr_object", "seconds"):
+        values = [value for one in members if (value := _stated(attacks[one], name)) is not None]
+        group[name] = statistics.median(values) if values else None
+    group["original_after"] = statistics.median(one["original_after"] for one in known)
+    if "rates" in known[0]:
+        rates = _pooled(own.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
+        return {**group, **{key: rate.as_dict() for key, rate in rates.items()}}
+    aims = ("success", "strict", "unambiguous")
+    frame = pl.DataFrame([{"splat": ATTACKED, **{key: one[key] for key in aims}} for one in known])
+    rates = count(frame, {key: AIMS[key] for key in aims})[()]
+    scores = [one["score"] for one in known if one["score"] is not None]
+    best = [one["noise"]["best"] for one in known if one["noise"]["best"] is not None]
+    return {
+        **group,
+        **{key: rate.as_dict() for key, rate in rates.items()},
+        "score": statistics.median(scores) if scores else None,
+        "score_least": min(scores, default=None),
+        "noise_successes": sum(one["noise"]["successes"] for one in known),
+        "noise_draws": sum(one["noise"]["draws"] for one in known),
+        "noise_best": max(best, default=None),
+    }
+
+
+def _pooled(rows: pl.DataFrame, *, several: bool) -> dict[str, Rate]:
+    """Rates over the views of a region; of several seeds with the interval of blocks of cameras and seeds."""
+    views = joint_views(rows)
+    if not several:
+        return count(views, AIMS)[()]
+    blocks = rows.select("attack", "view", block=blocks_of("azimuth", "elevation")).unique(maintain_order=True)
+    return count(views.join(blocks, on=("attack", "view"), maintain_order="left"), AIMS, clusters=CLUSTERS)[()]
+
+
+def _stated(attack: Record, name: str) -> Any:
+    return attack["image"]["psnr_object"] if name == "psnr_object" else attack.get(name)
+
+
+def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any]]:
+    """Of every search the smallest value that sufficed, and the largest that did not."""
+    lines = []
+    for field in dict.fromkeys(one["bisected"] for one in attacks.values() if one.get("bisected")):
+        searched = {name: one for name, one in attacks.items() if one.get("bisected") == field}
+        for part, labels, members in _grouped(searched, (field,)):
+            values = {attacks[name]["labels"][field]: each[name]["success"] for name in members}
+            enough = [value for value, success in values.items() if success]
+            failed = [value for value, success in values.items() if not success]
+            lines.append(
+                {
+                    "part": part,
+                    "labels": labels,
+                    "field": field,
+                    "smallest": min(enough, default=None),
+                    "not_enough": max(failed, default=None),
+                }
+            )
+    return lines
+
+
+def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
+    """How often attacks that differ in pair and seed alone deceive each detector under each condition."""
+    lines = []
+    rows = with_control(looks.with_columns(pl.col("target_score").fill_null(0.0))) if len(looks) else looks
+    for part, labels, members in _grouped(attacks, POOLED) if len(looks) else ():
+        mine = rows.filter(pl.col("attack").is_in(members))
+        first = attacks[members[0]]
+        confidence = first["confidence"] if first["target"] else REPORTED
+        by = ("condition", "detector")
+        medians = mine.filter(splat=ATTACKED).group_by(by).agg(pl.col("target_score").median())
+        scores = {(condition, detector): score for condition, detector, score in medians.iter_rows()}
+        measures = transfer_measures(confidence)
+        if not first["target"]:
+            measures = {name: measure for name, measure in measures.items() if not name.endswith("_targeted")}
+            measures.pop("targeted")
+        for (condition, detector), rates in count(mine, measures, by).items():
+            lines.append(
+                {
+                    "part": part,
+                    "labels": labels,
+                    "condition": condition,
+                    "detector": detector,
+                    "white_box": detector in first["sources"],
+                    "target_score": scores[condition, detector] if first["target"] else None,
+                    **{name: rate.as_dict() for name, rate in rates.items()},
+                }
+            )
+    return lines

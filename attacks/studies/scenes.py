@@ -1,0 +1,146 @@
+"""The scenes that a study attacks, and where it looks at them from."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Generator
+
+from attacks.detectors.base import Detector
+from attacks.detectors.registry import load_detector
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.comparison.methods import load_method
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.scene_parts import scene_parts
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import read_scene
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AttackScene:
+    """A scene ready for attacks.
+
+    Attributes:
+        scene: All Gaussians.
+        objects: Rows of each object.
+        cameras: The scene's views, in the order of its file.
+        settings: Background and near plane.
+    """
+
+    scene: GaussianScene
+    objects: Mapping[str, slice]
+    cameras: tuple[Camera, ...]
+    settings: RenderSettings
+
+    def rows(self, name: str) -> slice:
+        """Rows of an object.
+
+        Raises:
+            InvalidValueError: There is none of this name.
+        """
+        if name not in self.objects:
+            raise InvalidValueError(message("object", f"one of {', '.join(self.objects)}", name, "correct the study"))
+        return self.objects[name]
+
+    def views(self, name: str, *, camera: int, count: int, seed: int) -> list[Camera]:
+        """Some of the scene's cameras, moved about an object as `jittered` does.
+
+        Args:
+            name: Of the object.
+            camera: Position of the first camera in the order of the scene file.
+            count: Number of cameras from that one on; 0 is all.
+            seed: Seed of the move.
+
+        Raises:
+            InvalidValueError: There is no such object or camera.
+        """
+        centre = self.scene.means[self.rows(name)].mean(0)
+        if camera >= len(self.cameras):
+            raise InvalidValueError(message("camera", f"0 to {len(self.cameras) - 1}", camera, "choose another"))
+        return [jittered(one, centre, seed=seed) for one in self.cameras[camera:][: count or None]]
+
+    def renderer(self, name: str) -> RenderFn:
+        """A renderer by its name, as in `mi-splat compare`, with the scene's settings; "" is the scene's own."""
+        return load_method(name, self.settings).render if name else Renderer(self.settings)
+
+
+def attack_scene(path: Path) -> AttackScene:
+    """A scene XML ready for attacks; read once as long as its files are the same.
+
+    Raises:
+        MiSplatError: It cannot be read.
+    """
+    return _read(path, tuple(_state(file) for file in scene_files(path).values()))
+
+
+@functools.lru_cache(maxsize=4)
+def _read(path: Path, state: tuple[object, ...]) -> AttackScene:
+    loaded = read_scene(path)
+    cameras = tuple(loaded.cameras.values())
+    return AttackScene(scene=loaded.scene, objects=loaded.objects, cameras=cameras, settings=loaded.settings)
+
+
+def detectors_of(names: tuple[str, ...], inputs: Mapping[str, Path]) -> list[Detector]:
+    """The detectors of a job, each loaded once as long as its weights are the same.
+
+    Args:
+        names: Of the detectors.
+        inputs: Of the job.
+    """
+    return [
+        _detector(name, _state(inputs[f"weights {name}"]) if f"weights {name}" in inputs else None) for name in names
+    ]
+
+
+@functools.lru_cache(maxsize=8)
+def _detector(name: str, state: object) -> Detector:
+    return load_detector(name)
+
+
+def _state(file: Path) -> tuple[str, int, int]:
+    """What changes when a file does."""
+    status = file.stat()
+    return str(file), status.st_mtime_ns, status.st_size
+
+
+def scene_files(path: Path) -> dict[str, Path]:
+    """A scene file and all that it names, as inputs of a job.
+
+    Raises:
+        InvalidValueError: It cannot be read.
+    """
+    files = dict.fromkeys(scene_parts(path).files)
+    return {f"scene {number}" if number else "scene": file for number, file in enumerate(files)}
+
+
+def jittered(
+    camera: Camera, centre: torch.Tensor, *, seed: int, degrees: float = 6.0, fraction: float = 0.05
+) -> Camera:
+    """The camera turned about the vertical axis through `centre` and moved along the line to it.
+
+    Seed 0 changes nothing.
+
+    Args:
+        camera: The camera.
+        centre: (3,) world units, what it looks at.
+        seed: Seed of the draw.
+        degrees: Largest angle.
+        fraction: Largest change of the distance, as a fraction of it.
+    """
+    if seed == 0:
+        return camera
+    turn, move = (2 * torch.rand(2, generator=Generator().manual_seed(seed), dtype=torch.float64) - 1).tolist()
+    angle, pivot = math.radians(degrees * turn), centre.detach().to("cpu", torch.float64)
+    spin = torch.eye(3, dtype=torch.float64)
+    spin[:2, :2] = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    pose = camera.to_world.clone()
+    pose[:3, :3] = spin @ pose[:3, :3]
+    pose[:3, 3] = pivot + (1 + fraction * move) * (spin @ (camera.position - pivot))
+    return dataclasses.replace(camera, to_world=pose)

@@ -1,0 +1,171 @@
+"""The tables of a study as a page of Markdown: what was reached, by what varies, and what was seen otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+Record = Mapping[str, Any]
+Cell = Callable[[Record], str]
+
+
+def markdown(record: Record) -> str:
+    """All tables of a study.
+
+    Args:
+        record: Its result.json.
+    """
+    lines = [f"# {record['question'] or record['name']}", "", *_introduction(record)]
+    for title, groups in _by_part(record["groups"]).items():
+        columns = {**_axes(groups), **(_OF_VIEWS if "clean_success" in groups[0] else _OF_ATTACKS)}
+        lines += ["", f"## {title or 'The attacks'}", "", *table(columns, groups)]
+    for title, searched in _by_part(record["smallest"]).items():
+        lines += ["", f"## The smallest that suffices{f': {title}' if title else ''}", ""]
+        lines += table({**_axes(searched), **_OF_SEARCHES}, searched)
+    for title, looks in _by_part(record["looks"]).items():
+        for kind, meaning in _KINDS.items() if "targeted" in looks[0] else [("untargeted", _KINDS["untargeted"])]:
+            lines += ["", f"## {meaning}{f': {title}' if title else ''}", "", *_matrix(looks, kind)]
+    return "\n".join(lines) + "\n"
+
+
+def table(columns: Mapping[str, Cell], lines: Sequence[Record]) -> list[str]:
+    """The lines of a Markdown table.
+
+    Args:
+        columns: By the title of each, what makes a cell of a line.
+        lines: Of the table.
+    """
+    body = [[cell(line) for cell in columns.values()] for line in lines]
+    return [f"| {' | '.join(row)} |" for row in (list(columns), ["---"] * len(columns), *body)]
+
+
+def number(value: Any, form: str = "g") -> str:
+    """A number in a format, a dash for none; texts stay."""
+    return "-" if value is None else format(value, form) if isinstance(value, (int, float)) else str(value)
+
+
+def counted(rate: Record, *, interval: bool = False) -> str:
+    """A rate as its count, with its 95 % interval."""
+    low, high = rate["interval"]
+    count = f"{rate['successes']}/{rate['total']}"
+    return f"{count} ({low:.2f} to {high:.2f})" if interval and rate["total"] else count
+
+
+def _rate(name: str, *, interval: bool = False) -> Cell:
+    return lambda line: counted(line[name], interval=interval)
+
+
+def _number(name: str, form: str = "g") -> Cell:
+    return lambda line: number(line[name], form)
+
+
+_OF_ATTACKS: dict[str, Cell] = {
+    "success": _rate("success"),
+    "strictly": _rate("strict"),
+    "confidence (least)": lambda line: f"{number(line['score'], '.2f')} ({number(line['score_least'], '.2f')})",
+    "original after": _number("original_after", ".2f"),
+    "steps": _number("steps"),
+    "PSNR, dB": _number("image_psnr", ".1f"),
+    "on the object": _number("psnr_object", ".1f"),
+    "noise success": lambda line: f"{line['noise_successes']}/{line['noise_draws']}",
+    "noise best": _number("noise_best", ".2f"),
+}
+_OF_VIEWS: dict[str, Cell] = {
+    "views": _rate("success", interval=True),
+    "strictly": _rate("strict"),
+    "noise": _rate("noise_success"),
+    "clean": _rate("clean_success"),
+    "PSNR, dB": _number("image_psnr", ".1f"),
+    "on the object": _number("psnr_object", ".1f"),
+    "steps": _number("steps"),
+    "seconds": _number("seconds", ".0f"),
+}
+_OF_SEARCHES: dict[str, Cell] = {
+    "smallest": _number("smallest"),
+    "largest that does not": _number("not_enough"),
+}
+_KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's class is no longer reported"}
+
+
+def _introduction(record: Record) -> list[str]:
+    attacks = list(record["attacks"].values())
+    seeds = ", ".join(str(seed) for seed in sorted({one["seed"] for one in attacks}))
+    weights = "; ".join(f"{name} {mark}" for name, mark in record["detectors"].items())
+    versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
+    variants = ", ".join(dict.fromkeys(str(one["variant"]) for one in attacks))
+    return [
+        f"{len(attacks)} attacks, seeds {seeds}. Every attack is judged on the saved file, in pictures of 8 bits. "
+        "Strictly: the object's own class is gone, too (below 0.5). Medians are over seeds; noise is random noise of "
+        "the size of the attack in the same norm; intervals are of 95 %.",
+        "",
+        f"Weights: {weights}. Versions: {versions}; variant {variants}; commit {record['commit']}.",
+    ]
+
+
+def _by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
+    parts: dict[str, list[Record]] = {}
+    for line in lines:
+        parts.setdefault(line["part"], []).append(line)
+    return parts
+
+
+def _axes(lines: Sequence[Record]) -> dict[str, Cell]:
+    """A column for each axis."""
+    names = dict.fromkeys(name for line in lines for name in line["labels"])
+    return {title_of(name): lambda line, name=name: number(line["labels"].get(name)) for name in names}  # type: ignore[misc]
+
+
+def title_of(axis: str) -> str:
+    """What an axis is called at the head of a column."""
+    return axis.removeprefix("attack.").replace("_", " ")
+
+
+def _matrix(looks: Sequence[Record], kind: str) -> list[str]:
+    """Who judges, and how, against what was attacked; the longer of the two downwards, and the noise of all of it."""
+    judges = _names(looks, ("condition", "detector"))
+    attacks = _names(looks, ("labels",))
+    cells = {(attacks[id(look)], judges[id(look)]): look for look in looks}
+    across, down = (dict.fromkeys(names.values()) for names in (attacks, judges))
+    turned = len(across) > len(down)
+    if turned:
+        across, down = down, across
+
+    def cell(row: str, column: str) -> str:
+        look = cells.get((row, column) if turned else (column, row))
+        return (
+            "-" if look is None else counted(look[kind], interval=True) + (" *" if look["white_box"] and marked else "")
+        )
+
+    def noise(row: str) -> str:
+        members = [look for look in looks if row == (attacks if turned else judges)[id(look)]]
+        rates = [look[f"noise_{kind}"] for look in members]
+        return f"{sum(rate['successes'] for rate in rates)}/{sum(rate['total'] for rate in rates)}"
+
+    marked = len({look["detector"] for look in looks}) > 1
+    head = "attacked, judged by" if turned else "judged by"
+    columns: dict[str, Cell] = {head: lambda line: line["row"] or "all"}
+    columns |= {name or "all": lambda line, name=name: cell(line["row"], name) for name in across}  # type: ignore[misc]
+    columns["random noise"] = lambda line: noise(line["row"])
+    note = ["", "A star: the detector that judges was attacked itself."] if marked else []
+    return [*table(columns, [{"row": row} for row in down]), *note]
+
+
+def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:
+    """What each look is called by some of its keys, those apart that are the same in all looks."""
+    values = {id(look): _flat(look, keys) for look in looks}
+    several = [key for key in next(iter(values.values())) if len({one.get(key) for one in values.values()}) > 1]
+    return {
+        name: ", ".join(_said(key, one[key]) for key in several if one.get(key) is not None)
+        for name, one in values.items()
+    }
+
+
+def _said(key: str, value: Any) -> str:
+    return str(value) if isinstance(value, str) else f"{title_of(key)} {number(value)}"
+
+
+def _flat(look: Record, keys: Sequence[str]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key in keys:
+        flat |= look[key] if isinstance(look[key], Mapping) else {key: look[key]}
+    return flat

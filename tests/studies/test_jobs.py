@@ -1,0 +1,210 @@
+"""Jobs of attacks and looks: everything that a result depends on is in its key, and nothing else is."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks.dagger.config import DaggerConfig
+from attacks.studies import attack as attack_kind
+from attacks.studies.attack import FixedAttack
+from attacks.studies.dagger import Fixed, settings_of
+from attacks.studies.look import FixedLook
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import save_json
+from mi_splat.io.folders import RECORD
+from mi_splat.ledger import Done, Event, Job, Out
+from tests.fakes import ColourDetector, camera
+from tests.studies.toy import SCENE, done, key_of, running, settings, work_of, write_toy
+
+pytestmark = pytest.mark.usefixtures("toys")
+
+
+def nudged(by: float) -> Camera:
+    pose = camera().to_world.clone()
+    pose[0, 3] += by
+    return dataclasses.replace(camera(), to_world=pose)
+
+
+CHANGES: dict[str, dict[str, Any]] = {
+    "a camera that moved by less than is printed": {"cameras": {**SCENE.cameras, "front": nudged(4e-5)}},
+    "a camera less": {"cameras": {"front": camera()}},
+    "other rows": {"objects": {"rest": slice(0, 11), "car": slice(11, 40)}},
+    "another background": {"settings": dataclasses.replace(SCENE.settings, background=(1.0, 0.0, 0.0))},
+    "another near plane": {"settings": dataclasses.replace(SCENE.settings, near=0.5)},
+    "another method": {"settings": dataclasses.replace(SCENE.settings, method="ray")},
+    "other Gaussians": {"scene": SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.99)},
+}
+
+
+def the_job(folder: Path, **changes: Any) -> Job:
+    (attempt,) = work_of(settings(folder, **changes)).attempts
+    return attempt.job
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("study", ["dagger", "dagger-eot"])
+def test_a_result_belongs_to_all_that_the_attack_saw(change: str, study: str, tmp_path: Path) -> None:
+    for name, changes in {"before": {}, "same": {}, "after": CHANGES[change]}.items():
+        write_toy(tmp_path / name, **changes)
+    before, same, after = (
+        key_of(the_job(tmp_path / name, study=study), tmp_path / "store") for name in ("before", "same", "after")
+    )
+    assert before == same != after
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"attack": {"steps": 40}},
+        {"attack": {"step_factor": 1.0}},
+        {"attack": {"sh_degree": "none"}},
+        {"attack": {"early_stop": False}},
+        {"objective": {"confidence": 0.4}},
+        {"views": 2},
+        {"renderer": "ray"},
+        {"seed": 1},
+    ],
+)
+def test_every_setting_counts(change: dict[str, Any], tmp_path: Path) -> None:
+    """Also 11 and 40 steps, which once overwrote each other."""
+    write_toy(tmp_path)
+    base = {"attack": {"steps": 11}}
+    assert key_of(the_job(tmp_path, **base), tmp_path) != key_of(the_job(tmp_path, **{**base, **change}), tmp_path)
+
+
+def test_weights_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_toy(tmp_path)
+    before = key_of(the_job(tmp_path), tmp_path)
+    monkeypatch.setattr(ColourDetector, "fingerprint", "another")
+    assert key_of(the_job(tmp_path), tmp_path) != before
+
+
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory: pytest.TempPathFactory, toys: None) -> Path:
+    """A folder with the toy scene and a store."""
+    folder = tmp_path_factory.mktemp("attacked")
+    write_toy(folder)
+    return folder
+
+
+def looks_of(folder: Path, **attack: Any) -> list[str]:
+    """Keys of the looks at the splat of an attack."""
+    table = settings(folder, attack={"eps": 12.0, "steps": 4, "noise_draws": 0, **attack})
+    results = done(work_of({**table, "judge": {"condition": ".spz"}}), folder / "store")
+    return [
+        result.key for result in results.values() if isinstance(result, Done) and result.record["kind"].endswith("look")
+    ]
+
+
+def test_a_splat_that_is_made_anew_is_judged_anew(attacked: Path) -> None:
+    """A look belongs to the bytes of the splat, not to the name or the settings of the attack."""
+    first = looks_of(attacked)
+    assert looks_of(attacked, step_factor=1.5) != first
+    assert looks_of(attacked, noise_draws=1) == first  # the same splat
+
+
+def test_what_is_done_is_not_done_again(attacked: Path) -> None:
+    table = settings(attacked, matrix={"seed": [0, 1], "attack.eps": [0.5, 12.0]})
+    events: list[Event] = []
+    first = done(work_of(table), attacked / "store", events)
+    assert running(events) <= 4
+    events.clear()
+    again = done(work_of({**table, "matrix": {"attack.eps": [12.0, 0.5], "seed": [1, 0]}}), attacked / "store", events)
+    assert running(events) == 0
+    assert {one.key for one in first.values() if isinstance(one, Done)} == {
+        one.key for one in again.values() if isinstance(one, Done)
+    }
+
+
+def test_two_drivers_do_no_job_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_toy(tmp_path)
+    ran: list[tuple[int, ...]] = []
+
+    def run(config: FixedAttack, inputs: Any, out: Out) -> None:
+        ran.append((config.attack.seed,))
+        threading.Event().wait(0.05)
+        save_json({"success": True}, out / RECORD)
+
+    monkeypatch.setattr(attack_kind, "run", run)
+    table = settings(tmp_path, matrix={"seed": [0, 1, 2, 3]})
+    drivers = [threading.Thread(target=done, args=(work_of({**table}), tmp_path / "store")) for _ in range(2)]
+    for driver in drivers:
+        driver.start()
+    for driver in drivers:
+        driver.join()
+    assert sorted(ran) == [(0,), (1,), (2,), (3,)]
+
+
+@pytest.mark.parametrize(("needed", "asked"), [(1.0, 2), (4.0, 2), (9.0, 3)])
+def test_a_search_does_what_it_needs_alone(
+    needed: float, asked: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_toy(tmp_path)
+
+    def run(config: FixedAttack, inputs: Any, out: Out) -> None:
+        save_json({"success": config.attack.eps[0] >= needed}, out / RECORD)
+
+    monkeypatch.setattr(attack_kind, "run", run)
+    bisect = {"field": "attack.eps", "values": [1.0, 2.0, 3.0, 4.0, 5.0]}
+    results = done(work_of(settings(tmp_path, bisect=bisect, matrix={"seed": [0, 1]})), tmp_path / "store")
+    assert len(results) == 2 * asked
+
+
+def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
+    write_toy(tmp_path)
+    for seed in (0, 2):
+        config = the_job(tmp_path, seed=seed).config
+        assert isinstance(config, FixedAttack)
+        assert (config.attack.seed, config.attack.random_start) == (seed, seed > 0)
+    with pytest.raises(InvalidValueError, match="attack in toy: expected no seed"):
+        the_job(tmp_path, attack={"seed": 1})
+
+
+def test_looks_say_what_they_need(tmp_path: Path) -> None:
+    write_toy(tmp_path)
+    table = settings(tmp_path, renderer="ray", detectors=["fake_colour", "fake_coarse"])
+    judge = {"matrix": {"condition": ["as attacked", "SH of degree 0"]}}
+    (attempt,) = work_of({**table, "judge": judge}).attempts
+    found = [(look.job.config.condition, look.job.config.detector) for look in attempt.looks]
+    assert found == [
+        ("ray", "fake_colour"),
+        ("ray", "fake_coarse"),
+        ("SH of degree 0", "fake_colour"),
+        ("SH of degree 0", "fake_coarse"),
+    ]
+    assert isinstance(attempt.looks[0].job.config, FixedLook)
+    assert attempt.looks[0].job.config.original == "car"
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"targt": "tv"}, "did you mean target"),
+        ({"attack": {"ep": 1.0}}, "did you mean eps"),
+        ({"objective": {"confidnce": 0.5}}, "did you mean confidence"),
+        ({"target": "persn"}, "did you mean person"),
+        ({"aim": "hide"}, "target: expected what the aim hide has, got person"),
+        ({"target": "none"}, "name the class wanted"),
+        ({"detectors": "fake_colors"}, "did you mean fake_colour"),
+        ({"scene": "nowhere.xml"}, "nowhere.xml"),
+        ({"judge": {"condition": "rey"}}, "did you mean ray"),
+        ({"judge": {"condition": "09:30"}}, "need the street"),
+        ({"judge": {"detectr": "a"}}, "did you mean detector"),
+    ],
+)
+def test_what_cannot_be_is_found_before_the_first_job(changes: dict[str, Any], match: str, tmp_path: Path) -> None:
+    write_toy(tmp_path)
+    with pytest.raises(Exception, match=match):
+        work_of(settings(tmp_path, **changes))
+
+
+def test_one_value_stands_for_a_list_of_one_and_none_for_nothing() -> None:
+    table = {"scene": "a", "object": "car", "target": "person", "attack": {"eps": 2.0, "sh_degree": "none"}}
+    found = settings_of(Fixed, table, "toy")
+    assert found.attack == DaggerConfig(eps=(2.0,), sh_degree=None)

@@ -1,0 +1,153 @@
+"""Scenes, renderers and conditions of studies: what the attacker sees, and what those who judge see."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.observe.conditions import SunTable
+from attacks.studies.attack import attackers_renderer, with_gradient_of
+from attacks.studies.look import check_condition, clean_and_attacked, condition_of, hour_of
+from attacks.studies.scenes import AttackScene, attack_scene, jittered
+from mi_splat.cameras import Camera, project_points
+from mi_splat.errors import InvalidValueError
+from mi_splat.mixed_scenes import MixedScene
+from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene
+from tests.fakes import blobs, camera, toy_scene
+from tests.project.layers import ROOT
+from tests.studies.toy import SCENE, write_toy
+
+STREET = "scenes/mixed/car_among_meshes.xml"
+
+
+def night(scene: GaussianScene, camera: Camera) -> Tensor:
+    """A renderer in which all is nearly black."""
+    return 0.05 * blobs(scene, camera)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> AttackScene:
+    """The toy scene."""
+    return attack_scene(write_toy(tmp_path_factory.mktemp("toy")))
+
+
+def test_pictures_are_of_one_renderer_and_gradients_of_another() -> None:
+    scene, _ = toy_scene()
+    both = with_gradient_of(night, blobs)
+    weights = torch.rand(camera().height, camera().width, 3)
+
+    def gradient(render: Any) -> Tensor:
+        sh = scene.sh.clone().requires_grad_(True)
+        (render(scene.replace(sh=sh), camera()) * weights).sum().backward()
+        assert sh.grad is not None
+        return sh.grad
+
+    assert torch.equal(both(scene, camera()), blobs(scene, camera()))
+    learned = both(scene.replace(sh=scene.sh.clone().requires_grad_(True)), camera())
+    torch.testing.assert_close(learned.detach(), blobs(scene, camera()))
+    torch.testing.assert_close(gradient(both), gradient(night))
+    assert not torch.allclose(gradient(both), gradient(blobs))
+
+
+def test_a_renderer_s_own_gradient_needs_no_other(place: AttackScene) -> None:
+    for gradient in ("", "tile"):
+        assert isinstance(attackers_renderer(place, "tile", gradient), Renderer)
+    assert not isinstance(attackers_renderer(place, "tile", "ray"), Renderer)
+    with pytest.raises(InvalidValueError, match="renderer"):
+        attackers_renderer(place, "unreal", "")
+
+
+def test_what_is_not_there_is_named(place: AttackScene) -> None:
+    with pytest.raises(InvalidValueError, match="object: expected one of rest, car, got tree"):
+        place.rows("tree")
+    with pytest.raises(InvalidValueError, match="camera: expected 0 to 1, got 2"):
+        place.views("car", camera=2, count=1, seed=0)
+    assert len(place.views("car", camera=0, count=0, seed=1)) == 2
+    assert len(place.views("car", camera=1, count=0, seed=1)) == 1
+
+
+def test_a_scene_is_read_anew_when_its_files_change(tmp_path: Path) -> None:
+    path = write_toy(tmp_path)
+    first = attack_scene(path)
+    assert attack_scene(path) is first
+    write_toy(tmp_path, scene=SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.5))
+    assert not torch.equal(attack_scene(path).scene.opacities, first.scene.opacities)
+
+
+@pytest.mark.parametrize("name", ["", "tile", "ray", ".ply", ".splat", "SH in float16", "SH of degree 0"])
+def test_every_condition_shows_the_splat(name: str, place: AttackScene) -> None:
+    condition = condition_of(name, place, "car")
+    picture = condition(place.scene, place.cameras[0])
+    assert picture.shape == (32, 32, 3)
+    if name in ("", "tile", ".ply"):
+        torch.testing.assert_close(picture, Renderer(SCENE.settings)(place.scene, place.cameras[0]))
+
+
+def test_conditions_and_hours_that_are_none() -> None:
+    with pytest.raises(InvalidValueError, match="did you mean SH of degree 3"):
+        check_condition("SH of degree 4", None)
+    check_condition("09:30", SunTable(scene="a", hours=(9.5,)))
+    assert (hour_of("09:30"), hour_of("17:00")) == (9.5, 17.0)
+    with pytest.raises(InvalidValueError, match="an hour as 09:30"):
+        hour_of("9:30")
+
+
+def test_the_car_stands_in_the_street_by_the_hour() -> None:
+    place = attack_scene(ROOT / "scenes" / "car_street.xml")
+    sun = SunTable(scene=str(ROOT / STREET), hours=(8.0,), samples=1)
+    shown, street = condition_of("08:00", place, "car", sun).show(place.scene.with_degree(3))  # the file has degree 1
+    assert isinstance(street, MixedScene)
+    assert shown.sh.shape == (len(street.splats.scene), 16, 3)
+    assert torch.equal(shown.means, street.splats.scene.means)
+    with pytest.raises(InvalidValueError, match="the Gaussians of street and no others"):
+        condition_of("08:00", place, "street", sun)
+
+
+def test_what_was_not_attacked_is_the_clean_scene_s(place: AttackScene) -> None:
+    rows = place.rows("car")
+    saved = place.scene.select(rows)
+    saved = saved.replace(sh=saved.sh + 1, means=saved.means + 1)
+    clean, attacked = clean_and_attacked(place.scene, rows, saved, ("sh",))
+    assert torch.equal(attacked.scene.means, place.scene.means)
+    assert torch.equal(attacked.scene.sh[rows], saved.sh)
+    assert torch.equal(attacked.scene.sh[:10], clean.scene.sh[:10])
+    wider = clean_and_attacked(place.scene, rows, saved.with_degree(2), ("sh",))
+    assert {subset.scene.degree for subset in wider} == {2}
+
+
+def test_jitter_keeps_the_object_in_the_middle() -> None:
+    centre = torch.tensor([0.0, 0.0, 0.0])
+    assert torch.equal(jittered(camera(), centre, seed=0).to_world, camera().to_world)
+    moved = [jittered(camera(), centre, seed=seed) for seed in (1, 1, 2)]
+    assert torch.equal(moved[0].to_world, moved[1].to_world)
+    assert not torch.equal(moved[0].to_world, moved[2].to_world)
+    for view in moved:
+        pixel, depth = project_points(centre[None].double(), view)
+        assert pixel[0].tolist() == pytest.approx([16.0, 16.0], abs=1e-6)
+        assert 3 * 0.95 - 1e-6 <= float(depth[0]) <= 3 * 1.05 + 1e-6
+        turn = math.degrees(math.acos(min(1.0, float(view.to_world[:3, 2] @ camera().to_world[:3, 2]))))
+        assert turn <= 6.0 + 1e-6
+
+
+def test_jitter_uses_the_whole_of_its_range() -> None:
+    centre, start = torch.zeros(3), camera()
+    distance = float(start.position.norm())
+    turns, moves = [], []
+    for seed in range(1, 201):
+        moved = jittered(start, centre, seed=seed)
+        turns.append(math.degrees(math.acos(min(1.0, float(moved.to_world[:3, 2] @ start.to_world[:3, 2])))))
+        moves.append(float(moved.position.norm()) / distance - 1)
+    assert 5.9 < max(turns) <= 6.0 + 1e-6
+    assert 0.048 < max(moves) <= 0.05 + 1e-6
+    assert -0.05 - 1e-6 <= min(moves) < -0.048
+
+
+def test_a_moved_scene_keeps_its_settings(place: AttackScene) -> None:
+    assert place.settings == dataclasses.replace(SCENE.settings)

@@ -1,0 +1,241 @@
+"""`mi-splat study` on a toy scene: what it writes, what its tables count, and what it does with what it keeps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks import cli
+from attacks.observe.rows import read_rows
+from attacks.studies import attack as attack_kind
+from attacks.studies.result import figures
+from attacks.studies.table import markdown
+from mi_splat.io import load_splat
+from mi_splat.ledger import Store
+from tests.studies.toy import write_toy
+
+pytestmark = pytest.mark.usefixtures("toys")
+STUDY = """
+study = "dagger"
+question = "Does it hold?"
+scene = "{scene}"
+object = "car"
+detectors = ["fake_colour"]
+attack = {{ steps = 4, noise_draws = 1 }}
+[matrix]
+seed = [0, 1]
+"attack.eps" = [0.01, 12.0]
+[[case]]
+name = "seen as a person"
+target = "person"
+[[case]]
+name = "hidden"
+aim = "hide"
+[judge.matrix]
+condition = [".ply", "SH of degree 0"]
+detector = ["fake_colour", "fake_coarse"]
+"""
+EOT = """
+study = "dagger-eot"
+scene = "{scene}"
+object = "car"
+target = "person"
+detectors = ["fake_colour"]
+cameras = {{ azimuths = [-120.0, -60.0], elevations = [0.0, 10.0], distances = [0.9, 1.1] }}
+[attack]
+steps = 4
+batch = 1
+pool = 4
+validation = 2
+validate_every = 2
+held_out = 4
+optimiser = "momentum"
+image_psnr = "none"
+[bisect]
+field = "attack.eps"
+values = [0.001, 0.01, 2.0]
+[judge]
+views = 3
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the toy scene, two studies, and a store."""
+    folder = tmp_path_factory.mktemp("run")
+    scene = write_toy(folder)
+    (folder / "toy.toml").write_text(STUDY.format(scene=scene))
+    (folder / "eot.toml").write_text(EOT.format(scene=scene))
+    return folder
+
+
+def study(folder: Path, action: str, name: str = "toy", *words: str) -> int:
+    line = ["study", action, str(folder / f"{name}.toml"), "--store", str(folder / "store"), "--workers", "0"]
+    return cli.main([*line, "--out", str(folder / name), *words])
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path, toys: None) -> dict[str, Any]:
+    """result.json of the first study."""
+    assert study(folder, "run") == 0
+    record: dict[str, Any] = json.loads((folder / "toy" / "result.json").read_text())
+    return record
+
+
+def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> None:
+    names = {"manifest.json", "result.json", "rows.csv.gz", "study.toml", "table.md"}
+    assert {path.name for path in (folder / "toy").iterdir() if not path.name.startswith(".")} == names
+    assert (folder / "toy" / "study.toml").read_text() == (folder / "toy.toml").read_text()
+    assert (run["story"], run["study"], run["question"]) == ("study", "dagger", "Does it hold?")
+    assert len(run["attacks"]) == 8
+    strong = [one for one in run["attacks"].values() if one["labels"]["attack.eps"] == 12.0]
+    assert all(one["success"] for one in strong)
+    assert {one["part"] for one in strong} == {"seen as a person", "hidden"}
+    for one in run["attacks"].values():
+        assert len(load_splat(Store(folder / "store").folder_of(one["key"]) / "files" / "object.ply")) == 30
+
+
+def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -> None:
+    rows = read_rows(folder / "toy" / "rows.csv.gz")
+    derived = figures(run, {"rows": rows})
+    for part in ("groups", "smallest", "looks"):
+        assert json.loads(json.dumps(derived[part])) == run[part]
+    for name, one in derived["attacks"].items():
+        assert one.items() <= run["attacks"][name].items()
+    record = Store(folder / "store").folder_of(next(iter(run["attacks"].values()))["key"]) / "files" / "result.json"
+    stated = json.loads(record.read_text())
+    for key in ("success", "strict", "unambiguous", "score"):
+        assert next(iter(run["attacks"].values()))[key] == stated[key]
+
+
+def test_rates_are_counted_over_seeds(run: dict[str, Any]) -> None:
+    found = {(one["part"], one["labels"]["attack.eps"]): one for one in run["groups"]}
+    strong = found["seen as a person", 12.0]
+    assert (strong["success"]["successes"], strong["success"]["total"]) == (2, 2)
+    assert (strong["noise_successes"], strong["noise_draws"]) == (0, 2)
+    assert found["seen as a person", 0.01]["success"]["successes"] == 0
+    assert strong["score_least"] <= strong["score"]
+    assert strong["image_psnr"] < found["seen as a person", 0.01]["image_psnr"]
+
+
+def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> None:
+    looks = {
+        (one["part"], one["labels"].get("attack.eps"), one["condition"], one["detector"]): one for one in run["looks"]
+    }
+    own = looks["seen as a person", 12.0, ".ply", "fake_colour"]
+    assert (own["targeted"]["successes"], own["targeted"]["total"], own["white_box"]) == (2, 2, True)
+    assert own["noise_targeted"]["successes"] == 0
+    assert not looks["seen as a person", 12.0, ".ply", "fake_coarse"]["white_box"]
+    hidden = looks["hidden", 12.0, ".ply", "fake_colour"]
+    assert "targeted" not in hidden
+    assert hidden["untargeted"]["successes"] == 2
+
+
+def test_the_page_says_what_was_counted(folder: Path, run: dict[str, Any]) -> None:
+    text = (folder / "toy" / "table.md").read_text()
+    assert text == markdown(run)
+    assert text.startswith("# Does it hold?\n")
+    assert "| 12 | 2/2 | " in text
+    assert "## The wanted class is reported: seen as a person" in text
+    assert "## The wanted class is reported: hidden" not in text
+    assert "2/2 (0.34 to 1.00) *" in text
+
+
+def test_nothing_is_done_twice_and_nothing_lost(
+    folder: Path, run: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(attack_kind, "run", None)
+    assert study(folder, "run") == 0
+    again = json.loads((folder / "toy" / "result.json").read_text())
+    assert {**again, "command": None} == {**run, "command": None}
+    capsys.readouterr()
+    assert study(folder, "plan", "toy", "--json") == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert planned["jobs"] == planned["done"] == 8 + 8 * 4
+    assert study(folder, "status", "toy", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {
+        **{"waiting": 0, "ready": 0, "running": 0, "done": 40, "failed": 0, "failures": {}}
+    }
+
+
+def test_a_plan_forecasts_from_measured_seconds(
+    folder: Path, run: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (folder / "toy.toml").read_text().replace("seed = [0, 1]", "seed = [0, 1, 2]")
+    (folder / "longer.toml").write_text(text)
+    capsys.readouterr()
+    assert study(folder, "plan", "longer", "--json") == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert (planned["jobs"], planned["done"], planned["not_measured"]) == (60, 40, 0)
+    assert planned["seconds"] > 0
+    assert study(folder, "plan", "longer", "--parts", "hidden") == 0
+    assert "30 jobs, 20 of them done." in capsys.readouterr().out
+
+
+def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
+    assert study(folder, "run", "eot") == 0
+    record = json.loads((folder / "eot" / "result.json").read_text())
+    (found,) = record["smallest"]
+    assert (found["field"], found["smallest"], found["not_enough"]) == ("attack.eps", 2.0, 0.01)
+    assert len(record["attacks"]) == 2  # 0.001 was never looked at
+    group = record["groups"][-1]
+    assert (group["success"]["successes"], group["success"]["total"]) == (4, 4)
+    assert record["looks"][-1]["untargeted"]["total"] <= 3
+    page = (folder / "eot" / "table.md").read_text()
+    assert "## The smallest that suffices" in page
+    assert "| 2 | 0.01 |" in page
+    derived = figures(record, {"rows": read_rows(folder / "eot" / "rows.csv.gz")})
+    assert json.loads(json.dumps(derived["groups"])) == record["groups"]
+
+
+def test_jobs_are_exported_to_slurm(folder: Path, toys: None, capsys: pytest.CaptureFixture[str]) -> None:
+    assert study(folder, "export", "toy", "--sbatch", "time=02:00:00", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["levels"] == [8, 32]
+    assert "#SBATCH --time=02:00:00" in (folder / "toy-slurm" / "level-0.sbatch").read_text()
+
+
+def test_failed_jobs_are_named_and_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_toy(tmp_path)
+    (tmp_path / "toy.toml").write_text(STUDY.format(scene=scene).replace("[0.01, 12.0]", "[12.0]"))
+    words = ("--parts", "hidden", "--json")
+    store = Store(tmp_path / "store")
+    assert study(tmp_path, "plan", "toy", *words) == 0
+
+    def fails(*_: Any) -> None:
+        raise ValueError("poisoned")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(attack_kind, "run", fails)
+        for _ in range(3):
+            with pytest.raises(ValueError, match="poisoned"):
+                study(tmp_path, "run", "toy", *words)
+    capsys.readouterr()
+    assert study(tmp_path, "status", "toy", "--json") == 0
+    assert "poisoned" in next(iter(json.loads(capsys.readouterr().out)["failures"].values()))
+    assert study(tmp_path, "retry", "toy", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["forgiven"]
+    assert study(tmp_path, "run", "toy", *words) == 0
+    assert len(store.keys()) == 2 + 8
+    assert study(tmp_path, "clean", "toy") == 0
+    assert store.keys() == set()
+    assert (tmp_path / "toy" / "result.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (("run", "nowhere"), "study: expected a TOML file"),
+        (("reuse", "toy"), "--reason: expected a reason, got none"),
+        (("run", "toy", "--parts", "hiden"), "did you mean hidden"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(
+    words: tuple[str, ...], match: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert study(folder, *words) == 1
+    assert match in capsys.readouterr().err

@@ -1,0 +1,129 @@
+"""Study files: what varies becomes points, and what cannot be is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks.studies.study_file import Point, Search, merged, read_study, study_of
+from mi_splat.errors import InvalidValueError
+
+
+def points(**table: Any) -> list[Point]:
+    return [point for point in study_of({"study": "dagger", **table}, "toy").points() if isinstance(point, Point)]
+
+
+def test_an_axis_sets_one_field_or_several_and_the_first_is_the_slowest() -> None:
+    pairs = [{"name": "a", "object": "car", "target": "tv"}, {"object": "sign"}]
+    found = points(attack={"norm": "l2"}, matrix={"seed": [0, 1], "attack.eps": [1.0], "pair": pairs})
+    assert [(point.labels["seed"], point.labels["pair"]) for point in found] == [
+        (0, "a"),
+        (0, "object sign"),
+        (1, "a"),
+        (1, "object sign"),
+    ]
+    assert found[0].settings == {"attack": {"norm": "l2", "eps": 1.0}, "seed": 0, "object": "car", "target": "tv"}
+    assert points(matrix={"attack": {"eps": [1.0]}})[0].labels == {"attack.eps": 1.0}
+
+
+def test_cases_have_settings_and_axes_of_their_own() -> None:
+    cases = [
+        {"name": "all"},
+        {"name": "linf", "attack": {"norm": "linf"}, "matrix": {"attack.eps": [0.1, 0.2], "camera": [1]}},
+    ]
+    found = points(attack={"norm": "l2", "steps": 3}, matrix={"attack.eps": [5.0], "seed": [0]}, case=cases)
+    assert [(point.part, *point.labels.values()) for point in found] == [
+        ("all", 5.0, 0),
+        ("linf", 0.1, 0, 1),
+        ("linf", 0.2, 0, 1),
+    ]
+    assert found[2].settings == {"attack": {"norm": "linf", "steps": 3, "eps": 0.2}, "seed": 0, "camera": 1}
+
+
+def test_an_ablation_changes_one_thing_at_a_time_beside_the_study_itself() -> None:
+    found = points(attack={"steps": 3}, matrix={"seed": [7]}, ablation=[{"attack.steps": [1, 9], "attack.eps": [2.0]}])
+    assert [(point.part, point.labels.get("value"), point.settings["attack"]) for point in found] == [
+        ("", None, {"steps": 3}),
+        ("ablation", "attack.steps 1", {"steps": 1}),
+        ("ablation", "attack.steps 9", {"steps": 9}),
+        ("ablation", "attack.eps 2.0", {"steps": 3, "eps": 2.0}),
+    ]
+    assert {point.settings["seed"] for point in found} == {7}
+
+
+def test_an_entry_of_a_list_is_changed_by_its_name() -> None:
+    attacks = [{"name": "over", "emphasis": 1}, {"name": "rear", "emphasis": 2}]
+    assert merged({"attack": attacks}, {"attack": {"rear": {"emphasis": 5}}}) == {
+        "attack": [attacks[0], {"name": "rear", "emphasis": 5}]
+    }
+    with pytest.raises(InvalidValueError, match="did you mean rear"):
+        merged({"attack": attacks}, {"attack": {"reer": {}}})
+
+
+VALUES = (0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4)
+
+
+@pytest.mark.parametrize("needed", [*VALUES, math.inf])
+def test_a_bisection_finds_the_smallest_in_few_looks(needed: float) -> None:
+    table = {"study": "dagger", "bisect": {"field": "attack.eps", "values": list(VALUES)}, "matrix": {"seed": [1]}}
+    (search,) = study_of(table, "toy").points()
+    assert isinstance(search, Search)
+    known: dict[float, bool] = {}
+    while True:
+        last = search.asked(lambda point: known.get(point.labels["attack.eps"]))[-1]
+        if last.labels["attack.eps"] in known:
+            break
+        known[last.labels["attack.eps"]] = last.labels["attack.eps"] >= needed
+    assert len(known) <= 4
+    assert min((value for value, enough in known.items() if enough), default=math.inf) == needed
+    assert last.settings["seed"] == 1
+
+
+def test_judges_are_every_combination() -> None:
+    judge = {"views": 3, "matrix": {"detector": ["a", "b"], "condition": ["ray"]}}
+    found = study_of({"study": "dagger", "judge": judge}, "toy").judges()
+    assert [point.settings["detector"] for point in found] == ["a", "b"]
+    assert {point.settings["views"] for point in found} == {3}
+    assert study_of({"study": "dagger"}, "toy").judges() == []
+    assert len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges()) == 1
+
+
+def test_some_parts_of_a_study() -> None:
+    study = study_of({"study": "dagger", "case": [{"name": "a"}, {"name": "b"}]}, "toy")
+    assert [part.name for part in study.of(["b"]).parts] == ["b"]
+    assert study.of(()) is study
+    with pytest.raises(InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"):
+        study.of(["bb"])
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "study in s: expected dagger or dagger-eot, got 'None'|got None"),
+        ('study = "daggr"', "did you mean dagger"),
+        ('study = "dagger"\nquestion = 3', "question in s: expected a sentence, got 3"),
+        ('study = "dagger"\nmatrix = 3', "matrix in s: expected a table, got 3"),
+        ('study = "dagger"\n[matrix]\nseed = 3', "seed in s: expected a list of one or more values, got 3"),
+        ('study = "dagger"\n[matrix]\nseed = []', "seed in s: expected a list of one or more values"),
+        ('study = "dagger"\n[matrix]\nseed = [1, 1]', "values with different names"),
+        ('study = "dagger"\n[[case]]\nmatrix = { seed = [1] }', "case in s: expected names"),
+        ('study = "dagger"\n[[case]]\nname = "a"\n[[case]]\nname = "a"', "case in s: expected names"),
+        ('study = "dagger"\n[case]\nname = "a"', r"write \[\[case\]\]"),
+        ('study = "dagger"\n[bisect]\nfield = "a"', "bisect in s"),
+        ('study = "dagger"\n[bisect]\nfield = "a"\nvalues = [2, 1]', "rising numbers"),
+        ('study = "dagger"\n[matrix', "TOML"),
+    ],
+)
+def test_a_file_that_means_nothing_is_refused(text: str, match: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    with pytest.raises(InvalidValueError, match=match):
+        read_study(path)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="study: expected a TOML file"):
+        read_study(tmp_path / "s.toml")

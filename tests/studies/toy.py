@@ -1,0 +1,81 @@
+"""A toy scene as files, studies of it, and what does them in this process."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks.detectors.base import Detector
+from attacks.studies.plan import Work
+from attacks.studies.study_file import study_of
+from mi_splat.ledger import Event, Job, Store
+from mi_splat.ledger.engines import InProcess
+from mi_splat.ledger.plans import Driver, Result
+from mi_splat.ledger.running import task_for
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene_files import SplatScene
+from mi_splat.scene_writing import write_scene
+from tests.fakes import CoarseDetector, ColourDetector, camera, register, toy_scene
+
+DETECTORS: dict[str, Detector] = {one.name: one for one in (ColourDetector(), CoarseDetector())}
+SCENE = SplatScene(
+    scene=toy_scene()[0],
+    objects={"rest": slice(0, 10), "car": slice(10, 40)},
+    cameras={"front": camera(), "aside": camera(offset=0.4)},
+    settings=RenderSettings(background=(0.0, 0.0, 0.0), near=0.1),
+)
+
+
+def write_toy(folder: Path, **changes: Any) -> Path:
+    """The scene, or one with other fields, as files; the path of the XML."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = dataclasses.replace(SCENE, **changes)
+    write_scene(scene, scene.scene, folder / "toy.xml")
+    return folder / "toy.xml"
+
+
+def settings(folder: Path, **changes: Any) -> dict[str, Any]:
+    """The table of a study of the scene in a folder."""
+    return {
+        "study": "dagger",
+        "scene": str(folder / "toy.xml"),
+        "object": "car",
+        "target": "person",
+        "detectors": "fake_colour",
+        "attack": {"eps": 12.0, "steps": 4, "noise_draws": 1},
+        **changes,
+    }
+
+
+def work_of(table: Mapping[str, Any]) -> Work:
+    """The jobs of a study."""
+    return Work(study_of(table, "toy"))
+
+
+def key_of(job: Job, store: Path) -> str:
+    """The key of a job that reads files alone."""
+    return task_for(job, Store(store), {}).key
+
+
+def done(work: Work, store: Path, events: list[Event] | None = None) -> dict[str, Result]:
+    """Results of all jobs, done in this process."""
+    heard = [] if events is None else events
+    engine = InProcess(store, on_event=heard.append)
+    return Driver(store, engine, name=work.study.name, on_event=heard.append).run(work.plans())
+
+
+def running(events: list[Event]) -> int:
+    """How many jobs were really done."""
+    return sum(event.state == "running" for event in events)
+
+
+@pytest.fixture(scope="module")
+def toys() -> Iterator[None]:
+    """The fake detectors, known by name like the project's own, with classes, and no file of weights."""
+    with pytest.MonkeyPatch.context() as patch:
+        register(patch, DETECTORS)
+        yield
