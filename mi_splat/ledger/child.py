@@ -24,7 +24,7 @@ _BETWEEN = 0.1
 """Least seconds between two reports of progress."""
 
 
-def main(store: str) -> None:
+def main(store: Store) -> None:
     """Run the tasks that come."""
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what a job prints is no answer
@@ -46,7 +46,7 @@ def main(store: str) -> None:
         values = json.loads(tasks.get())
         values.pop("key")
         try:
-            run_job(Store(Path(store)), Task(**values), tell)
+            run_job(store, Task(**values), tell)
         except HeldError as error:
             say(ended="held", text=str(error))
         except DiskFullError as error:
@@ -62,4 +62,4 @@ def _listen(tasks: queue.SimpleQueue[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(Store(Path(sys.argv[1])))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.ledger.values import digest, encoded, is_frozen
@@ -224,14 +224,3 @@ class Out:
 
     def __truediv__(self, name: str) -> Path:
         return self.files / name
-
-
-class Kind(Protocol):
-    """A module that does work of one kind. It may have `VARIES`, patterns of files whose bytes differ from run to run.
-
-    What it loads by name stands in it as whole dotted names, as in a tuple `LOADS`, so that its code counts.
-    """
-
-    def run(self, config: Any, inputs: Mapping[str, Path], out: Out) -> Sequence[Row] | None:
-        """Do the work, from nothing but the arguments; the rows that are returned stand in job.json."""
-        ...

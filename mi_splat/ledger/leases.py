@@ -99,17 +99,18 @@ class Leases:
         return who if now - self.seen[key][1] < STALE else None
 
     def live(self) -> set[str]:
-        """Keys of the jobs that are being done."""
+        """Keys of the jobs that are being done; the leases of the dead are removed."""
         names = os.listdir(self.folder) if self.folder.is_dir() else []
-        return {name for name in names if not name.startswith(".") and self.holder(name) is not None}
+        return {name for name in names if not name.startswith(".") and not self.free(name)}
 
-    def sweep(self) -> None:
-        """Remove the leases of the dead."""
-        for name in os.listdir(self.folder) if self.folder.is_dir() else []:
-            if not name.startswith("."):
-                with self._alone():
-                    if self.holder(name) is None:
-                        (self.folder / name).unlink(missing_ok=True)
+    def free(self, key: str) -> bool:
+        """Whether nobody does a job now; the lease of one who has died is removed, so that others need not judge it."""
+        path = self.folder / key
+        if path.exists() and self.holder(key) is None:
+            with self._alone():
+                if self.holder(key) is None:
+                    path.unlink(missing_ok=True)
+        return not path.exists()
 
     @contextlib.contextmanager
     def _alone(self) -> Iterator[None]:

@@ -143,7 +143,7 @@ class Driver:
                 self._end(node, self._store.existing(task.key))
             elif len(tries) >= TRIES:
                 self._end(node, tries[-1]["error"])
-            elif task.key in self._running or self._store.leases.holder(task.key) is not None:
+            elif task.key in self._running or not self._store.leases.free(task.key):
                 self._held.append((now + _POLL, node))
             else:
                 self._running[task.key] = node

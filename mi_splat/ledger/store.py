@@ -8,7 +8,6 @@ import hashlib
 import os
 import secrets
 import shutil
-import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from typing import Any
 
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.atomic import sync_names
 from mi_splat.io.documents import save_json, sha256
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.parsing import DocumentReader
@@ -30,7 +30,6 @@ TRIES = 3
 AGAIN = "delete its folder, so that it is made again"
 _RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
 _KEY_DIGITS = 32
-_State = tuple[tuple[str, int, int, int], ...]
 _SYNCED_AT_ONCE = 8
 
 
@@ -47,7 +46,6 @@ class Store:
 
     folder: Path
     leases: Leases = field(init=False)
-    _verified: dict[str, _State] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "leases", Leases(folder=self.folder / "leases"))
@@ -93,14 +91,9 @@ class Store:
         if not self.has(key):
             return None
         record, folder = self.record(key), self.folder_of(key) / FILES
-        present = _files(folder)
-        state = _state(present)
-        if self._verified.get(key) != state:
-            hashes = {name: sha256(path) for name, path in present.items()}
-            if hashes != record["files"]:
-                other = f"another {', '.join(_different(hashes, record['files'])[:3])}"
-                raise InvalidValueError(message(f"job {self.folder_of(key)}", "the files that it wrote", other, AGAIN))
-            self._verified[key] = state
+        if (present := hashes(folder)) != record["files"]:
+            other = f"another {', '.join(_different(present, record['files'])[:3])}"
+            raise InvalidValueError(message(f"job {self.folder_of(key)}", "the files that it wrote", other, AGAIN))
         return Done(key=key, folder=folder, record=record)
 
     def existing(self, key: str) -> Done:
@@ -219,13 +212,13 @@ class Store:
 
     def sweep(self) -> None:
         """Remove what killed processes have left: leases, folders in `tmp`, and `partial` of jobs that are done."""
-        self.leases.sweep()
-        live = self.leases.live()
-        for name in _names(self.folder / "tmp"):
-            if name[:_KEY_DIGITS] not in live:
-                shutil.rmtree(self.folder / "tmp" / name, ignore_errors=True)
+        self.leases.live()
+        # Listed before anybody is asked: who begins meanwhile makes a folder of another name.
+        for folder in [self.folder / "tmp" / name for name in _names(self.folder / "tmp")]:
+            if self.leases.free(folder.name[:_KEY_DIGITS]):
+                shutil.rmtree(folder, ignore_errors=True)
         for key in _names(self.folder / "partial"):
-            if key not in live and self.has(key):
+            if self.has(key) and self.leases.free(key):
                 shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
 
 
@@ -263,34 +256,40 @@ def _commit() -> str | None:
     return provenance.commit()
 
 
-_CONTENTS: dict[str, tuple[_State, str]] = {}
-_CONTENTS_LOCK = threading.Lock()
-
-
 def content_of_path(path: Path) -> str:
     """SHA-256 of a file, or what stands for the names and bytes of all files in a folder.
 
-    Read once as long as sizes and times stay the same.
-
     Raises:
-        InvalidValueError: There is nothing, or it cannot be read.
+        InvalidValueError: There is nothing.
+        SplatFileError: It cannot be read.
     """
-    path = path.absolute()
     if not path.exists():
         raise InvalidValueError(message(str(path), "a file or a folder to read", "nothing", "check the path"))
-    present = _files(path) if path.is_dir() else {"": path}
     try:
-        state = _state(present)
-        with _CONTENTS_LOCK:
-            kept = _CONTENTS.get(str(path))
-        if kept is None or kept[0] != state:
-            hashes = {name: sha256(file) for name, file in present.items()}
-            kept = (state, digest(hashes) if path.is_dir() else hashes[""])
-            with _CONTENTS_LOCK:
-                _CONTENTS[str(path)] = kept
+        present = hashes(path.absolute())
     except OSError as error:
         raise from_os_error(str(path), "a file that can be read", error) from error
-    return kept[1]
+    return digest(present) if path.is_dir() else present[""]
+
+
+_HASHES: dict[Path, tuple[object, dict[str, str]]] = {}
+
+
+def hashes(path: Path) -> dict[str, str]:
+    """SHA-256 of every file below a folder by its name there, or of one file; none if there is nothing.
+
+    What was read once is not read again in this process as long as names, sizes and times are the same.
+
+    Raises:
+        OSError: A file cannot be read.
+    """
+    files = {"": path} if path.is_file() else _files(path)
+    status = [(name, file.stat()) for name, file in files.items()]
+    state = [(name, s.st_mtime_ns, s.st_size, s.st_ino) for name, s in status]
+    known = _HASHES.get(path)
+    if known is None or known[0] != state:
+        known = _HASHES[path] = (state, {name: sha256(file) for name, file in files.items()})
+    return known[1]
 
 
 def _names(folder: Path) -> list[str]:
@@ -310,16 +309,13 @@ def _files(folder: Path) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def _state(files: Mapping[str, Path]) -> _State:
-    """What differs once a file was written anew, or has another name."""
-    status = ((name, path.stat()) for name, path in files.items())
-    return tuple((name, s.st_mtime_ns, s.st_size, s.st_ino) for name, s in status)
-
-
 def _sync(folder: Path) -> None:
     """Bring a folder to the disk, all of its parts at once: one after the other they take five times as long."""
 
     def sync(path: Path) -> None:
+        if path.is_dir():
+            sync_names(path)
+            return
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)

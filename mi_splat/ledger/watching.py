@@ -95,6 +95,8 @@ class Child:
             EngineError: No child process can be started.
         """
         process = self._started()
+        if self._stopped:
+            return Outcome(key=task.key, state="stopped", text="the engine was closed")
         begun, noted, told = time.monotonic(), list[str](), on_event
 
         def tell(event: Event) -> None:

@@ -48,12 +48,13 @@ def test_a_job_is_held_until_the_body_ends(leases: Leases) -> None:
         with pytest.raises(HeldError, match=f"expected one that nobody does, got process {os.getpid()} of"):
             leases.held(KEY).__enter__()
     assert not leases.live()
-    assert leases.holder(KEY) is None
+    assert leases.free(KEY)
 
 
 def test_on_the_same_machine_the_system_says_who_lives(leases: Leases) -> None:
     lease(leases)
     assert leases.holder(KEY) is not None
+    assert not leases.free(KEY)
     for dead in ({"process": ended()}, {"start": "another"}):  # its number may be another process's by now
         lease(leases, **dead)
         with leases.held(KEY):
@@ -89,6 +90,8 @@ def test_elsewhere_it_is_dead_after_two_minutes_without_a_sign(
         assert leases.holder(KEY) is not None
     now += 2
     assert leases.holder(KEY) is None
+    assert leases.free(KEY)
+    assert not path.exists()
 
 
 def test_a_broken_lease_is_that_of_another_machine(leases: Leases, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import os
 import shutil
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,9 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Event, Job, Ledger
+from mi_splat.ledger.engines import InProcess
 from mi_splat.ledger.job import DiskFullError
+from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.running import run_job, task_for
 from mi_splat.ledger.store import Store, content_of_path, record_text
 from tests.ledger.drive import walk
@@ -149,6 +152,23 @@ def test_what_killed_processes_leave_is_swept(tmp_path: Path) -> None:
     store.sweep()
     assert [path.name for path in (tmp_path / "partial").iterdir()] == [unfinished]
     assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_who_sweeps_takes_nothing_from_who_works(tmp_path: Path) -> None:
+    store, ended = Store(tmp_path), threading.Event()
+
+    def sweep() -> None:
+        while not ended.is_set():
+            store.sweep()
+
+    sweeping = threading.Thread(target=sweep)
+    sweeping.start()
+    try:
+        results = Driver(tmp_path, InProcess(tmp_path)).run([grid({str(number): walk(number) for number in range(60)})])
+    finally:
+        ended.set()
+        sweeping.join()
+    assert len(results) == 60
 
 
 def test_the_content_of_a_path_is_that_of_its_files(tmp_path: Path) -> None:
