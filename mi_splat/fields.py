@@ -135,7 +135,7 @@ def between(low: float, high: float, unit: str = "", do: str = "change it") -> R
 Fraction = Annotated[float, between(0, 1), Called("FRACTION")]
 PositiveFraction = Annotated[float, Range(low=0, high=1, open_low=True), Called("FRACTION")]
 Share = Annotated[float, Range(low=0, high=1, open_high=True), Called("SHARE")]
-Seed = Annotated[int, between(0, 2**31 - 1, "whole", "0 is usual"), Called("SEED")]
+Seed = Annotated[int, between(0, 2**31 - 1, do="0 is usual"), Called("SEED")]
 Length = Annotated[float, above(0, "world units"), Called("LENGTH")]
 Steps = Annotated[int, at_least(1, "steps")]
 Count = Annotated[int, at_least(0)]
@@ -158,9 +158,9 @@ def check(config: object) -> None:
     hints = type_hints(type(config))
     for field in dataclasses.fields(config):  # type: ignore[arg-type]  # a dataclass, as said above
         value = getattr(config, field.name)
-        taken = _taken(hints[field.name], value, field.name)
-        if taken is not value:
-            object.__setattr__(config, field.name, taken)
+        kept = taken(hints[field.name], value, field.name)
+        if kept is not value:
+            object.__setattr__(config, field.name, kept)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,7 +193,7 @@ def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
     if missing:
         raise FieldError.of(where, f"the key {missing[0]}", "none", "add it")
     hints = type_hints(kind)
-    values = {key: _taken(hints[key], value, f"{where}, {key}", read=True) for key, value in table.items()}
+    values = {key: taken(hints[key], value, f"{where}, {key}", read=True) for key, value in table.items()}
     try:
         return kind(**values)
     except FieldError as error:
@@ -224,7 +224,7 @@ def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
     optional = False
     while True:
         if typing.get_origin(hint) is Annotated:
-            marks += hint.__metadata__
+            marks += hint.__metadata__[::-1]
             hint = hint.__origin__
             continue
         kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
@@ -301,7 +301,7 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
     return number
 
 
-def _taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
+def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
     """A value as its field has it.
 
     Args:
@@ -321,7 +321,7 @@ def _taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, rea
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         kind = _member(parts, value)
-        return value if kind is None else _taken(kind, value, name, marks, read=read)
+        return value if kind is None else taken(kind, value, name, marks, read=read)
     if origin is Literal:
         value = value.item() if hasattr(value, "item") else value
         if type(value) not in map(type, parts) or value not in parts:
@@ -357,7 +357,7 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...]
     kinds = parts[:1] * len(values) if count is None else parts
     names = [f"{name} {item['name']!r}" if isinstance(item, Mapping) and "name" in item else name for item in values]
     return tuple(
-        _taken(kind, item, item_name, marks, read=read)
+        taken(kind, item, item_name, marks, read=read)
         for kind, item, item_name in zip(kinds, values, names, strict=True)
     )
 

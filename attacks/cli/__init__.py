@@ -15,8 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from mi_splat.cli.console import PROGRAM, progress, warn
-from mi_splat.cli.ranges import UsageError, take_max_pixels
+from mi_splat.cli.console import PROGRAM, UsageError, progress, warn
 from mi_splat.errors import MiSplatError, message, nearest, printable
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
@@ -219,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with _plain_warnings():
             return _dispatch(words)
-    except SystemExit as stop:  # tyro ends --help and wrong usage this way
+    except SystemExit as stop:  # argparse ends --help this way
         return stop.code if isinstance(stop.code, int) else DONE if stop.code is None else FAILED
     except KeyboardInterrupt:
         warn("interrupted")
@@ -251,7 +250,7 @@ def _plain_warnings() -> Iterator[None]:
 def _dispatch(words: list[str]) -> int:
     """Answer --help and --version, or find the command and hand its options to it."""
     given = [PROGRAM, *words]
-    most = take_max_pixels(words)
+    most = _take_max_pixels(words)
     if words[:1] == ["help"] and len(words) > 1:
         words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
@@ -284,6 +283,27 @@ def _dispatch(words: list[str]) -> int:
 
         with pixel_limit(most):
             return int(module.run(options))
+
+
+def _take_max_pixels(words: list[str]) -> int | None:
+    """The number behind --max-pixels, which every command takes; None if it is not there.
+
+    Args:
+        words: What the user typed; the flag and its number are removed.
+
+    Raises:
+        UsageError: It is no number of pixels.
+    """
+    found = None
+    for word in [word for word in words if word.partition("=")[0] in ("--max-pixels", "--max_pixels")]:
+        place = words.index(word)
+        values = [word.partition("=")[2]] if "=" in word else words[place + 1 : place + 2]
+        del words[place : place + (1 if "=" in word else 2)]
+        if not values or not values[0].isdecimal() or len(values[0]) > 18 or int(values[0]) < 1:
+            got = values[0][:40] if values else "nothing"
+            raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
+        found = int(values[0])
+    return found
 
 
 def _help() -> str:

@@ -10,8 +10,7 @@ from attacks.cli.loading import load_detectors
 from attacks.report.checking import Check, Result, check_detections, check_figures, check_files, read_result
 from attacks.report.rescoring import fingerprints, rescore
 from attacks.report.results import Story, story_of
-from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.cli.ranges import UsageError
+from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json
 from mi_splat.errors import MiSplatError, message
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from attacks.cli.options import Detectors
+from mi_splat.cli.flags import Positional
+from mi_splat.fields import Called, Folder, Fraction, at_least
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,9 +19,9 @@ class ArtifactOptions:
     do not give its figures. The manifest is copied as it is, so that the copy has the same name: the SHA-256 of it.
     """
 
-    result: Positional[Path]
+    result: Positional[Annotated[Path, Called("RESULT")]]
     """Folder of the finished result."""
-    out: Path = Path("out/artifact")
+    out: Folder = Path("out/artifact")
     """Folder for the copy: a new one, written whole."""
     whole: bool = False
     """Copy splats and pictures, too, so that others can score the splats again."""
@@ -36,21 +39,21 @@ class ArtifactCheckOptions:
     With --rescore the splats are rendered and detectors look at them again.
     """
 
-    folders: Positional[tuple[Path, ...]] = ()
+    folders: Positional[tuple[Folder, ...]] = ()
     """Folders of results or of their copies; at least one."""
-    manifest: tuple[str, ...] = ()
+    manifest: Annotated[tuple[str, ...], Called("SHA256")] = ()
     """SHA-256 that the manifest of each folder has to have; none asks for none."""
     rescore: bool = False
     """Render the splats from cameras.json, let detectors look, and say how the rates moved."""
-    splats: Path | None = None
+    splats: Folder | None = None
     """Folder with the splats of --rescore, for instance the result's; None takes those in the folder."""
-    detectors: tuple[str, ...] = ()
+    detectors: Detectors = ()
     """Names of detectors for --rescore; none takes the result's."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    every: int = 1
+    every: Annotated[int, at_least(1, "cameras")] = 1
     """Use each so manieth camera (--rescore)."""
-    rate_tolerance: float = 0.02
+    rate_tolerance: Fraction = 0.02
     """How far a rate may move (--rescore); on another machine scores differ in their last digits."""
     json: bool = False
     """Print the lines as one JSON document on stdout."""

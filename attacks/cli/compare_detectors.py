@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tyro.conf import Positional
-
 from mi_splat import provenance
 from mi_splat.cli.console import show
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
 
 ENDING = ".compared.json"

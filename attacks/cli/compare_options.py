@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-
-from tyro.conf import OmitArgPrefixes, Positional
+from typing import Annotated
 
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.fields import Called, Folder, Seed, between
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,21 +26,21 @@ class CompareOptions:
 
     scene: Positional[Path]
     """A splat file, or a scene XML made of splats."""
-    methods: tuple[str, ...] = ("tile", "ray")
+    methods: Annotated[tuple[str, ...], Called("METHOD")] = ("tile", "ray")
     """Two or more of these methods, with commas or spaces between them."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
-    out: Path = Path("out/compare")
+    out: Folder = Path("out/compare")
     """Folder for the results."""
     gradients: bool = True
     """Compare the gradients of methods that have them."""
-    rounds: int = 5
+    rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
     """How often each method is timed, in turn; 0 measures neither time nor memory."""
     lpips: bool = False
     """Measure LPIPS, too; its network is downloaded when it is first used."""
-    amplify: float = 8.0
+    amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Called("FACTOR")] = 8.0
     """By how much differences are multiplied in the pictures."""
-    seed: int = 0
+    seed: Seed = 0
     """Of the random weights of the pixels whose weighted sum is differentiated."""
     force: bool = False
     """Replace a comparison that is in the folder."""

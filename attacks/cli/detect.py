@@ -20,8 +20,7 @@ from attacks.observe.views import detect_views
 from mi_splat import provenance
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.cameras import find_cameras, renderer_of
-from mi_splat.cli.console import progress, show, show_json
-from mi_splat.cli.ranges import UsageError
+from mi_splat.cli.console import UsageError, progress, show, show_json
 from mi_splat.datasets.pictures import SUFFIXES, read_picture
 from mi_splat.errors import message
 from mi_splat.io.camera_records import describe

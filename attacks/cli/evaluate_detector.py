@@ -6,12 +6,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attacks.cli.options import OneDetector
+from attacks.cli.options import Confidence, OneDetector, Processes, Threads
 from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from mi_splat import provenance
 from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.options import Samples
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Count, Folder
 from mi_splat.io.locks import locked_folder
 
 if TYPE_CHECKING:
@@ -32,27 +34,27 @@ class EvaluateDetectorOptions:
     """Name of a detector that knows the eight classes (see `mi-splat detectors`)."""
     weights: Path | None = None
     """Weights to score; None takes the usual ones."""
-    data: Path = Path("out/detector-data")
+    data: Folder = Path("out/detector-data")
     """Folder of the pictures; what is missing in it is made first."""
     out: Path = Path("out/detector/held-out.json")
     """JSON file for the figures; `mi-splat report` makes a page of it."""
-    pictures: int = 240
+    pictures: Count = 240
     """Path-traced pictures with objects."""
-    samples: int = 24
+    samples: Samples = 24
     """Samples per pixel in them."""
-    splats: int = 32
+    splats: Count = 32
     """Scenes that are made into splats; 0 leaves them out."""
     splat: SplatConfig = field(default_factory=SplatConfig)
     """How splats are made."""
     backgrounds: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Pictures without any object."""
-    confidence: float = 0.5
+    confidence: Confidence = 0.5
     """Least confidence of an object that is found, and of a false positive."""
     scenes: tuple[Path, ...] = ()
     """Scene XMLs of splats to score as well, from all their cameras; shapes whose id is a class are their objects."""
-    processes: int = 2
+    processes: Processes = 2
     """Processes that make pictures; 0 makes them in this one."""
-    threads: int = 1
+    threads: Threads = 1
     """Threads of torch."""
     json: bool = False
     """Print the figures as one JSON document on stdout."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from attacks.cli.options import Detectors
+from mi_splat.cli.flags import Positional
+from mi_splat.fields import Called, Folder, at_least
 
 ExperimentName = Literal[
     "surroundings",
@@ -38,15 +40,15 @@ class CloakExperimentOptions:
     """Which experiment."""
     study: Positional[Path]
     """TOML file of the study."""
-    results: Path | None = None
+    results: Folder | None = None
     """Folder that `mi-splat cloak` has written for this study; of transition-limit, what is drawn beside the limit."""
-    every: int = 4
+    every: Annotated[int, at_least(1, "cameras")] = 4
     """Use each so manieth of the held-out cameras, where an experiment looks from them."""
-    detectors: tuple[str, ...] = ()
+    detectors: Detectors = ()
     """Names of detectors in the place of those of the study, where an experiment has some."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    stages: Path | None = None
+    stages: Folder | None = None
     """Folder of the study's stages; None is a folder in --results (detection-curve, perfect-splat)."""
-    out: Path | None = None
+    out: Annotated[Path, Called("PATH")] | None = None
     """What is written: a folder (detection-curve), a PNG file with the limit (transition-limit), or a JSON file."""

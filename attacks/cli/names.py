@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat.cli.ranges import UsageError
+from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, message, nearest
 
 DEFAULT_OBJECT = "car"

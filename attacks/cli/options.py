@@ -1,4 +1,4 @@
-"""The options of each command, as frozen dataclasses that tyro turns into flags; light, so that --help is fast."""
+"""The options of each command, from which `mi_splat.cli.flags` makes flags; light, so that --help is fast."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
-
 from attacks.dagger.config import DaggerConfig
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.flags import Flag, Positional, Unprefixed
 from mi_splat.cli.values import Colour, Size
+from mi_splat.fields import Called, Count, Folder, Fraction, Length, Seed, above, at_least, between
 from mi_splat.selection.config import Selection
 
-OneDetector = Annotated[str, arg(name="detectors", metavar="DETECTOR")]
+Detectors = Annotated[tuple[str, ...], Called("DETECTOR")]
+OneDetector = Annotated[str, Flag(name="detectors"), Called("DETECTOR")]
 """A detector of a command that takes one; the flag is called as where there may be several."""
+ClassName = Annotated[str, Called("CLASS")]
+Confidence = Annotated[Fraction, Called("CONFIDENCE")]
+PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]
+Seeds = Annotated[int, at_least(1), Called("COUNT")]
+Groups = Annotated[tuple[str, ...], Called("TABLE")]
+Processes = Annotated[int, between(0, 1024)]
+Threads = Annotated[int, between(1, 1024)]
 
 
 AblationGroup = Literal[
@@ -45,23 +53,23 @@ class DaggerOptions:
 
     scene: Positional[Path] = Path("scenes/car_street.xml")
     """Scene XML made of splats, or a splat file."""
-    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
     """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """The cameras attacked at once."""
     objective: Literal["relabel", "hide", "untargeted"] = "relabel"
     """The aim: another class (--target), no detection at all, or any but the right class."""
-    target: str | None = None
+    target: ClassName | None = None
     """Class that the detector shall see there (relabel); None is person."""
-    confidence: float | None = None
+    confidence: Confidence | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    detectors: Detectors = ("fasterrcnn_small",)
     """Name of the detector, or names of several to deceive at once (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    config: OmitArgPrefixes[DaggerConfig] = field(default_factory=DaggerConfig)
+    config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
-    out: Path = Path("out/dagger")
+    out: Folder = Path("out/dagger")
     """Folder for the results: a new one, written whole when the attack has ended."""
     force: bool = False
     """Replace an older result in --out."""
@@ -78,15 +86,15 @@ class DetectOptions:
 
     inputs: Positional[tuple[Path, ...]] = ()
     """Pictures, splat files and scene XMLs; at least one."""
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    detectors: Detectors = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where splats and scenes are looked at from."""
-    min_confidence: float = 0.3
+    min_confidence: Confidence = 0.3
     """Confidence from which a detection is drawn and listed."""
-    out: Path = Path("out/detect")
+    out: Folder = Path("out/detect")
     """Folder for the results; a new one."""
     force: bool = False
     """Replace a folder that an earlier call has written."""
@@ -107,23 +115,23 @@ class EvaluateOptions:
     """The splat or scene XML before the attack."""
     attacked: Positional[Path]
     """The splat or scene XML after it."""
-    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
     """The object in the clean splat; if nothing is said, the Gaussians that differ."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where both are looked at from."""
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
+    detectors: Detectors = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    original: str | None = None
+    original: ClassName | None = None
     """Class that the object is; None is what each detector calls it in most views of the clean splat."""
-    target: str | None = None
+    target: ClassName | None = None
     """Class that the attacker wants."""
-    min_confidence: float = 0.5
+    min_confidence: Confidence = 0.5
     """Confidence from which a detection counts."""
-    pictures: int = 8
+    pictures: Count = 8
     """Views shown side by side; 0 writes no pictures."""
-    out: Path = Path("out/evaluate")
+    out: Folder = Path("out/evaluate")
     """Folder for the results; a new one."""
     force: bool = False
     """Replace a folder that an earlier call has written."""
@@ -141,13 +149,13 @@ class CloakOptions:
 
     study: Positional[Path]
     """TOML file of the study, for instance scenes/cloak_car_occluder.toml."""
-    out: Path = Path("out/cloak")
+    out: Folder = Path("out/cloak")
     """Folder for the results: a new one, or that of the same study."""
-    stages: Path | None = None
+    stages: Folder | None = None
     """Folder of the stages, which several studies may share; None is a folder in --out."""
-    seeds: tuple[int, ...] = ()
+    seeds: tuple[Seed, ...] = ()
     """Seeds in the place of those of the study."""
-    detectors: tuple[str, ...] = ()
+    detectors: Detectors = ()
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
@@ -170,11 +178,11 @@ class ViewOptions:
     alone until Ctrl-C; open it by the address that is printed.
     """
 
-    path: Positional[Path]
+    path: Positional[Annotated[Path, Called("RESULT")]]
     """Splat file of any format that is read, scene XML made of splats, or folder of results."""
     clean: Path | None = None
     """Splat or scene to compare with; of a folder of results it is found."""
-    detector: Annotated[str | None, arg(name="detectors", metavar="DETECTOR")] = None
+    detector: Annotated[str, Flag(name="detectors"), Called("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
@@ -183,11 +191,11 @@ class ViewOptions:
     background: Colour | None = None
     """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,
     black for a bare splat file."""
-    near: float | None = None
+    near: Length | None = None
     """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
-    host: str = "127.0.0.1"
+    host: Annotated[str, Called("HOST")] = "127.0.0.1"
     """Name or address to serve on; one that other machines can reach needs --allow-remote."""
-    port: int = 8080
+    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] = 8080
     """Port to serve on; 0 is any free one."""
     allow_remote: bool = False
     """Let other machines in that know the token in the address; nothing is encrypted. An SSH tunnel is better."""
@@ -195,7 +203,7 @@ class ViewOptions:
     """Do not open a browser."""
     export: Path | None = None
     """Write one HTML file with pictures from all around instead, which needs no server and no network."""
-    views: tuple[int, int] = (24, 4)
+    views: Annotated[tuple[int, int], at_least(1, "pictures"), Called("AZIMUTHS ELEVATIONS")] = (24, 4)
     """Azimuths and elevations of the pictures of --export."""
     force: bool = False
     """Replace the file of --export if it is there."""

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tyro.conf import Positional
-
 from mi_splat.cli.console import show
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.io.fields import Fields
 from mi_splat.io.parsing import DocumentReader

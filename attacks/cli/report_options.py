@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tyro.conf import Positional
+from mi_splat.cli.flags import Positional
+from mi_splat.fields import Folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,7 +18,7 @@ class ReportOptions:
     compare-detectors and cloak-experiment. The page is one file without a script, and asks nothing of any network.
     """
 
-    results: Positional[tuple[Path, ...]] = ()
+    results: Positional[tuple[Folder, ...]] = ()
     """Folders or files of results; at least one. Those of one kind are compared."""
     out: Path = Path("out/report.html")
     """The page; its folder has to be there."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
-from tyro.conf import Positional
+from mi_splat.cli.flags import Positional
+from mi_splat.fields import Folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +18,7 @@ class RowsOptions:
     dagger-eot, evaluate or cloak has written.
     """
 
-    result: Positional[Path]
+    result: Positional[Folder]
     """Folder of a result."""
     table: Literal["rows", "detections", "fidelity", "transition"] = "rows"
     """Which table: what is reported on the object, every single detection, or (cloak) pictures without a detector."""

@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-
-from tyro.conf import Positional
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, warn
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Called, Folder, at_least, between
 
 if TYPE_CHECKING:
     from attacks.studies.plan import Work
@@ -42,21 +42,21 @@ class StudyOptions:
     """What to do."""
     study: Positional[Path]
     """TOML file of the study."""
-    store: Path = Path("out/store")
+    store: Folder = Path("out/store")
     """Folder of finished jobs."""
-    out: Path | None = None
+    out: Folder | None = None
     """Folder for the result; None is out/studies/NAME."""
     parts: tuple[str, ...] = ()
     """Names of cases to do; all if none is named."""
-    workers: int = 1
+    workers: Annotated[int, between(0, 1024, "processes")] = 1
     """Processes that do jobs side by side; 0 does them in this one."""
-    scheduler: str | None = None
+    scheduler: Annotated[str, Called("ADDRESS")] | None = None
     """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs."""
-    verify: int = 2
+    verify: Annotated[int, at_least(1, "jobs")] = 2
     """Jobs that reuse makes again."""
-    reason: str | None = None
+    reason: Annotated[str, Called("TEXT")] | None = None
     """Why the change of the code changes no result (reuse)."""
-    sbatch: tuple[str, ...] = ()
+    sbatch: Annotated[tuple[str, ...], Called("OPTION")] = ()
     """Options of each array without their dashes, as time=02:00:00 (export)."""
     json: bool = False
     """Print one JSON document on stdout."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from tyro.conf import arg
-
+from attacks.cli.options import Processes, Threads
 from attacks.detectors.training.config import TrainConfig, TrainingSetConfig
 from mi_splat.cli.console import progress, show, warn
+from mi_splat.cli.flags import Flag
+from mi_splat.fields import Folder, at_least
 from mi_splat.io.locks import locked_folder
 
 RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")
@@ -25,19 +26,19 @@ class TrainDetectorOptions:
     A training that was interrupted goes on where it stopped when the same command is given again.
     """
 
-    detector: Annotated[SmallDetector, arg(name="detectors")] = "fasterrcnn_small"
+    detector: Annotated[SmallDetector, Flag(name="detectors")] = "fasterrcnn_small"
     """Which one; yolov8n_small needs the extra `yolo`."""
-    data: Path = Path("out/detector-data")
+    data: Folder = Path("out/detector-data")
     """Folder of the pictures; what is missing in it is made first."""
-    out: Path = Path("out/detector")
+    out: Folder = Path("out/detector")
     """Folder of checkpoint.safetensors, curves.json and best.safetensors, the best weights so far."""
     sets: TrainingSetConfig = field(default_factory=TrainingSetConfig)
     """How many pictures of each kind."""
-    validate_every: int = 2
+    validate_every: Annotated[int, at_least(1, "epochs")] = 2
     """Epochs between two validations."""
-    processes: int = 2
+    processes: Processes = 2
     """Processes that make pictures; 0 makes them in this one."""
-    threads: int = 2
+    threads: Threads = 2
     """Threads that train."""
     only_data: bool = False
     """Stop when the pictures are made."""

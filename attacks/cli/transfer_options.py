@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional
-
-from attacks.cli.options import OneDetector
+from attacks.cli.options import ClassName, Confidence, Detectors, OneDetector, PositiveRadius, Seeds
 from attacks.limits import NormName
 from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.fields import Called, Folder, Steps, at_least
 from mi_splat.selection.config import Selection
 
 
@@ -22,27 +23,27 @@ class DaggerTransferOptions:
     transfer.json and transfer.png (the matrix) into --out.
     """
 
-    detectors: tuple[str, ...] = ()
+    detectors: Detectors = ()
     """Names of detectors (see `mi-splat detectors`) that are attacked and judge; none takes those of the project that
     can be loaded."""
-    judges: tuple[str, ...] = ()
+    judges: Detectors = ()
     """Names of detectors that judge and are not attacked."""
-    seeds: int = 3
+    seeds: Seeds = 3
     """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
-    eps: float = 10.0
+    eps: PositiveRadius = 10.0
     """Radius of the l2 ball over the object's SH coefficients."""
-    steps: int = 20
+    steps: Steps = 20
     """Number of steps."""
     ensembles: bool = True
     """Attack all detectors but one at once, too."""
-    eot_study: Path | None = None
+    eot_study: Folder | None = None
     """Folder of `mi-splat dagger-eot-study`: attack nothing, let the detectors judge its splats on their held-out views
     (held_out.md, held_out.json, held_out.png)."""
-    views: int = 24
+    views: Annotated[int, at_least(1)] = 24
     """Held-out views of each of these splats."""
-    scenes: Path = Path("scenes")
+    scenes: Folder = Path("scenes")
     """Folder with the scene files."""
-    out: Path = Path("out/studies/transfer")
+    out: Folder = Path("out/studies/transfer")
     """Folder for the results: a new one, or that of the same study."""
     json: bool = False
     """Print the names of the files as one JSON document on stdout."""
@@ -58,13 +59,13 @@ class RenderingStudyOptions:
 
     study: Positional[Path]
     """TOML file of the study."""
-    detectors: tuple[str, ...] = ()
+    detectors: Detectors = ()
     """Names of detectors in the place of those of the file."""
-    seeds: int | None = None
+    seeds: Seeds | None = None
     """Number of seeds; none takes that of the file."""
-    scenes: Path = Path("scenes")
+    scenes: Folder = Path("scenes")
     """Folder with the scene files."""
-    out: Path = Path("out/studies/rendering")
+    out: Folder = Path("out/studies/rendering")
     """Folder for the results: a new one, or that of the same study."""
     json: bool = False
     """Print the names of the files as one JSON document on stdout."""
@@ -81,30 +82,30 @@ class DaggerSanityOptions:
 
     scene: Positional[Path] = Path("scenes/car_street.xml")
     """Scene XML made of splats, or a splat file."""
-    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
     """The object whose Gaussians are attacked. If nothing is said, the part called car."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """The camera; of several, the first. Each seed but 0 moves it about the object."""
-    target: str = "person"
+    target: ClassName = "person"
     """Class that the detector shall see there."""
-    confidence: float = 0.7
+    confidence: Confidence = 0.7
     """Confidence in it that counts as success."""
     detector: OneDetector = "fasterrcnn_small"
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
-    surrogate: str = "auto"
+    surrogate: Annotated[str, Called("DETECTOR")] = "auto"
     """Name of another detector, from which attacks are transferred; auto takes one that can be loaded, none leaves it
     out."""
-    seeds: int = 3
+    seeds: Seeds = 3
     """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
-    eps: float = 5.0
+    eps: PositiveRadius = 5.0
     """Radius of the ball over the object's SH coefficients; the checks also take fractions and multiples of it."""
     norm: NormName = "l2"
     """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
-    steps: int = 20
+    steps: Steps = 20
     """Number of steps of an attack."""
-    out: Path = Path("out/sanity")
+    out: Folder = Path("out/sanity")
     """Folder for the results: a new one, written whole when the last check has ended."""
     force: bool = False
     """Replace an older result in --out."""

@@ -34,7 +34,7 @@ class CaptureSettings(Checked):
     """
 
     samples: Annotated[int, between(1, 1 << 20, "samples per pixel", "32 is usual")] = 32
-    seed: Annotated[int, between(0, 1 << 28, "whole", "0 is usual"), Called("SEED")] = 0
+    seed: Annotated[int, between(0, 1 << 28, do="0 is usual"), Called("SEED")] = 0
     rgba: bool = False
     points: Annotated[int, between(1, 10_000_000, "points")] = 20_000
     near: Length | None = None

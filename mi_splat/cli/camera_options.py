@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from tyro.conf import arg
-
+from mi_splat.cli.flags import Flag
 from mi_splat.cli.values import Colour, Direction, Size
+from mi_splat.fields import Called, Length, Range, between
+
+Azimuth = Annotated[float, between(-360, 360, "degrees")]
+Elevation = Annotated[float, between(-90, 90, "degrees", "90 is straight down")]
+FieldOfView = Annotated[float, Range(low=0, high=180, open_low=True, open_high=True, unit="degrees", do="45 is usual")]
+Point = Annotated[tuple[float, float, float], Range(unit="world units"), Called("X Y Z")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,27 +23,27 @@ class CameraOptions:
     no object is meant.
     """
 
-    cameras: Annotated[tuple[str, ...], arg(aliases=("--camera", "--views"))] = ()
+    cameras: Annotated[tuple[str, ...], Flag(aliases=("--camera", "--views")), Called("CAMERAS")] = ()
     """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
     cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
     command (its cameras again); the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures
     (COLMAP or transforms)."""
-    azimuth: float | None = None
+    azimuth: Azimuth | None = None
     """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an orbit is used without it."""
-    elevation: float | None = None
+    elevation: Elevation | None = None
     """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
-    distance: float | None = None
+    distance: Length | None = None
     """World units from the centre; None is as near as shows the object or the scene whole."""
-    centre: tuple[float, float, float] | None = None
+    centre: Point | None = None
     """Point that cameras of an orbit or a set look at; None is the middle of the object, or of all Gaussians."""
     up: Direction = (0.0, 0.0, 1.0)
     """Direction that is up in the scene, for orbits and sets: an axis, or three numbers; scenes from COLMAP often have
     -y."""
-    fov: float = 45.0
+    fov: FieldOfView = 45.0
     """Field of view of orbits and sets in degrees, over the shorter side of the picture."""
     size: Size | None = None
     """Pixels, as 256 or 256x192; None is the camera's own, 640x480 for orbits and sets."""
-    near: float | None = None
+    near: Length | None = None
     """Gaussians nearer than this to the camera are not drawn, world units; None is what suits scene and cameras."""
     background: Colour | None = None
     """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,

@@ -13,11 +13,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
 
-from mi_splat.errors import printable
+from mi_splat.errors import MiSplatError, printable
 
 PROGRAM = "mi-splat"
 LINE_SECONDS = 10.0
 """Time between two lines of progress where there is no terminal."""
+
+
+class UsageError(MiSplatError):
+    """An option that makes no sense; the command line prints it and exits with status 2."""
 
 
 class Advance(Protocol):

@@ -1,23 +1,28 @@
-"""The options of each command, as frozen dataclasses that tyro turns into flags; light, so that --help is fast."""
+"""The options of each command, from which `mi_splat.cli.flags` makes flags; light, so that --help is fast."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
-
-from tyro import MISSING
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from typing import Annotated, Any, Literal
 
 from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
-from mi_splat.cli.camera_options import CameraOptions
+from mi_splat.cli.camera_options import CameraOptions, FieldOfView, Point
+from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.values import Colour, Size
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Called, Folder, Length, Range, Seed, Steps, at_least, between, check, check_choice
 from mi_splat.selection.config import Selection
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
+
+Rate = Annotated[
+    float,
+    Range(low=0, high=1000, open_low=True, unit="pictures a second", do="24 is usual"),
+    Called("RATE"),
+]
+Samples = Annotated[int, between(1, 1 << 16, "samples per pixel", "32 is usual")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,17 +37,19 @@ class RenderOptions:
 
     scene: Positional[Path]
     """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
-    out: Path = Path("picture.png")
+    out: Annotated[Path, Called("PATH")] = Path("picture.png")
     """What to write: NAME.png or NAME.jpg; NAME.gif or NAME.mp4 (needs the extra `video`) of several cameras one after
     the other; a folder, or a name with {} for the camera's, for a picture from each."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
-    fps: float = 24.0
+    fps: Annotated[
+        float, Range(low=0, high=1000, open_low=True, unit="pictures a second", do="24 is usual"), Called("RATE")
+    ] = 24.0
     """Pictures a second of an animation."""
     method: Literal["tile", "ray"] | None = None
     """How splats alone are rendered: tile is the picture of the reference 3DGS rasteriser, ray traces rays; without the
     flag it is what the scene XML says, or tile."""
-    samples: int = 64
+    samples: Samples = 64
     """Samples a pixel, for a scene with meshes; the other pictures need one."""
     force: bool = False
     """Replace a folder of pictures that an earlier call has written."""
@@ -60,9 +67,9 @@ class SelectOptions:
 
     scene: Positional[Path]
     """A splat file, or a scene XML made of splats."""
-    selection: OmitArgPrefixes[Selection] = field(default_factory=Selection)
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
     """Which object."""
-    view: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
     out: tuple[Path, ...] = ()
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
@@ -101,31 +108,31 @@ class CaptureOptions:
     that was interrupted goes on where it stopped when the same command is given again.
     """
 
-    scene: Positional[str]
+    scene: Positional[Annotated[str, Called("SCENE")]]
     """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
     the project's objects by name and seed, for instance car:900004."""
-    cameras: str = "hemisphere:210"
+    cameras: Annotated[str, Called("CAMERAS")] = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
-    out: Path = Path("out/capture")
+    out: Folder = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
     size: Size | None = None
     """Pixels, as 256 or 256x192; 1 to 32768. None is 256, or what a transforms .json says."""
-    test: int = 0
+    test: Annotated[int, between(0, 100_000, "pictures")] = 0
     """Pictures held out, from other cameras over the same range; 0 or more."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
     """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in sparse/0, or both."""
-    fov: float | None = None
+    fov: FieldOfView | None = None
     """Field of view in degrees over the shorter side of the picture; between 0 and 180. None is 45."""
-    centre: tuple[float, float, float] | None = None
+    centre: Point | None = None
     """Point that cameras look at, in the coordinates of the mesh file as it is turned and scaled; None is the middle of
     the scene or of its object."""
-    distance: float | None = None
+    distance: Length | None = None
     """World units between cameras and centre, more than 0; None is as near as shows the whole scene or its object."""
-    settings: OmitArgPrefixes[CaptureSettings] = field(default_factory=CaptureSettings)
+    settings: Unprefixed[CaptureSettings] = field(default_factory=CaptureSettings)
     """How pictures are taken."""
-    mesh: OmitArgPrefixes[MeshSettings] = field(default_factory=MeshSettings)
+    mesh: Unprefixed[MeshSettings] = field(default_factory=MeshSettings)
     """How a mesh file is read and turned."""
-    surroundings: OmitArgPrefixes[SurroundingsSettings] = field(default_factory=SurroundingsSettings)
+    surroundings: Unprefixed[SurroundingsSettings] = field(default_factory=SurroundingsSettings)
     """What is around a mesh file, or around an object of the project."""
     json: bool = False
     """Print what was written as one JSON document on stdout."""
@@ -146,60 +153,61 @@ class TrainOptions:
     --rotation_lr, --densify_from_iter, --densification_interval, ...
     """
 
-    dataset: Positional[Path]
+    dataset: Positional[Folder]
     """Folder of the set."""
-    out: Path
+    out: Folder
     """Folder for the results; made if it is not there."""
-    strategy: Annotated[str, arg(metavar="|".join(strategy_names()))] = _STRATEGY
+    strategy: Annotated[str, Called("|".join(strategy_names()))] = _STRATEGY
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
     of one add --help."""
-    fit: OmitArgPrefixes[FitConfig] = field(default_factory=FitConfig)
+    fit: Unprefixed[FitConfig] = field(default_factory=FitConfig)
     """How the splat is trained."""
     start: Path | None = None
     """Splat to begin with; None takes the points of the set."""
-    random: int | None = None
+    random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
     """Begin with so many Gaussians anywhere instead."""
-    outliers: int = 0
+    outliers: Annotated[int, between(0, 100_000_000, "Gaussians")] = 0
     """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
-    downscale: int = 1
+    downscale: Annotated[int, between(1, 64, "times smaller"), Called("FACTOR")] = 1
     """Integer factor by which the pictures shrink."""
     background: Colour = (0.0, 0.0, 0.0)
     """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]. See also
     --random-background."""
-    near: float | None = None
+    near: Length | None = None
     """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
     scene or the distance of its cameras is small."""
     lpips: bool = False
     """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
-    checkpoint_every: int = 1000
+    checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
     """Steps between two checkpoints."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of everything random."""
     json: bool = False
     """Print the figures as one JSON document on stdout."""
 
     def __post_init__(self) -> None:
+        check(self)
         name = strategy_name(self.fit.strategy)
         if self.strategy != name:
             do = "pass both alike"
             raise InvalidValueError(message("strategy", f"{name}, as in fit", self.strategy, do))
 
 
-def train_defaults(words: Sequence[str], *, program: str) -> TrainOptions:
-    """The options before flags are read, but for the strategy, which says what flags there are.
+def train_defaults(words: Sequence[str]) -> dict[str, Any]:
+    """The strategy and its options, which say what further flags there are.
 
     Args:
         words: What the user typed after the command.
-        program: How the command is called, for errors.
 
     Raises:
-        SystemExit: There is no such strategy.
+        InvalidValueError: There is no such strategy.
     """
-    parser = argparse.ArgumentParser(prog=program, add_help=False, allow_abbrev=False)
-    parser.add_argument("--strategy", choices=strategy_names(), default=_STRATEGY)
-    name = parser.parse_known_args(words)[0].strategy
-    fit = FitConfig(strategy=strategy_config(name))
-    return TrainOptions(dataset=MISSING, out=MISSING, strategy=name, fit=fit)
+    name = _STRATEGY
+    for word, following in zip(words, [*words[1:], ""], strict=False):
+        if word.partition("=")[0] == "--strategy":
+            name = word.partition("=")[2] or following
+    check_choice("--strategy", name, strategy_names())
+    return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,15 +230,15 @@ class ExampleScenesOptions:
 
     name: Positional[str]
     """car_street or stop_sign."""
-    out: Path = Path("scenes")
+    out: Folder = Path("scenes")
     """Folder for the files; made if it is not there. What is there under these names is replaced."""
-    views: int | None = None
+    views: Annotated[int, at_least(1, "pictures")] | None = None
     """Pictures to fit to; None takes the recipe's number."""
-    samples: int = 16
+    samples: Samples = 16
     """Samples per pixel in them; the pictures to compare with have twice as many."""
-    steps: int | None = None
+    steps: Steps | None = None
     """Steps of the training; None takes the recipe's number."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of everything but the meshes."""
     json: bool = False
     """Print the record as one JSON document on stdout."""

@@ -7,13 +7,13 @@ or a direction, and lets `--up -y` through, which would look like a flag.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated
 
-from tyro.constructors import PrimitiveConstructorSpec
-
-from mi_splat.cli.ranges import UsageError
+from mi_splat.cli.console import UsageError
+from mi_splat.cli.flags import Word
 from mi_splat.errors import message, nearest
+from mi_splat.fields import Called, between
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXIS = re.compile(r"[+-]?[xyz]")
@@ -24,11 +24,11 @@ _AXES = {
 }
 
 
-def _size(words: Sequence[str]) -> tuple[int, int]:
+def _size(word: str) -> tuple[int, int]:
     """Width and height of a word."""
-    parts = words[0].lower().split("x")
+    parts = word.lower().split("x")
     if len(parts) > 2 or not all(part.isdecimal() for part in parts):
-        raise ValueError(f"expected pixels as 256 or 256x192, got {words[0]!r}")
+        raise ValueError(f"expected pixels as 256 or 256x192, got {word!r}")
     return int(parts[0]), int(parts[-1])
 
 
@@ -40,53 +40,50 @@ def _three(word: str) -> tuple[float, float, float] | None:
     return float(parts[0]), float(parts[1]), float(parts[2])
 
 
-def _colour(words: Sequence[str]) -> tuple[float, float, float]:
+def _colour(word: str) -> tuple[float, float, float]:
     """An sRGB colour, by its name, as CSS writes it, or as three numbers."""
-    found = _three(words[0])
+    found = _three(word)
     if found is not None:
         return found
     from PIL import ImageColor  # only where it is needed
 
     try:
-        red, green, blue, *rest = ImageColor.getrgb(words[0])
+        red, green, blue, *rest = ImageColor.getrgb(word)
         if rest:
-            raise ValueError(f"{words[0]} is transparent")
+            raise ValueError(f"{word} is transparent")
     except ValueError:
-        do = nearest(words[0], ImageColor.colormap, "write for instance white, #80b0e0 or 0.5 0.7 0.9")
-        raise ValueError(f"expected a colour, got {words[0]!r}; {do}") from None
+        do = nearest(word, ImageColor.colormap, "write for instance white, #80b0e0 or 0.5 0.7 0.9")
+        raise ValueError(f"expected a colour, got {word!r}; {do}") from None
     return red / 255, green / 255, blue / 255
 
 
-def _direction(words: Sequence[str]) -> tuple[float, float, float]:
+def _direction(word: str) -> tuple[float, float, float]:
     """A direction, by its axis or as three numbers."""
-    found = _AXES.get(words[0], _three(words[0]))
+    found = _AXES.get(word, _three(word))
     if found is None:
-        raise ValueError(f"expected an axis such as y or -y, or three numbers, got {words[0]!r}")
+        raise ValueError(f"expected an axis such as y or -y, or three numbers, got {word!r}")
     return found[0], found[1], found[2]
 
 
-def _numbers(value: Sequence[float]) -> list[str]:
-    return [" ".join(f"{one:g}" for one in value)]
+def _written(value: Sequence[float]) -> str:
+    return " ".join(f"{number:g}" for number in value)
 
 
-def _spec(
-    read: Callable[[Sequence[str]], Any], count: int, metavar: str, write: Callable[[Any], list[str]]
-) -> PrimitiveConstructorSpec[Any]:
-    """How the parser makes a tuple of so many numbers of one word."""
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=metavar,
-        instance_from_str=read,
-        is_instance=lambda value: isinstance(value, tuple) and len(value) == count,
-        str_from_instance=write,
-    )
-
-
-Size = Annotated[tuple[int, int], _spec(_size, 2, "PIXELS|WIDTHxHEIGHT", lambda v: [f"{v[0]}x{v[1]}"])]
+Size = Annotated[
+    tuple[int, int],
+    Word(_size, lambda size: f"{size[0]}x{size[1]}"),
+    between(1, 1 << 15, "pixels", "for instance 256"),
+    Called("PIXELS|WIDTHxHEIGHT"),
+]
 """Width and height of pictures: 256, or 256x192."""
-Colour = Annotated[tuple[float, float, float], _spec(_colour, 3, "COLOUR", _numbers)]
+Colour = Annotated[
+    tuple[float, float, float],
+    Word(_colour, _written),
+    between(0, 1, "sRGB", "divide 8-bit values by 255"),
+    Called("COLOUR"),
+]
 """An sRGB colour: white, #80b0e0, or three numbers in [0, 1]."""
-Direction = Annotated[tuple[float, float, float], _spec(_direction, 3, "AXIS|X Y Z", _numbers)]
+Direction = Annotated[tuple[float, float, float], Word(_direction, _written), Called("AXIS|X Y Z")]
 """A direction: y, -y, or three numbers."""
 
 

@@ -255,7 +255,7 @@ def test_dagger_says_what_is_wrong(
     ("words", "says"),
     [
         (["--eps", "1", "2"], "eps: expected one number for all of sh"),
-        (["--eps", "0"], "--eps: expected a number > 0 (units of the splat file), got 0"),
+        (["--eps", "-1"], "--eps: expected a number >= 0 (units of the splat file), got -1"),
         (["--steps", "0"], "steps: expected a number >= 1"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -14,12 +14,13 @@ import numpy as np
 import torch
 from numpy.random import Generator
 
-from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig, check_kind
+from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig
 from attacks.detectors.training.dataset import check_note, load, save_pictures
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.surroundings import of_kind
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.capture.path_tracer import capture, daylight, scalar_variant, scene_dict
+from mi_splat.fields import check_choice
 
 _DISTANCE = (4.0, 7.0)
 """Metres from a camera to what it looks at, about those of the shipped scenes."""
@@ -41,7 +42,7 @@ def background_pictures(kind: str, number: int, config: BackgroundConfig) -> lis
     Raises:
         InvalidValueError: There is no such kind.
     """
-    check_kind(kind)
+    check_choice("kind", kind, BACKGROUNDS)
     low, high = SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
     around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)

@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Called, Checked, Count, Fraction, Seed, Share, above, at_least, between, check, check_choice
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
 """Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""
 
 BACKGROUNDS = ("street", "park", "room", "ground", "random")
 """Kinds of pictures without any object: the project's own surroundings, and random grounds, walls and clutter."""
-
-
-def check_kind(kind: str) -> None:
-    """Raise unless a kind of surroundings is one of `BACKGROUNDS`.
-
-    Raises:
-        InvalidValueError: It is none.
-    """
-    if kind not in BACKGROUNDS:
-        raise InvalidValueError(message("kind", " or ".join(BACKGROUNDS), repr(kind), "choose one of them"))
-
-
-def _check_split(split: str) -> None:
-    if split not in SPLITS:
-        raise InvalidValueError(message("split", " or ".join(SPLITS), repr(split), "choose one of them"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,28 +39,29 @@ class PictureSetConfig:
     """
 
     split: str = "train"
-    count: int = 2800
-    seed: int = 0
-    size: int = SMALL_SIDE
-    shots: int = 3
-    samples: int = 6
-    empty: float = 0.06
-    pair: float = 0.3
-    street: float = 0.5
-    least_visible: float = 0.15
-    elevation: tuple[float, float] = (0.0, 90.0)
+    count: Count = 2800
+    seed: Seed = 0
+    size: Annotated[int, at_least(1, "pixels")] = SMALL_SIDE
+    shots: Annotated[int, at_least(1)] = 3
+    samples: Annotated[int, at_least(1)] = 6
+    empty: Fraction = 0.06
+    pair: Fraction = 0.3
+    street: Fraction = 0.5
+    least_visible: Fraction = 0.15
+    elevation: Annotated[tuple[float, float], between(-90, 90, "degrees"), Called("LEAST MOST")] = (0.0, 90.0)
     focus: tuple[str, ...] = SMALL_CLASSES
     around: str | None = None
-    farthest: float | None = None
+    farthest: Annotated[float, above(0, "metres")] | None = None
 
     def __post_init__(self) -> None:
-        _check_split(self.split)
+        check(self)
+        check_choice("split", self.split, SPLITS)
         if self.around is not None:
-            check_kind(self.around)
+            check_choice("around", self.around, BACKGROUNDS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainingSetConfig:
+class TrainingSetConfig(Checked):
     """How many pictures of each kind a detector is trained on.
 
     Attributes:
@@ -90,15 +77,15 @@ class TrainingSetConfig:
         validation_backgrounds: Scenes of each kind without any object, two pictures each, by which it is chosen too.
     """
 
-    pictures: int = 3600
-    surroundings: int = 720
-    overhead: int = 720
-    streets: int = 600
-    splats: int = 40
-    street_splats: int = 16
-    backgrounds: int = 24
-    validation: int = 120
-    validation_backgrounds: int = 12
+    pictures: Count = 3600
+    surroundings: Count = 720
+    overhead: Count = 720
+    streets: Count = 600
+    splats: Count = 40
+    street_splats: Count = 16
+    backgrounds: Count = 24
+    validation: Annotated[int, at_least(1)] = 120
+    validation_backgrounds: Count = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,19 +101,20 @@ class BackgroundConfig:
         seed: Seed of everything that is random.
     """
 
-    scenes: int = 12
-    shots: int = 2
-    samples: int = 24
-    size: int = SMALL_SIDE
+    scenes: Count = 12
+    shots: Annotated[int, at_least(1)] = 2
+    samples: Annotated[int, at_least(1)] = 24
+    size: Annotated[int, at_least(1, "pixels")] = SMALL_SIDE
     split: str = "held-out"
-    seed: int = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        _check_split(self.split)
+        check(self)
+        check_choice("split", self.split, SPLITS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SplatConfig:
+class SplatConfig(Checked):
     """How a splat is made of a scene, and how many pictures are taken of it.
 
     Attributes:
@@ -139,17 +127,17 @@ class SplatConfig:
         pictures: Renders of each splat, from cameras that none of the views used.
     """
 
-    views: int = 16
-    samples: int = 12
-    objects: int = 12_000
-    surroundings: int = 30_000
-    sky: int = 1_500
-    steps: int = 100
-    pictures: int = 4
+    views: Annotated[int, at_least(1)] = 16
+    samples: Annotated[int, at_least(1)] = 12
+    objects: Count = 12_000
+    surroundings: Count = 30_000
+    sky: Count = 1_500
+    steps: Annotated[int, at_least(0, "steps")] = 100
+    pictures: Count = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainConfig:
+class TrainConfig(Checked):
     """How the detector is trained.
 
     Attributes:
@@ -169,16 +157,16 @@ class TrainConfig:
         seed: Seed of the weights, of the order and of every random change of the pictures.
     """
 
-    pretraining: int = 1000
-    epochs: int = 20
-    batch: int = 8
-    learning_rate: float = 1.2e-3
-    warm_up: float = 0.06
-    weight_decay: float = 0.02
-    ema_decay: float = 0.998
-    max_gradient_norm: float = 5.0
+    pretraining: Annotated[int, at_least(0, "steps")] = 1000
+    epochs: Annotated[int, at_least(1, "epochs")] = 20
+    batch: Annotated[int, at_least(1, "pictures")] = 8
+    learning_rate: Annotated[float, above(0), Called("RATE")] = 1.2e-3
+    warm_up: Fraction = 0.06
+    weight_decay: Annotated[float, at_least(0)] = 0.02
+    ema_decay: Share = 0.998
+    max_gradient_norm: Annotated[float, above(0)] = 5.0
     mixed_precision: bool = True
-    low_resolution: int = 160
-    low_resolution_fraction: float = 0.4
-    final_fraction: float = 0.2
-    seed: int = 0
+    low_resolution: Annotated[int, at_least(1, "pixels")] = 160
+    low_resolution_fraction: Fraction = 0.4
+    final_fraction: Fraction = 0.2
+    seed: Seed = 0

@@ -1,0 +1,440 @@
+"""Flags of a command out of the fields of its options, by the standard library's argparse; light, without torch.
+
+Options are a frozen dataclass. What a field takes it says itself (`mi_splat.fields`), its help is the text below it or
+its entry under "Attributes:", and its default is the flag's. A field that is a dataclass has its flags in a group.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import inspect
+import os
+import re
+import shutil
+import sys
+import textwrap
+import typing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn, TypeVar
+
+from mi_splat.cli.console import UsageError
+from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.fields import Called, FieldError, Range, taken, type_hints, unwrapped
+
+_Type = TypeVar("_Type")
+
+NONE = "none"
+"""Stands for None, or for an empty tuple."""
+CALLED = {int: "COUNT", float: "NUMBER", str: "NAME", Path: "FILE"}
+"""What a value is called that says nothing else of itself."""
+_NEGATIVE = re.compile(r"-(\.?\d.*|inf)")
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """How a field is given on the command line.
+
+    Attributes:
+        name: Name of the flag; that of the field if empty.
+        aliases: Other names for it.
+        positional: Whether it is given without any flag, by its position.
+        prefixed: Whether the flags of a dataclass have its field's name before theirs.
+    """
+
+    name: str = ""
+    aliases: tuple[str, ...] = ()
+    positional: bool = False
+    prefixed: bool = True
+
+
+Positional = Annotated[_Type, Flag(positional=True)]
+"""A field that is given by its position."""
+Unprefixed = Annotated[_Type, Flag(prefixed=False)]
+"""A dataclass whose flags stand for themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A tuple that is one word of the command line.
+
+    Attributes:
+        read: Makes the value of the word; raises ValueError, and says what it expected.
+        write: The word for a value.
+    """
+
+    read: Callable[[str], Any]
+    write: Callable[[Any], str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """A field as the command line has it.
+
+    Attributes:
+        key: Dotted names of the fields that lead to it.
+        hint: Its type, with what it says of its values.
+        default: Of it; `dataclasses.MISSING` if it has to be given.
+        text: What it means.
+    """
+
+    key: str
+    hint: Any
+    default: Any
+    text: str
+
+    @property
+    def how(self) -> Flag:
+        """How it is given."""
+        return next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Flag)), Flag())
+
+    def flag(self, prefix: str) -> str:
+        """Its flag, or what its value is called if it has none."""
+        name = f"--{prefix}{self.how.name or self.name}".replace("_", "-")
+        return self.called if self.how.positional else name
+
+    @property
+    def name(self) -> str:
+        """Name of the field."""
+        return self.key.rpartition(".")[2]
+
+    def inner_prefix(self, prefix: str) -> str:
+        """What is before the names of its fields' flags: its own name, or nothing within an unprefixed dataclass."""
+        is_within = not prefix and "." in self.key
+        return prefix if is_within or not self.how.prefixed else f"{prefix}{self.name}."
+
+    @property
+    def called(self) -> str:
+        """What its values are called."""
+        kind, marks, _ = unwrapped(self.hint)
+        words = next((mark.words for mark in marks if isinstance(mark, Called)), "")
+        unit = next((mark.unit for mark in marks if isinstance(mark, Range)), "")
+        if typing.get_origin(kind) is tuple:
+            inner = dataclasses.replace(self, hint=Annotated[(typing.get_args(kind)[0], Flag(), *marks)])
+            return words or inner.called
+        if typing.get_origin(kind) is Literal:
+            return f"{{{','.join(map(str, typing.get_args(kind)))}}}"
+        return words or (unit.upper() if unit.isalpha() else CALLED.get(kind, "VALUE"))
+
+    @property
+    def count(self) -> int | str | None:
+        """How many words it takes, as argparse has it."""
+        kind, marks, _ = unwrapped(self.hint)
+        required = self.default is dataclasses.MISSING
+        if typing.get_origin(kind) is tuple and not any(isinstance(mark, Word) for mark in marks):
+            parts = typing.get_args(kind)
+            return "*" if parts[-1] is Ellipsis else len(parts)
+        return "?" if self.how.positional and not required else None
+
+    @property
+    def help(self) -> str:
+        """What `--help` says of it: its text, the numbers that it takes, its default."""
+        kind, marks, _ = unwrapped(self.hint)
+        allowed = next((mark for mark in (*marks, *_inner_marks(kind)) if isinstance(mark, Range)), Range())
+        unit = "" if not allowed.unit or allowed.unit.upper() == self.called else f" {allowed.unit}"
+        numbers = f"{allowed.bounds}{unit}".strip() if allowed.bounds else ""
+        if self.default is dataclasses.MISSING:
+            last = "required"
+        else:
+            last = "" if isinstance(self.default, bool) else f"default: {self.written(self.default)}"
+        notes = "; ".join(filter(None, (numbers, last)))
+        return (f"{self.text} ({notes})" if notes else self.text).replace("%", "%%")
+
+    def written(self, value: Any) -> str:
+        """A value as the command line has it."""
+        word = next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Word)), None)
+        if value is None or value == ():
+            return NONE
+        if word is not None:
+            return word.write(value)
+        return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+    def value(self, words: Sequence[str], flag: str) -> Any:
+        """The value in the user's words.
+
+        Raises:
+            FieldError: They say nothing that the field takes.
+        """
+        kind, marks, optional = unwrapped(self.hint)
+        if optional and [word.lower() for word in words] == [NONE]:
+            return None
+        word = next((mark for mark in marks if isinstance(mark, Word)), None)
+        if word is not None:
+            try:
+                return taken(self.hint, word.read(words[0]), flag)
+            except ValueError as error:
+                raise error if isinstance(error, FieldError) else UsageError(f"{flag}: {error}") from None
+        is_tuple = typing.get_origin(kind) is tuple
+        if self.count == "*" and list(words) == [NONE]:
+            return ()
+        parts = typing.get_args(kind) if is_tuple else (kind,)
+        values = [_plain(parts[0], word) for word in words]
+        return taken(self.hint, tuple(values) if is_tuple else values[0], flag)
+
+
+def _inner_marks(kind: Any) -> tuple[Any, ...]:
+    """What is said of the values of a tuple."""
+    return unwrapped(typing.get_args(kind)[0])[1] if typing.get_origin(kind) is tuple else ()
+
+
+def _plain(hint: Any, word: str) -> Any:
+    """A word as the number or the choice that it stands for; the word itself where it stands for none."""
+    kind = unwrapped(hint)[0]
+    if typing.get_origin(kind) is Literal:
+        return next((choice for choice in typing.get_args(kind) if str(choice) == word), word)
+    if kind in (int, float):
+        for number in (int, kind):
+            try:
+                return number(word)
+            except ValueError:
+                continue
+    return Path(word) if kind is Path else word
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are exceptions, so that they can be told as all others are."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what argparse would print.
+
+        Raises:
+            UsageError: Always.
+        """
+        raise UsageError(message.removeprefix("argument "))
+
+
+def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[str, Any] | None = None) -> Parser:
+    """The parser of a command's options.
+
+    Args:
+        kind: The options.
+        program: How the command is called.
+        description: What `--help` says above the options.
+        defaults: Of some fields, in the place of their own.
+    """
+    width = min(shutil.get_terminal_size().columns, 110)
+    parser = Parser(
+        prog=program,
+        usage=f"{program} [-h] [OPTIONS]{''.join(f' {name}' for name in _positionals(kind, defaults))}",
+        description=_filled(description, width),
+        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, width=width),
+        allow_abbrev=False,
+        argument_default=argparse.SUPPRESS,
+    )
+    _add(parser, parser, kind, "", "", _given_or_own(kind, defaults or {}), width)
+    return parser
+
+
+def parse(
+    kind: type[_Type],
+    words: Sequence[str],
+    *,
+    program: str,
+    description: str = "",
+    defaults: Mapping[str, Any] | None = None,
+) -> _Type:
+    """The options in the user's words; ends the process for --help.
+
+    Args:
+        kind: The options.
+        words: What the user typed after the command's name.
+        program: How the command is called.
+        description: What `--help` says above the options.
+        defaults: Of some fields, in the place of their own.
+
+    Raises:
+        UsageError: The words are no options of the command.
+    """
+    parser = parser_of(kind, program=program, description=description, defaults=defaults)
+    # A space keeps argparse from taking a negative number for a flag.
+    spaced = [f" {word}" if _NEGATIVE.fullmatch(word) else word for word in map(_dashed, words)]
+    given, rest = parser.parse_known_intermixed_args(spaced)
+    if rest:
+        flags = [flag for action in parser._actions for flag in action.option_strings]
+        unknown = next((word for word in rest if word.startswith("-")), rest[0]).partition("=")[0]
+        do = nearest(unknown, flags, f"see {program} --help") if unknown.startswith("-") else "leave it out"
+        raise UsageError(message("options", "those of the command", " ".join(rest), do))
+    try:
+        return _built(kind, "", "", _given_or_own(kind, defaults or {}), vars(given))
+    except InvalidValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _dashed(word: str) -> str:
+    """A word with dashes in the name of its flag, which may be written with underscores."""
+    flag, equals, value = word.partition("=")
+    return f"{flag.replace('_', '-')}{equals}{value}" if flag.startswith("--") else word
+
+
+def _given_or_own(kind: type, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """The defaults of a dataclass's fields by their names; `dataclasses.MISSING` where there is none."""
+    fields = dataclasses.fields(kind)
+    own = {
+        field.name: field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+        for field in fields
+    }
+    return {**own, **defaults}
+
+
+def _options(kind: type, key: str, defaults: Mapping[str, Any]) -> Iterator[Option]:
+    hints, texts = type_hints(kind), field_texts(kind)
+    for name, default in defaults.items():
+        yield Option(key=f"{key}{name}", hint=hints[name], default=default, text=texts.get(name, ""))
+
+
+def flags_of(options: Any, key: str = "", prefix: str = "") -> Iterator[tuple[str, Option]]:
+    """Every flag of a command with its option.
+
+    Args:
+        options: The command's options, whose values are the defaults.
+        key: Names of fields that lead to them, each with a dot behind it.
+        prefix: What is before the names of their flags.
+    """
+    for option in _options(type(options), key, _values(options)):
+        if dataclasses.is_dataclass(option.default):
+            yield from flags_of(option.default, f"{option.key}.", option.inner_prefix(prefix))
+        else:
+            yield option.flag(prefix), option
+
+
+def _values(options: Any) -> dict[str, Any]:
+    """The values of a dataclass's fields by their names."""
+    return {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+
+
+def _positionals(kind: type, defaults: Mapping[str, Any] | None) -> Iterator[str]:
+    """The arguments without flags, as the line of usage has them."""
+    for option in _options(kind, "", _given_or_own(kind, defaults or {})):
+        if option.how.positional:
+            called = f"{option.called} ..." if option.count == "*" else option.called
+            yield called if option.default is dataclasses.MISSING else f"[{called}]"
+
+
+def _add(
+    parser: Parser, group: Any, kind: type, key: str, prefix: str, defaults: Mapping[str, Any], width: int
+) -> None:
+    """Add the flags of a dataclass, and those of dataclasses in it, each in a group.
+
+    Args:
+        parser: The parser.
+        group: Group of it, or itself.
+        kind: The dataclass.
+        key: Names of fields that lead to it, each with a dot behind it.
+        prefix: What is before the names of its flags.
+        defaults: Of its fields.
+        width: Of a line.
+    """
+    for option in _options(kind, key, defaults):
+        if dataclasses.is_dataclass(option.default):
+            title = f"{option.key.replace('_', ' ')} options"
+            part = parser.add_argument_group(title, _filled(option.text, width - 2))
+            inner, own = option.inner_prefix(prefix), _values(option.default)
+            _add(parser, part, type(option.default), f"{option.key}.", inner, own, width)
+        elif option.how.positional:
+            count = "?" if option.count is None else option.count
+            group.add_argument(option.key, nargs=count, metavar=option.called, help=option.help)
+        elif isinstance(option.default, bool):
+            flag = option.flag(f"{prefix}no-" if option.default else prefix)
+            group.add_argument(flag, dest=option.key, action="store_const", const=not option.default, help=option.help)
+        else:
+            called: Any = option.called
+            if isinstance(option.count, int) and len(called.split()) == option.count:
+                called = tuple(called.split())
+            flags = (option.flag(prefix), *option.how.aliases)
+            group.add_argument(*flags, dest=option.key, nargs=option.count, metavar=called, help=option.help)
+
+
+def _built(kind: type[_Type], key: str, prefix: str, defaults: Mapping[str, Any], given: Mapping[str, Any]) -> _Type:
+    """A dataclass of what was given, and of defaults; the arguments are those of `_add`.
+
+    Args:
+        kind: The dataclass.
+        key: Names of fields that lead to it, each with a dot behind it.
+        prefix: What is before the names of its flags.
+        defaults: Of its fields.
+        given: The user's words by the keys of options.
+
+    Raises:
+        InvalidValueError: A value is none that its field takes, or one is missing.
+    """
+    values: dict[str, Any] = {}
+    flags: dict[str, str] = {}
+    for option in _options(kind, key, defaults):
+        name = option.name
+        flags[name] = option.flag(prefix)
+        if dataclasses.is_dataclass(option.default):
+            inner, own = option.inner_prefix(prefix), _values(option.default)
+            values[name] = _built(type(option.default), f"{option.key}.", inner, own, given)
+        elif option.key in given and given[option.key] not in ([], None):
+            words = given[option.key]
+            is_set = isinstance(words, bool)
+            texts = (
+                [] if is_set else [word.removeprefix(" ") for word in ([words] if isinstance(words, str) else words)]
+            )
+            values[name] = words if is_set else option.value(texts, flags[name])
+        elif option.default is dataclasses.MISSING:
+            what = "arguments" if option.how.positional else flags[name]
+            raise UsageError(message(what, option.called, "none", "add it"))
+        elif option.key in given and not option.how.positional:
+            values[name] = ()
+        else:
+            values[name] = option.default
+    try:
+        return kind(**values)
+    except FieldError as error:
+        raise error.at(flags.get(error.name, error.name)) from None
+
+
+@cache
+def field_texts(kind: Any) -> dict[str, str]:
+    """What each field of a dataclass means: the text below it, or its entry under "Attributes:"."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if "__dataclass_fields__" in vars(base):
+            texts |= _attributes(inspect.getdoc(base) or "") | _below(base.__module__, base.__name__)
+    return {name: " ".join(text.split()) for name, text in texts.items()}
+
+
+def _attributes(doc: str) -> dict[str, str]:
+    """The entries under "Attributes:" of a docstring."""
+    texts: dict[str, str] = {}
+    name, section = "", doc.partition("\nAttributes:\n")[2]
+    for line in section.splitlines():
+        entry = re.match(r" {4}(\w+): (.*)", line)
+        if entry:
+            name, texts[entry[1]] = entry[1], entry[2]
+        elif line.startswith("     "):
+            texts[name] += f" {line.strip()}"
+        else:
+            break
+    return texts
+
+
+def _below(module: str, kind: str) -> dict[str, str]:
+    """The texts below the fields of a dataclass in its source."""
+    for node in _source(module).body:
+        if isinstance(node, ast.ClassDef) and node.name == kind:
+            return {
+                field.target.id: text.value.value
+                for field, text in zip(node.body, node.body[1:], strict=False)
+                if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+                if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+                if isinstance(text.value.value, str)
+            }
+    return {}
+
+
+@cache
+def _source(module: str) -> ast.Module:
+    path = sys.modules[module].__file__
+    return ast.parse(Path(path).read_text("utf-8")) if path and os.path.isfile(path) else ast.Module([], [])
+
+
+def _filled(text: str, width: int) -> str:
+    """Paragraphs filled, but for those whose second line is indented, as examples are."""
+    paragraphs = re.split(r"\n\s*\n", text)
+    return "\n\n".join(part if "\n  " in part else textwrap.fill(" ".join(part.split()), width) for part in paragraphs)

@@ -1,0 +1,381 @@
+"""A field says once what it takes: flags, constructors and files refuse the same values in the same words."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pytest
+
+from attacks import cli
+from attacks.cli.examples import EXAMPLES, SEE_ALSO
+from attacks.cli.parsing import argument_parser, parse
+from attacks.cloak.config import AttackConfig, CleaningConfig, LayersConfig, StudyConfig, SurrogateConfig
+from attacks.observe.conditions import SunTable
+from attacks.rendering_studies.config import AttackTable, JudgeTable, Pair, RenderingStudy
+from mi_splat.cli.console import UsageError
+from mi_splat.cli.flags import flags_of
+from mi_splat.fields import (
+    Checked,
+    FieldError,
+    Range,
+    above,
+    at_least,
+    between,
+    checked_number,
+    decode,
+    type_hints,
+    unwrapped,
+)
+from mi_splat.training.strategies import strategy_config, strategy_names
+
+NEEDED = {
+    "capture": ["car_street"],
+    "train": ["set", "--out", "out"],
+    "render": ["a.ply"],
+    "convert": ["a.ply", "b.spz"],
+    "compare": ["a.ply"],
+    "select": ["a.ply"],
+    "detect": ["a.ply"],
+    "evaluate": ["a.ply", "b.ply"],
+    "info": ["a.ply"],
+    "example-scenes": ["stop_sign"],
+    "cloak": ["study.toml"],
+    "rendering-study": ["study.toml"],
+    "view": ["a.ply"],
+    "cloak-experiment": ["surroundings", "study.toml"],
+    "artifact": ["out/study"],
+    "artifact-check": ["out/artifact"],
+    "rows": ["out/result"],
+    "study": ["plan", "study.toml"],
+}
+"""What a command cannot do without."""
+ATTACK = AttackConfig(name="roof", elevation=(50, 90))
+FILES = (
+    StudyConfig(
+        name="small",
+        attack=(ATTACK,),
+        surrogate=SurrogateConfig(),
+        layers=LayersConfig(attacks=("roof",)),
+        cleaning=CleaningConfig(sh_degree=1),
+    ),
+    RenderingStudy(
+        name="small",
+        question="?",
+        pairs=(Pair(scene="a", object="b", target="c"),),
+        attacks=(AttackTable(),),
+        judge=JudgeTable(sun=SunTable(scene="a.xml", hours=(12.0,))),
+    ),
+)
+"""What files hold that no command has flags for."""
+
+
+def options_of(command: str, words: list[str]) -> Any:
+    return parse(command, cli.COMMANDS[command], [*NEEDED.get(command, []), *words])
+
+
+def configurations(value: Any) -> Iterator[Any]:
+    """A dataclass, and those in it."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from configurations(part)
+    if dataclasses.is_dataclass(value):
+        yield value
+        for field in dataclasses.fields(value):
+            yield from configurations(getattr(value, field.name))
+
+
+def ranges(hint: Any) -> tuple[Range | None, int, bool]:
+    """What numbers a field takes, how many at least (0 for none), and whether whole ones."""
+    kind, marks, _ = unwrapped(hint)
+    allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
+    if typing.get_origin(kind) is tuple:
+        parts = typing.get_args(kind)
+        inner, count, whole = ranges(parts[0])
+        return allowed or inner, (1 if parts[-1] is Ellipsis else len(parts)) * min(count, 1), whole
+    return allowed, int(kind in (int, float)), kind is int
+
+
+def wrong_values(allowed: Range, whole: bool) -> list[float]:
+    """Numbers just outside of a range, and what is no finite number."""
+    wrong: list[float] = [] if whole else [math.nan, math.inf]
+    if math.isfinite(allowed.low):
+        wrong.append(int(allowed.low) - (0 if allowed.open_low else 1))
+    if math.isfinite(allowed.high):
+        wrong.append(int(allowed.high) + (0 if allowed.open_high else 1))
+    return wrong
+
+
+def right_value(allowed: Range, whole: bool) -> float:
+    """A number inside of a range."""
+    low = allowed.low if math.isfinite(allowed.low) else min(allowed.high, 0)
+    value = (low + min(allowed.high, low + 2)) / 2
+    return int(value) if whole else value
+
+
+COMMANDS = {name: options_of(name, []) for name in cli.COMMANDS}
+PARTS = [
+    *(part for options in COMMANDS.values() for part in configurations(options)),
+    *(part for study in FILES for part in configurations(study)),
+    *map(strategy_config, strategy_names()),
+]
+CONFIGURATIONS = {
+    type(part): part for part in PARTS if hasattr(part, "__post_init__") and part not in COMMANDS.values()
+}
+"""All that check themselves, by their class."""
+NUMBERS = [(kind, name, *ranges(hint)) for kind in CONFIGURATIONS for name, hint in type_hints(kind).items()]
+CASES = [(kind, name, allowed, count, whole) for kind, name, allowed, count, whole in NUMBERS if count and allowed]
+
+
+def test_there_are_fields_to_walk_through() -> None:
+    assert len(CONFIGURATIONS) > 25
+    assert len(CASES) > 120
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "allowed", "count", "whole"), CASES, ids=[f"{case[0].__name__}.{case[1]}" for case in CASES]
+)
+def test_constructors_and_files_refuse_in_the_same_words(
+    kind: Any, name: str, allowed: Range, count: int, whole: bool
+) -> None:
+    example: Any = CONFIGURATIONS[kind]
+    for number in wrong_values(allowed, whole):
+        with pytest.raises(FieldError) as expected:
+            checked_number(name, number, allowed, whole=whole)
+        is_tuple = isinstance(getattr(example, name), tuple) or count > 1
+        with pytest.raises(FieldError) as refused:
+            dataclasses.replace(example, **{name: (number,) * count if is_tuple else number})
+        assert str(refused.value) == str(expected.value)
+        with pytest.raises(FieldError) as read:
+            decode(kind, {**required(example), name: [number] * count if is_tuple else number}, "a.toml")
+        assert str(read.value) == f"a.toml, {expected.value}"
+    with pytest.raises(FieldError, match=f"{name}: expected a {'whole ' if whole else ''}number"):
+        dataclasses.replace(example, **{name: ("many",) * count if count > 1 else "many"})
+
+
+def required(example: Any) -> dict[str, Any]:
+    """The keys that a file cannot do without, as it has them."""
+    fields = dataclasses.fields(example)
+    missing = {
+        field.name
+        for field in fields
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    }
+    values = {name: value for name, value in dataclasses.asdict(example).items() if name in missing or name == "judge"}
+    return json.loads(json.dumps(values), object_hook=lambda table: {k: v for k, v in table.items() if v is not None})  # type: ignore[no-any-return]
+
+
+FLAGS = [
+    (command, flag, *ranges(option.hint))
+    for command, options in COMMANDS.items()
+    for flag, option in flags_of(options)
+    if not option.how.positional
+]
+RANGED = [(command, flag, allowed, count, whole) for command, flag, allowed, count, whole in FLAGS if count and allowed]
+
+
+def said(flag: str, number: float, count: int) -> list[str]:
+    """A flag with so many of a number, as a user writes it."""
+    return [flag, "x".join([str(number)] * count)] if flag == "--size" else [flag, *[str(number)] * count]
+
+
+def is_no_word(flag: str, number: float) -> bool:
+    """Whether a flag that takes one word makes no number of it: it is refused as no size, or as no colour."""
+    return (flag == "--size" and number < 0) or (flag == "--background" and not math.isfinite(number))
+
+
+def test_every_flag_of_numbers_has_a_range() -> None:
+    assert {flag for _, flag, allowed, count, _ in FLAGS if count and not allowed} == {"--up"}
+    assert len(RANGED) > 250
+    assert ("render", "--distance") in [case[:2] for case in RANGED]
+    assert ("train", "--lr-means") in [case[:2] for case in RANGED]
+
+
+@pytest.mark.parametrize(
+    ("command", "flag", "allowed", "count", "whole"), RANGED, ids=[f"{case[0]} {case[1]}" for case in RANGED]
+)
+def test_flags_refuse_in_the_same_words(
+    command: str, flag: str, allowed: Range, count: int, whole: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in wrong_values(allowed, whole):
+        if is_no_word(flag, number):
+            continue
+        with pytest.raises(FieldError) as expected:
+            checked_number(flag, float(number) if flag == "--background" else number, allowed, whole=whole)
+        with pytest.raises(UsageError) as refused:
+            options_of(command, said(flag, number, count))
+        assert str(refused.value) == str(expected.value)
+    with pytest.raises(UsageError, match=f"^{flag}: expected "):
+        options_of(command, [flag, *["many"] * (1 if flag in ("--size", "--background") else count)])
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("command", sorted({case[0] for case in RANGED}))
+def test_right_numbers_are_taken(command: str) -> None:
+    """All of a command at once, but two seeds that have to differ."""
+    together: list[str] = []
+    for flag, allowed, count, whole in (case[1:] for case in RANGED if case[0] == command):
+        words = said(flag, right_value(allowed, whole), count)
+        if flag == "--judge-seed":
+            options_of(command, words)
+        else:
+            together += words
+    options_of(command, together)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["render", "a.ply", "--distance", "-1"], "--distance: expected a number > 0 (world units), got -1"),
+        (["render", "a.ply", "--background", "255", "255", "255"], "divide 8-bit values by 255"),
+        (["render", "a.ply", "--azimuth", "nan"], "--azimuth: expected a number in [-360, 360] (degrees), got nan"),
+        (["train", "s", "--out", "o", "--eval-interval", "-1"], "--eval-interval: expected a number >= 0 (steps)"),
+        (["train", "s", "--out", "o", "--max-gaussians", "0"], "--max-gaussians: expected"),
+        (["train", "s", "--out", "o", "--max-gaussians", "-5"], "--max-gaussians: expected"),
+        (["train", "s", "--out", "o", "--lr-means", "-1e-3"], "--lr-means: expected a number > 0, got -0.001"),
+    ],
+)
+def test_the_message_is_one_line_and_says_what_to_do(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert said in captured.err
+    assert f"see mi-splat {words[0]} --help" in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_ranges_say_what_they_hold() -> None:
+    assert str(at_least(1, "steps")) == "a number >= 1 (steps)"
+    assert str(between(0, 2**31 - 1)) == "a number in [0, 2147483647]"
+    assert str(Range(unit="metres")) == "a number (metres)"
+    half_open = Range(low=0, high=1, open_low=True)
+    assert str(half_open) == "a number in (0, 1]"
+    assert [half_open.holds(x) for x in (0.0, 0.5, 1.0, 1.1, math.nan)] == [False, True, True, False, False]
+    assert not Range().holds(math.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(Checked):
+    """Of every kind of field."""
+
+    size: Annotated[float, above(0, "metres")] = 1.0
+    corners: tuple[Annotated[int, at_least(0)], ...] = ()
+    at: tuple[float, float] = (0.0, 0.0)
+    kind: Literal["round", "square"] = "round"
+    width: Annotated[float | tuple[float, ...], at_least(0)] = 1.0
+    name: str | None = None
+    path: Path | None = None
+    closed: bool = False
+
+
+def test_values_become_those_of_python() -> None:
+    shape = Shape(size=np.float32(0.5), corners=np.array([1, 2]), at=[1, 2], path="a.ply")  # type: ignore[arg-type]
+    assert shape == Shape(size=0.5, corners=(1, 2), at=(1, 2), path=Path("a.ply"))
+    assert json.dumps([shape.size, shape.corners, shape.at])
+    assert Shape(corners=3).corners == (3,)  # type: ignore[arg-type]
+    assert Shape(width=(1, 2)).width == (1, 2)
+    assert decode(Shape, {"size": 2, "corners": [1], "width": [0.5, 1], "path": "a"}, "x") == Shape(
+        size=2.0, corners=(1,), width=(0.5, 1.0), path=Path("a")
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"size": True}, "size: expected a number, got True"),
+        ({"corners": (1, 2.0)}, "corners: expected a whole number, got 2.0"),
+        ({"at": (1, 2, 3)}, r"at: expected 2 values, got \(1, 2, 3\)"),
+        ({"kind": "squar"}, "kind: expected one of round, square, got squar; did you mean square?"),
+        ({"width": (1, -1)}, "width: expected a number >= 0, got -1"),
+        ({"name": 3}, "name: expected a text, got 3"),
+        ({"closed": 1}, "closed: expected true or false, got 1"),
+    ],
+)
+def test_other_values_are_refused(values: dict[str, Any], said: str) -> None:
+    with pytest.raises(FieldError, match=said):
+        Shape(**values)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"siz": 1}, "key in x: expected one of size, .*, got siz; did you mean size"),
+        ({"corners": 1}, "x, corners: expected a list, got 1; write it in brackets"),
+        ({"at": [1]}, r"x, at: expected a list of 2, got \[1\]"),
+        ({"closed": "yes"}, "x, closed: expected true or false, got 'yes'"),
+    ],
+)
+def test_other_tables_are_refused(table: dict[str, Any], said: str) -> None:
+    with pytest.raises(FieldError, match=said):
+        decode(Shape, table, "x")
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_help_begins_with_what_it_does_and_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.index("Examples:") < text.index("-h, --help")
+    assert "See also:" in text
+    assert "(default: )" not in text
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_help_says_of_every_flag_what_it_means_and_what_its_values_are_called(command: str) -> None:
+    for action in argument_parser(command, cli.COMMANDS[command])._actions:
+        assert action.help, action.dest
+        assert action.metavar or action.nargs == 0, action.option_strings
+        called = action.metavar if isinstance(action.metavar, tuple) else (str(action.metavar),)
+        assert isinstance(action.nargs, str) or action.nargs in (None, 0) or len(called) == action.nargs
+
+
+@pytest.mark.parametrize(
+    ("command", "shown"),
+    [
+        ("dagger", "usage: mi-splat dagger [-h] [OPTIONS] [FILE]"),
+        ("info", "usage: mi-splat info [-h] [OPTIONS] FILE"),
+        ("train", "--strategy classic|mcmc|fixed"),
+        ("render", "--centre X Y Z"),
+        ("render", "--fov DEGREES"),
+        ("cloak", "--seeds [SEED ...]"),
+        ("dagger", "--steps STEPS Number of steps. (>= 1; default: 11)"),
+        ("dagger", "--confidence CONFIDENCE"),
+        ("dagger", "(in [0, 1]; default: none)"),
+        ("dagger", "--norm {linf,l2,l2_per_gaussian}"),
+        ("compare", "--no-gradients"),
+    ],
+)
+def test_help_shows_ranges_units_and_defaults(command: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([command, "--help"]) == 0
+    assert shown in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+def test_examples_can_be_parsed(line: str) -> None:
+    command, *words = line.split()
+    parse(command, cli.COMMANDS[command], words)
+
+
+def test_examples_and_neighbours_are_of_commands() -> None:
+    assert set(EXAMPLES) == set(SEE_ALSO) == set(cli.COMMANDS)
+    assert {other for others in SEE_ALSO.values() for other in others} <= set(cli.COMMANDS)
+    assert all(line.split()[0] == command for command, lines in EXAMPLES.items() for line in lines)
+
+
+def test_words_may_stand_in_any_order() -> None:
+    options = options_of("detect", ["--out", "o", "b.png", "--min_confidence=0.5", "--detectors", "x", "y"])
+    assert [path.name for path in options.inputs] == ["a.ply", "b.png"]
+    assert (options.out.name, options.min_confidence, options.detectors) == ("o", 0.5, ("x", "y"))
+
+
+def test_none_stands_for_no_value() -> None:
+    assert options_of("train", ["--max-gaussians", "none"]).fit.strategy.max_gaussians is None
+    assert options_of("detect", ["--weights", "none"]).weights == ()
