@@ -74,7 +74,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "rows": ("rows out/dagger", "rows out/cloak --csv", "rows out/cloak --table detections --json"),
     "artifact": (
         "artifact out/cloak --out out/artifact",
-        "artifact out/layers --stages out/stages --splats --out out/layers-artifact",
+        "artifact out/layers --whole --out out/layers-artifact",
     ),
     "artifact-check": (
         "artifact-check out/artifact",
