@@ -12,7 +12,7 @@ from typing import Any
 from attacks.cli.compare_options import CompareOptions
 from attacks.report.charts import missing_packages
 from attacks.report.page import write_page
-from attacks.report.results import with_origin
+from attacks.report.results import finished
 from attacks.report.stories import renderers
 from attacks.report.wording import number
 from mi_splat import provenance
@@ -26,17 +26,17 @@ from mi_splat.comparison.sheets import save_sheets
 from mi_splat.errors import MiSplatError, install
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 from mi_splat.metrics import Perceptual, load_lpips
 from mi_splat.scene import scene_hash
 from mi_splat.scene_files import open_scene
 
-RECORD, PAGE = "compare.json", "compare.html"
+PAGE = "compare.html"
 
 
 def run(options: CompareOptions) -> int:
     """Compare, and write what came of it."""
-    check_new_folder(options.out, force=options.force, record=RECORD)
+    check_new_folder(options.out, force=options.force)
     with progress("loading") as advance:
         loaded = open_scene(options.scene)
         cameras = find_cameras(loaded, options.view)
@@ -47,6 +47,7 @@ def run(options: CompareOptions) -> int:
         lpips = _lpips(warnings) if options.lpips else None
         found = compare(loaded.scene, cameras, methods, config=config, lpips=lpips, on_step=advance)
         document = {
+            "story": "compare",
             "scene": str(options.scene),
             "scene_hash": scene_hash(loaded.scene),
             "gaussians": len(loaded.scene),
@@ -64,7 +65,7 @@ def run(options: CompareOptions) -> int:
             **provenance.origin(),
         }
         advance("writing")
-        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+        with new_folder(options.out, force=options.force) as folder:
             save_sheets(found.pictures, folder, factor=options.amplify)
             save_json(document, folder / RECORD)
             has_page = _page(document, folder, options.out)
@@ -93,7 +94,7 @@ def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
     if missing:
         warn(f"no page: {' and '.join(missing)} not installed; {install('report')}, then mi-splat report")
         return False
-    write_page([with_origin(renderers.read(out, document, files=folder), document)], folder / PAGE)
+    write_page([finished(renderers.read(out, document, files=folder), out, document)], folder / PAGE)
     return True
 
 

@@ -15,7 +15,7 @@ from mi_splat.fields import Called, Folder, Seed, between
 class CompareOptions:
     """Compare renderers on one splat: pictures, gradients, time and memory.
 
-    Writes compare.json, a sheet for each camera (the pictures side by side, and where each two differ), the pictures
+    Writes result.json, a sheet for each camera (the pictures side by side, and where each two differ), the pictures
     of each method, and compare.html, a page that needs no network (it needs the extra `report`).
 
     Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the same with the filter of
@@ -45,4 +45,4 @@ class CompareOptions:
     force: bool = False
     """Replace a comparison that is in the folder."""
     json: bool = False
-    """Print compare.json on stdout."""
+    """Print result.json on stdout."""

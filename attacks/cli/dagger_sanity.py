@@ -19,13 +19,10 @@ from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import describe
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 from mi_splat.io.parsing import read_json
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.select import require_visible
-
-RECORD = "sanity.json"
-"""The file by which the folder of a suite is known."""
 
 ATTACKS = 13
 """Kinds of attacks in the suite, each once a seed; for the progress bar."""
@@ -33,7 +30,7 @@ ATTACKS = 13
 
 def run(options: DaggerSanityOptions) -> int:
     """Make the checks; 1 if one of them is red."""
-    check_new_folder(options.out, force=options.force, record=RECORD)
+    check_new_folder(options.out, force=options.force)
     limit_threads((os.cpu_count() or 1) // 2)
     if options.seeds < 1:
         raise InvalidValueError(message("--seeds", "at least one", options.seeds, "3 are the usual ones"))
@@ -43,7 +40,7 @@ def run(options: DaggerSanityOptions) -> int:
         runs = Runs(case, on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
         advance("attacking", 0)
         run_checks(runs, checks=CHECKS, on_finding=findings.append)
-        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+        with new_folder(options.out, force=options.force) as folder:
             write_findings(findings, runs, folder, **conditions)
     red = sum(one.passed is False for one in findings)
     if options.json:

@@ -25,10 +25,8 @@ from mi_splat.datasets.pictures import SUFFIXES, read_picture
 from mi_splat.errors import message
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import file_name, save_json, save_png
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 from mi_splat.scene_files import open_scene
-
-RECORD = "detections.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +59,7 @@ def run(options: DetectOptions) -> int:
     if not options.inputs:
         raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
     _check_idle(options)
-    check_new_folder(options.out, force=options.force, record=RECORD)
+    check_new_folder(options.out, force=options.force)
     with progress("loading") as advance:
         # Not before the first file is read and its cameras are found: a wrong name is told at once.
         detectors = functools.cache(lambda: load_detectors(options.detectors, options.weights))
@@ -75,13 +73,14 @@ def run(options: DetectOptions) -> int:
             for seen, name in zip(found, names, strict=True)
         ]
         document = {
+            "story": "detect",
             "min_confidence": options.min_confidence,
             "view": _given(options.view),
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors()},
             "pictures": rows,
             **provenance.origin(),
         }
-        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+        with new_folder(options.out, force=options.force) as folder:
             for seen, name in zip(found, names, strict=True):
                 drawn = annotated(seen.image, seen.detections, name, min_confidence=options.min_confidence)
                 save_png(drawn, folder / f"{name}.png")

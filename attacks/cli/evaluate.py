@@ -19,13 +19,12 @@ from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.selecting import Chosen, choose, look_at_object
 from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.folders import RECORD as RESULT
-from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 from mi_splat.scene import scene_hash
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.select import doubts
 
-RECORD, ATTACKED = "evaluation.json", "attacked"
+ATTACKED = "attacked"
 FEW = 10
 """Views from which on an interval says something."""
 WORDS = {
@@ -39,7 +38,7 @@ WORDS = {
 
 def run(options: EvaluateOptions) -> int:
     """Evaluate, and write pictures and numbers."""
-    check_new_folder(options.out, force=options.force, record=RECORD)
+    check_new_folder(options.out, force=options.force)
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)
         if options.selection.is_empty:
@@ -60,6 +59,7 @@ def run(options: EvaluateOptions) -> int:
         found = compare(looked.rows, confidence=options.min_confidence)
         reasons = [*doubts(chosen.mask, {}), *_doubts(found, chosen.cameras, options.attacked)]
         document = {
+            "story": "evaluate",
             **_asked(options, chosen),
             **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
@@ -68,7 +68,7 @@ def run(options: EvaluateOptions) -> int:
             **provenance.rendered_with(chosen.render),
             **provenance.origin(),
         }
-        with new_folder(options.out, force=options.force, record=RECORD) as folder:
+        with new_folder(options.out, force=options.force) as folder:
             _save_pictures(seen, list(chosen.cameras), [one.detector for one in found], options.pictures, folder)
             save_json(document, folder / RECORD)
             looked.write(folder)
@@ -120,7 +120,7 @@ def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Pa
 
 def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
     """How many cameras the record beside an attacked splat names as attacked; 0 without a record."""
-    found = recorded_cameras(attacked.parent / RESULT, reference=False) or {}
+    found = recorded_cameras(attacked.parent / RECORD, reference=False) or {}
     poses = [camera.to_world for camera in found.values()]
     return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
 

@@ -81,7 +81,7 @@ class DaggerOptions:
 class DetectOptions:
     """Let detectors look at pictures, or at splats and scenes from cameras; draw the boxes and list them.
 
-    Writes a picture with boxes for each picture and detector, and detections.json, into --out.
+    Writes a picture with boxes for each picture and detector, and result.json, into --out.
     """
 
     inputs: Positional[tuple[Path, ...]] = ()
@@ -108,7 +108,7 @@ class EvaluateOptions:
 
     Says how often the object is found, missed, or taken for the target, with 95 % intervals. The cameras should be
     others than those that were attacked. Writes a picture of both splats side by side for each detector, and
-    evaluation.json, into --out.
+    result.json, into --out.
     """
 
     clean: Positional[Path]

@@ -77,7 +77,7 @@ class DaggerSanityOptions:
 
     Success has to rise with the radius, many steps, white boxes and gradients have to do no worse than one step,
     another detector and random search, gradients have to equal finite differences, and so on. Each check is a line,
-    green or red. Writes sanity.md and sanity.json into --out. The exit status is 1 if a line is red.
+    green or red. Writes sanity.md and result.json into --out. The exit status is 1 if a line is red.
     """
 
     scene: Positional[Path] = Path("scenes/car_street.xml")

@@ -154,7 +154,6 @@ class Section:
     Attributes:
         kind: What sort of result it is; results of one kind are compared.
         title: Which one.
-        folder: Where it lies, as the reader of the command line named it.
         done: What was done, in plain words.
         conclusion: What may be concluded, in plain words.
         headline: The figure that matters.
@@ -167,6 +166,7 @@ class Section:
         tables: More numbers.
         configuration: Every setting, by name.
         versions: Packages, variant and commit, by name.
+        folder: Where it lies, as the reader of the command line named it.
         command: Command line that made it, as it was given; empty if none did.
         file: Name and text of the file of a study.
         manifest: SHA-256 of manifest.json, which stands for every file of the result; empty where there is none.
@@ -174,7 +174,6 @@ class Section:
 
     kind: str
     title: str
-    folder: str
     done: str
     conclusion: str
     headline: Figure
@@ -187,6 +186,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     configuration: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
+    folder: str = ""
     command: str = ""
     manifest: str = ""
     file: tuple[str, str] | None = None

@@ -43,7 +43,7 @@ def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera]
     Of an attack on a distribution of views it is the reference camera alone, with which the attack can be repeated.
 
     Args:
-        path: cameras.json, result.json, evaluation.json or sanity.json.
+        path: cameras.json or result.json.
         reference: Whether such a reference camera counts, from which the object need not have been looked at.
 
     Returns:

@@ -49,7 +49,7 @@ def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureF
     words = ["detect", "view-orbit-00.png", "clean.ply", *VIEW, "--out", "found", "--json"]
     assert cli.main(words) == 0
     document = json.loads(capsys.readouterr().out)
-    assert json.loads((folder / "found" / "detections.json").read_text())["pictures"] == document["pictures"]
+    assert json.loads((folder / "found" / "result.json").read_text())["pictures"] == document["pictures"]
     assert len(document["pictures"]) == 13
     picture, *rendered = document["pictures"]
     assert picture["camera"] is None
@@ -104,7 +104,9 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert compare(rows)[0].as_dict() == figures
     with Image.open(folder / "judged" / "fake_colour.png") as drawn:
         assert drawn.size == (1024, 8 * 512)
-    assert json.loads((folder / "judged" / "evaluation.json").read_text())["detectors"] == document["detectors"]
+    assert json.loads((folder / "judged" / "result.json").read_text())["detectors"] == document["detectors"]
+    assert cli.main(["artifact-check", "judged"]) == 0
+    assert "detectors/fake_colour/missed: " in capsys.readouterr().out
     assert cli.main([*words[:-1], "again"]) == 0
     text = capsys.readouterr().out
     assert "taken for the target, attacked" in text
@@ -117,9 +119,9 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     told = capsys.readouterr().err
     assert "the object shows in 2 of 2 views: few" in told
     assert "finds the clean object in 0 of 2 views only" in told
-    names = ["detections.csv.gz", "evaluation.json", "manifest.json", "rows.csv.gz"]
+    names = ["detections.csv.gz", "manifest.json", "result.json", "rows.csv.gz"]
     assert sorted(path.name for path in (folder / "first").iterdir()) == names
-    cameras = json.loads((folder / "first" / "evaluation.json").read_text())["cameras"]
+    cameras = json.loads((folder / "first" / "result.json").read_text())["cameras"]
     (folder / "result.json").write_text(json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]}))
     assert cli.main([*words, "--pictures", "0", "--out", "second"]) == 0
     assert "1 of 2 cameras are those that were attacked" in capsys.readouterr().err

@@ -42,7 +42,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     words = ["compare", SCENE, *SMALL, "--methods", "tile,ray", "folder:theirs", "--rounds", "1", "--out", "found"]
     assert cli.main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    kept = json.loads((tmp_path / "found" / "compare.json").read_text())
+    kept = json.loads((tmp_path / "found" / "result.json").read_text())
     assert document == {**kept, "out": "found"}
     assert {"versions", "commit", "variant", "scene_hash", "near", "background"} <= set(kept)
     pairs = {tuple(pair["methods"]): pair for pair in kept["pairs"]}
@@ -88,7 +88,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         (["--rounds", "-1"], 2, "--rounds: expected"),
         (["--amplify", "0"], 2, "--amplify: expected"),
         (["--out", "taken"], 1, "a new or an empty folder"),
-        (["--out", "taken", "--force"], 1, "an older result (compare.json)"),
+        (["--out", "taken", "--force"], 1, "an older result (result.json)"),
     ],
 )
 def test_refused_in_one_line_with_nothing_written(
@@ -127,7 +127,7 @@ def test_lpips_without_its_network_is_not_measured(
     assert "LPIPS was not measured" in said.err
     assert "no page: Jinja2 not installed" in said.err
     assert "tile and ray" in said.out
-    found = json.loads((toy / "found" / "compare.json").read_text())
+    found = json.loads((toy / "found" / "result.json").read_text())
     assert found["pairs"][0]["lpips"] is None
     assert found["warnings"]
     assert not (toy / "found" / "compare.html").exists()

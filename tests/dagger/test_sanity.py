@@ -222,10 +222,10 @@ class TestCommand:
         assert all(line.startswith("green") for line in lines[:-1])
         text = Path("out/sanity.md").read_text()
         assert "| green | has gradients of the renderer" in text
-        values = json.loads(Path("out/sanity.json").read_text())
+        values = json.loads(Path("out/result.json").read_text())
         assert (values["passed"], values["surrogate"], len(values["checks"])) == (True, "fake_coarse", 12)
         assert values["selection"] == {"mask": "mask.npy"}
-        assert list(recorded_cameras(Path("out/sanity.json")) or ()) == ["orbit"]
+        assert list(recorded_cameras(Path("out/result.json")) or ()) == ["orbit"]
 
     def test_red_lines_are_said_and_end_with_one(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -201,7 +201,7 @@ def _resume(path: Path) -> None:
 
 def _result(name: str) -> Kind:
     """A result that a page can show."""
-    kind = next(kind for kind in STORIES if kind.command == name)
+    kind = next(kind for kind in STORIES if kind.name == name)
 
     def make(folder: Path) -> Path:
         place = MAKERS[name](folder / "result")

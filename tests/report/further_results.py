@@ -41,9 +41,14 @@ def write_detections(folder: Path, **values: Any) -> Path:
         for source, place in (("photo.png", None), ("a.ply", describe("orbit-00", camera())))
         for detector in ("one", "two")
     ]
-    found = {"min_confidence": 0.3, "view": {"cameras": ["orbit:1@0"], "size": [30, 20]}, "pictures": looks}
+    found = {
+        "story": "detect",
+        "min_confidence": 0.3,
+        "view": {"cameras": ["orbit:1@0"], "size": [30, 20]},
+        "pictures": looks,
+    }
     prints = {"fingerprints": {"one": "0123", "two": "4567"}}
-    save_json({**found, **prints, **provenance.origin(), **values}, folder / "detections.json")
+    save_json({**found, **prints, **provenance.origin(), **values}, folder / "result.json")
     return folder
 
 

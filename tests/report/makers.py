@@ -8,19 +8,17 @@ from pathlib import Path
 
 from attacks.cli import main
 from attacks.dagger.eot.tables import write_eot_tables
-from attacks.dagger.pairs import run_pairs, write_summary
 from attacks.dagger.report import write_report
 from attacks.dagger.sanity.checks import Finding, write_findings
 from attacks.dagger.sanity.runs import Runs
 from attacks.dagger.study import run_jobs
-from attacks.dagger.tables import write_tables
 from attacks.dagger.transfer import tables as transfer_tables
 from attacks.dagger.transfer.study import run_transfer
 from mi_splat import provenance
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
-from tests.dagger import test_pairs, test_sanity, test_study, test_transfer
+from tests.dagger import test_sanity, test_transfer
 from tests.dagger.eot import test_study as eot_study
 from tests.dagger.toy import quick
 from tests.fakes import camera, toy_scene
@@ -35,24 +33,11 @@ def write_eot(folder: Path) -> Path:
     return folder
 
 
-def write_study(folder: Path) -> Path:
-    one = test_study.runner()
-    write_tables(run_jobs(test_study.JOBS, folder, one.run, fingerprint=one.fingerprint), folder)
-    return folder
-
-
 def write_eot_study(folder: Path) -> Path:
     one, setup = eot_study.runner(), eot_study.SETUP
     jobs = [setup.job("smallest", eps=(radius,)) for radius in (0.01, 2.0)]
     jobs += [setup.job("curve", eps=(radius,)) for radius in (0.05, 2.0)]
     write_eot_tables(run_jobs(jobs, folder, one.run, fingerprint=one.fingerprint), folder)
-    return folder
-
-
-def write_pairs(folder: Path) -> Path:
-    folder.mkdir()
-    found = run_pairs({"a": test_pairs.summary_of, "b": test_pairs.summary_of}, eps=(2.0, 5.0), steps=40, seeds=(0, 1))
-    write_summary(found, folder)
     return folder
 
 
@@ -128,10 +113,8 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "study": write_new_study,
     "dagger": write_dagger,
     "dagger-eot": write_eot,
-    "dagger-pairs": write_pairs,
     "cloak": write_cloak,
     "cloak --vary": write_variations,
-    "dagger-study": write_study,
     "dagger-eot-study": write_eot_study,
     "dagger-transfer": write_transfer,
     "dagger-transfer --eot-study": write_held_out,

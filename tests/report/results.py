@@ -11,7 +11,7 @@ import numpy as np
 
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.rates import ROWS
-from attacks.cloak.study import STUDY, SUMMARY
+from attacks.cloak.study.run import STUDY, SUMMARY
 from attacks.cloak.variations import VARIATIONS
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
@@ -123,6 +123,7 @@ def write_evaluation(folder: Path, **values: Any) -> Path:
     found = {"found_clean": rate(23, 24), "found_attacked": rate(4, 24)}
     aimed = {"target_clean": rate(0, 24), "target_attacked": rate(18, 24)}
     document = {
+        "story": "evaluate",
         "clean": "clean.ply",
         "attacked": "out/attacked.ply",
         "selection": "the Gaussians that differ",
@@ -134,5 +135,5 @@ def write_evaluation(folder: Path, **values: Any) -> Path:
         "cameras": [{"name": f"camera {i}"} for i in range(24)],
         **provenance.origin(),
     }
-    save_json({**document, **values}, folder / "evaluation.json")
+    save_json({**document, **values}, folder / "result.json")
     return folder

@@ -32,7 +32,7 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["judged", "--out", "none/page.html"], "make the folder first"),
         (["nothing", "--out", "page.html"], "check the path"),
         (["judged", "empty", "--out", "page.html"], "empty: expected a folder that one of mi-splat dagger,"),
-        (["judged/evaluation.json", "--out", "page.html"], "pass judged"),
+        (["judged/result.json", "--out", "page.html"], "pass judged"),
     ],
 )
 def test_errors_in_one_line(words: list[str], reason: str, results: Path, capsys: pytest.CaptureFixture[str]) -> None:

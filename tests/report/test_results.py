@@ -41,7 +41,7 @@ UNCONTROLLED = {"dagger-sanity", "compare", "detect", "cloak-experiment paint-di
 
 
 def test_every_kind_is_tried() -> None:
-    assert {kind.command for kind in STORIES} == set(MAKERS)
+    assert {kind.name for kind in STORIES} == set(MAKERS)
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -65,7 +65,7 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    kind = {one.command: one for one in STORIES}[name]
+    kind = {one.name: one for one in STORIES}[name]
     whole = json.loads((folders[name] if kind.one_file else folders[name] / kind.record).read_text())
     place = tmp_path / kind.record if kind.one_file else tmp_path
     (tmp_path / kind.record).write_text("{")

@@ -380,7 +380,7 @@ def run_checks(
 
 
 def write_findings(findings: list[Finding], runs: Runs, folder: Path, **more: Any) -> list[Path]:
-    """Write sanity.md and sanity.json into a folder that is there; returns their paths.
+    """Write sanity.md and result.json into a folder that is there; returns their paths.
 
     Args:
         findings: What the checks have found.
@@ -399,9 +399,10 @@ def write_findings(findings: list[Finding], runs: Runs, folder: Path, **more: An
     head = [f"# Sanity of DAGGER on {case.detector.name}", "", conditions, ""]
     lines = [f"| {line.colour} | {line.claim} | {line.figures} | {line.meaning} |" for line in findings]
     table = ["| | a sane attack | measured | if not |", "| --- | --- | --- | --- |", *lines, ""]
-    paths = [folder / "sanity.md", folder / "sanity.json"]
+    paths = [folder / "sanity.md", folder / "result.json"]
     save_text("\n".join([*head, *table]), paths[0])
     document = {
+        "story": "dagger-sanity",
         "passed": all(finding.passed is not False for finding in findings),
         "checks": [finding.as_dict() for finding in findings],
         "detector": case.detector.name,

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
-from attacks.report.wording import counted, known, listed, number, plural, rate_of, sentence, settings
+from attacks.observe.comparison import compare
+from attacks.observe.rows import ROWS
+from attacks.report.checking import Tables
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of
+from attacks.report.wording import counted, known, listed, number, plural, rate_of, settings
 
 KIND = "a clean and an attacked splat, judged"
 _CONDITIONS = (
@@ -28,7 +31,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
 
     Args:
         folder: Where it lies.
-        found: Its evaluation.json.
+        found: Its result.json.
     """
     detectors = found["detectors"]
     name, first = next(iter(detectors.items()))
@@ -46,7 +49,6 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     return Section(
         kind=KIND,
         title=f"{Path(found['attacked']).name} against {Path(found['clean']).name}",
-        folder=str(folder),
         done=(
             f"{listed(list(detectors))} looked at the clean splat {found['clean']} and at the attacked one "
             f"{found['attacked']} from {plural(len(found['cameras']), 'camera')}, in 8-bit pictures. A detection "
@@ -60,11 +62,11 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         headline=headline,
         control=control,
         figures=(Figure(label=f"{name}: pictures, attacked against clean", words=number(first["psnr"], unit="dB")),),
-        warnings=tuple(
-            sentence(text)
-            for text in (*found["warnings"], *doubts_of(headline.rate, control.rate if control else None, what="views"))
+        warnings=(
+            *found["warnings"],
+            *doubts_of(headline.rate, control.rate if control else None, what="views"),
         ),
-        pictures=shown(pictures),
+        pictures=tuple(pictures),
         charts=_charts(detectors),
         tables=(_table(detectors),),
         configuration=settings(
@@ -75,6 +77,12 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             }
         ),
     )
+
+
+def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
+    """Every rate of an evaluation, of its rows."""
+    compared = compare(tables[ROWS], confidence=record["min_confidence"])
+    return {"detectors": {one.detector: one.as_dict() for one in compared}}
 
 
 def _headline(name: str, rates: Mapping[str, Any]) -> tuple[Figure, Figure | None]:

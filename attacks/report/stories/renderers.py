@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, shown
-from attacks.report.wording import listed, number, plural, sentence, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table
+from attacks.report.wording import listed, number, plural, settings
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.io.documents import file_name
 
@@ -36,7 +36,7 @@ def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -
 
     Args:
         folder: Where it lies.
-        found: Its compare.json.
+        found: Its result.json.
         files: Where its pictures lie now, if they are on the way to the folder.
     """
     methods, pairs, cameras = found["methods"], found["pairs"], [one["name"] for one in found["cameras"]]
@@ -44,7 +44,6 @@ def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -
     return Section(
         kind=KIND,
         title=f"{listed(list(methods))} on {Path(found['scene']).name}",
-        folder=str(folder),
         done=(
             f"{listed(list(methods))} rendered the {found['gaussians']:,} Gaussians of {found['scene']} from "
             f"{plural(len(cameras), 'camera')}. Pictures were clipped to [0, 1] and compared value by value. "
@@ -58,8 +57,8 @@ def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -
         headline=_figure(first),
         attacked=False,
         figures=tuple(_figure(pair) for pair in others),
-        warnings=tuple(sentence(text) for text in (*found["warnings"], *_doubts(found))),
-        pictures=shown([_picture(files or folder, name, found) for name in cameras[:MOST_PICTURES]]),
+        warnings=(*found["warnings"], *_doubts(found)),
+        pictures=tuple(_picture(files or folder, name, found) for name in cameras[:MOST_PICTURES]),
         charts=tuple(_charts(found)),
         tables=tuple(_tables(found)),
         configuration=settings(

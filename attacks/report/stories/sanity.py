@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from attacks.report.section import Figure, Section, Table
-from attacks.report.wording import listed, plural, sentence, settings
+from attacks.report.wording import listed, plural, settings
 
 KIND = "sanity of DAGGER"
-_ELSEWHERE = ("checks", "command", "versions", "variant", "commit")
+_ELSEWHERE = ("story", "checks", "command", "versions", "variant", "commit")
 _WORDS = {True: "holds", False: "does not hold", None: "not checked"}
 
 
@@ -19,7 +19,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
 
     Args:
         folder: Where it lies.
-        found: Its sanity.json.
+        found: Its result.json.
     """
     checks = found["checks"]
     passed, red = ([one for one in checks if one["passed"] is wanted] for wanted in (True, False))
@@ -27,7 +27,6 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     return Section(
         kind=KIND,
         title=f"{found['detector']}, {found['target']}",
-        folder=str(folder),
         done=(
             f"{plural(len(checks), 'check')} asked whether DAGGER behaves as a sane attack does on one object and "
             f"{found['detector']}, with {plural(found['seeds'], 'seed')}: whether success rises with the radius, "
@@ -45,8 +44,8 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         ),
         figures=(Figure(label="checks that do not hold", words=listed([one["check"] for one in red]) or "none"),),
         warnings=tuple(
-            [sentence(f"{one['claim']}: {one['figures']}. {one['meaning']}") for one in red]
-            + [sentence(f"Not checked: {one['claim']}") for one in checks if one["passed"] is None]
+            [f"{one['claim']}: {one['figures']}. {one['meaning']}" for one in red]
+            + [f"Not checked: {one['claim']}" for one in checks if one["passed"] is None]
         ),
         tables=(
             Table(

@@ -17,7 +17,7 @@ from attacks.report.stories.detectors.held_out import (
     hits_of,
     objects_of,
 )
-from attacks.report.wording import counted, known, listed, percent, plural, sentence, settings
+from attacks.report.wording import counted, known, listed, percent, plural, settings
 
 KIND = "detectors compared"
 
@@ -40,7 +40,6 @@ def read(path: Path, found: Document) -> Section:
     return Section(
         kind=KIND,
         title=listed(names),
-        folder=str(path),
         done=(
             f"{plural(len(several), 'detector')} looked at pictures that none was trained on. A detection counts from "
             "the confidence beside the detector's name. Nothing was attacked."
@@ -60,7 +59,7 @@ def read(path: Path, found: Document) -> Section:
             for one in several
             for name, own in objects_of(one).items()
         ),
-        warnings=tuple(map(sentence, _doubts(several))),
+        warnings=tuple(_doubts(several)),
         charts=tuple(_charts(several, sets)),
         tables=tuple(_tables(several, sets)),
         configuration=settings(

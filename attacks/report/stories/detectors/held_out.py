@@ -8,7 +8,7 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Point, Section, Table
-from attacks.report.wording import counted, known, listed, number, plural, pooled, sentence, settings
+from attacks.report.wording import counted, known, listed, number, plural, pooled, settings
 
 KIND = "a detector on held-out pictures"
 BACKGROUND = "background: "
@@ -43,7 +43,6 @@ def read(path: Path, found: Document) -> Section:
     return Section(
         kind=KIND,
         title=f"{found['detector']} at {found['confidence']:g}",
-        folder=str(path),
         done=(
             f"{found['detector']} looked at pictures that it was not trained on: {_sets(found)}. A detection counts "
             f"from a confidence of {found['confidence']:g} and an overlap of 0.5 with its object; the average "
@@ -60,7 +59,7 @@ def read(path: Path, found: Document) -> Section:
         else None,
         attacked=False,
         figures=tuple(_figures(found, hits)),
-        warnings=tuple(map(sentence, _doubts(sets, empty))),
+        warnings=tuple(_doubts(sets, empty)),
         charts=tuple(_charts(sets)),
         tables=tuple(_tables(found, sets)),
         configuration=settings({name: found[name] for name in _SETTINGS if name in found}),

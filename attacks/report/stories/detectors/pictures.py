@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Section, Table, shown
-from attacks.report.wording import counted, listed, percent, plural, sentence, settings
+from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Section, Table
+from attacks.report.wording import counted, listed, percent, plural, settings
 
 KIND = "what detectors report"
 MOST_PICTURES, MOST_CLASSES, MOST_ROWS = 6, 8, 100
 
 Look = Mapping[str, Any]
-"""One picture and detector, as detections.json has it."""
+"""One picture and detector, as result.json has it."""
 
 
 def read(folder: Path, found: Mapping[str, Any]) -> Section:
@@ -23,7 +23,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
 
     Args:
         folder: Where it lies.
-        found: Its detections.json.
+        found: Its result.json.
     """
     looks: Sequence[Look] = found["pictures"]
     names = list(dict.fromkeys(one["detector"] for one in looks))
@@ -32,7 +32,6 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     return Section(
         kind=KIND,
         title=f"{listed(names)} on {plural(pictures, 'picture')}",
-        folder=str(folder),
         done=(
             f"{listed(names)} looked at {plural(pictures, 'picture')}: files, or splats and scenes from cameras. Every "
             f"detection from a confidence of {found['min_confidence']:g} is listed."
@@ -49,7 +48,7 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             for name in names
             if several
         ),
-        warnings=tuple(map(sentence, _doubts(rate))),
+        warnings=tuple(_doubts(rate)),
         pictures=_shown(folder, looks),
         charts=tuple(_charts(looks, names)),
         tables=(_classes(looks, names), *_each(looks)),
@@ -93,15 +92,13 @@ def _doubts(rate: Rate) -> Iterator[str]:
 
 
 def _shown(folder: Path, looks: Sequence[Look]) -> tuple[Picture, ...]:
-    return shown(
-        [
-            Picture(
-                path=folder / Path(one["picture"]).name,
-                caption=f"{_called(one)}, {one['detector']}: {_reported(one)}.",
-                alt=f"A picture with the boxes of {one['detector']}",
-            )
-            for one in looks[:MOST_PICTURES]
-        ]
+    return tuple(
+        Picture(
+            path=folder / Path(one["picture"]).name,
+            caption=f"{_called(one)}, {one['detector']}: {_reported(one)}.",
+            alt=f"A picture with the boxes of {one['detector']}",
+        )
+        for one in looks[:MOST_PICTURES]
     )
 
 

@@ -1,0 +1,1 @@
+"""A whole study of CLOAK from one file: capture, poison, train, observe, report."""
