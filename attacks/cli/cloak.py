@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from attacks.cli.loading import load_detectors
+from attacks.cli.loading import weights_of
 from attacks.cli.options import CloakOptions
 from attacks.cloak.config import StudyConfig, read_study
 from attacks.cloak.rates import ROWS, words_of
-from attacks.cloak.study.run import check, forecast, run_study
+from attacks.cloak.study import check, detectors_of, forecast, run_study
 from attacks.cloak.variations import check_variations, vary
 from attacks.detectors import Detector
 from mi_splat.cli.console import follow, limit_threads, progress, show, show_json, show_table, warn
@@ -24,7 +24,8 @@ def run(options: CloakOptions) -> int:
     limit_threads(1)
     study = _asked(options)
     with progress("loading the detectors"):
-        detectors = load_detectors(study.evaluation.detectors, options.weights)
+        weights = weights_of(study.evaluation.detectors, options.weights)
+        detectors = detectors_of(study, weights)
         studies = _checked(study, detectors, options)
     forecasts = {name: forecast(one) for name, one in studies.items()}
     for name, takes in forecasts.items():
@@ -38,14 +39,14 @@ def run(options: CloakOptions) -> int:
             found = vary(
                 study,
                 options.vary,
-                detectors,
                 options.out,
+                weights=weights,
                 values=options.values,
                 stages=options.stages,
                 on_step=follow(advance),
             )
         else:
-            summary = run_study(study, detectors, options.out, stages=options.stages, on_step=follow(advance))
+            summary = run_study(study, options.out, weights=weights, stages=options.stages, on_step=follow(advance))
     if options.json:
         show_json(found if options.vary else {**summary, "out": str(options.out)})
     elif options.vary:

@@ -7,23 +7,28 @@ from pathlib import Path
 from typing import Any
 
 from attacks.cli.experiment_options import CloakExperimentOptions
-from attacks.cli.loading import load_detectors
+from attacks.cli.loading import load_detectors, weights_of
 from attacks.cloak.config import StudyConfig, read_study
-from attacks.cloak.experiments.detection_report import FILES, write_detection_curve
-from attacks.cloak.experiments.distance import measure_distances
-from attacks.cloak.experiments.formats import measure_formats
-from attacks.cloak.experiments.limit_figure import write_limit_figure
-from attacks.cloak.experiments.paint_direction import measure_paint_directions
-from attacks.cloak.experiments.perfect_splat import measure_perfect_splat
-from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
-from attacks.cloak.experiments.street import measure_street
-from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import measure_band_limit, measure_layer_limit, measure_transition_limit
-from attacks.cloak.experiments.view_reports import finished_splats, watch
+from attacks.cloak.detection_curve import FILES, check_results, watch, write_detection_curve
+from attacks.cloak.elsewhere import (
+    measure_distances,
+    measure_formats,
+    measure_renderers,
+    measure_street,
+    measure_surroundings,
+    renderers_of,
+)
+from attacks.cloak.path_traced import measure_paint_directions, measure_perfect_splat
 from attacks.cloak.plots import need_matplotlib
 from attacks.cloak.setup import near_of, target_of
-from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.cloak.study.run import SUMMARY
+from attacks.cloak.steps import StudySteps
+from attacks.cloak.study import SUMMARY
+from attacks.cloak.switch_limit import (
+    measure_band_limit,
+    measure_layer_limit,
+    measure_transition_limit,
+    write_limit_figure,
+)
 from attacks.detectors.base import Detector
 from mi_splat import provenance
 from mi_splat.cli.console import Advance, follow, limit_threads, progress, show_json
@@ -92,8 +97,8 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
     if options.experiment == "perfect-splat":
         detectors = _detectors(options, study)
         fingerprints = {detector.name: detector.fingerprint for detector in detectors}
-        pipeline = StudyPipeline(study=study, folder=_stages(options), on_step=follow(advance))
-        return measure_perfect_splat(pipeline, detectors, every=options.every), fingerprints
+        steps = _steps(options, study, advance)
+        return measure_perfect_splat(steps, detectors, every=options.every), fingerprints
     if options.results is None:
         do = "pass the folder that mi-splat cloak has written"
         raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
@@ -147,17 +152,23 @@ def _detection_curve(
         raise InvalidValueError(message("--out", "a folder to write into", "none", "name one"))
     check_new_folder(options.out)
     need_matplotlib()
-    stages = _stages(options)
-    splats, detectors = finished_splats(study, results, stages), _detectors(options, study)
-    pipeline = StudyPipeline(study=study, folder=stages, on_step=follow(advance))
-    found = watch(pipeline, splats, detectors, every=options.every)
+    check_results(study, results)
+    steps = _steps(options, study, advance)
+    splats, detectors = steps.finished_splats(), _detectors(options, study)
+    rows = watch(steps, splats, detectors, every=options.every)
     with new_folder(options.out, record=FILES[0]) as folder:
         document = write_detection_curve(
-            pipeline, found, splats, detectors, folder, every=options.every, origin=_origin(options, study)
+            steps, rows, splats, detectors, folder, every=options.every, origin=_origin(options, study)
         )
     rates = [row for row in document["rates"] if row["by"] == "region" and row["seed"] is None]
     own = {name: document[name] for name in ("cameras", "detectors", "splats")}
     return {**own, "rates": rates, "out": str(options.out), "files": list(FILES)}
+
+
+def _steps(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> StudySteps:
+    names = options.detectors or study.evaluation.detectors
+    weights = weights_of(names, options.weights)
+    return StudySteps(study=study, folder=_stages(options), weights=weights, on_step=follow(advance))
 
 
 def _stages(options: CloakExperimentOptions) -> Path:

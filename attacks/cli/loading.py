@@ -22,8 +22,17 @@ def load_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> list[D
         InvalidValueError: There are other numbers of files, no names, or the same twice.
         DetectorError: A detector cannot be loaded.
     """
+    files = weights_of(names, weights)
+    return [load_detector(name, weights=files.get(name)) for name in names]
+
+
+def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]:
+    """The files of weights by the names of their detectors; empty for the shipped or published ones.
+
+    Raises:
+        InvalidValueError: As in `load_detectors`.
+    """
     if not names:
         raise InvalidValueError(message("--detectors", "one name or more", "none", "see `mi-splat detectors`"))
     check_detectors(names, weights)
-    files: Sequence[Path | None] = weights or [None] * len(names)
-    return [load_detector(name, weights=file) for name, file in zip(names, files, strict=True)]
+    return dict(zip(names, weights, strict=True)) if weights else {}

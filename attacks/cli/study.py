@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,12 +16,10 @@ from mi_splat.fields import Called, Folder, at_least, between
 if TYPE_CHECKING:
     from attacks.studies.plan import Work
     from attacks.studies.study_file import Study
-    from mi_splat.ledger import Event, Store
+    from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
 
 _FAILED = 1
-_MEASURED = 200
-"""Most finished jobs whose seconds a forecast is made of."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,20 +80,16 @@ def _work(study: Study) -> Work:
 def _plan(options: StudyOptions, study: Study) -> int:
     """Count the jobs, and forecast."""
     from mi_splat.ledger import Store
+    from mi_splat.ledger.index import forecast, plan
 
-    work = _work(study)
-    store = Store(options.store)
-    states = work.states(store)
-    waiting = Counter(job.kind for job, done in states if done is None)
-    seconds, unknown = 0.0, 0
-    for kind, count in waiting.items():
-        measured = _measured(store, kind, [done.record["seconds"] for job, done in states if done and job.kind == kind])
-        seconds += count * statistics.median(measured) if measured else 0.0
-        unknown += 0 if measured else count
+    work, store = _work(study), Store(options.store)
+    entries = plan(store, work.study.name, work.jobs())
+    done = sum(entry.state == "done" for entry in entries)
+    seconds, unknown = forecast(store, entries)
     document = {
         "study": work.study.name,
-        "jobs": len(states),
-        "done": len(states) - sum(waiting.values()),
+        "jobs": len(entries),
+        "done": done,
         "seconds": round(seconds, 1),
         "not_measured": unknown,
         "searches": len(work.searches),
@@ -114,14 +107,6 @@ def _plan(options: StudyOptions, study: Study) -> int:
     if unknown:
         show(f"Of {unknown} jobs no like was done yet, so their time is not known.")
     return 0
-
-
-def _measured(store: Store, kind: str, seconds: list[float]) -> list[float]:
-    """Seconds of finished jobs of the study, or else of others of their kind."""
-    if seconds:
-        return seconds
-    records = (store.record(key) for key in sorted(store.keys())[:_MEASURED])
-    return [record["seconds"] for record in records if record["kind"] == kind]
 
 
 def _words(seconds: float) -> str:
@@ -169,7 +154,7 @@ def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
     if options.scheduler is not None:
         from mi_splat.ledger.cluster import Cluster
 
-        return Cluster(options.store, options.scheduler)
+        return Cluster(options.store, options.scheduler, on_event=on_event)
     if options.workers == 0:
         return InProcess(options.store, on_event=on_event)
     return Processes(options.store, workers=options.workers, on_event=on_event)
@@ -194,8 +179,7 @@ def _export(options: StudyOptions, study: Study) -> int:
     from mi_splat.ledger.slurm import SUBMIT, export
 
     work, folder = _work(study), _out(options, study).with_name(f"{_out(options, study).name}-slurm")
-    jobs = {label: job for attempt in work.attempts for label, job in attempt.jobs().items()}
-    levels = export(jobs.values(), folder, options.store, options=[f"--{option}" for option in options.sbatch])
+    levels = export(work.jobs().values(), folder, options.store, options=[f"--{option}" for option in options.sbatch])
     if work.searches:
         warn("a search looks at some of its values only; all of them are exported")
     if options.json:
@@ -266,8 +250,6 @@ def _retry(options: StudyOptions, study: Study) -> int:
 
 def _clean(options: StudyOptions, study: Study) -> int:
     """Delete the results that no other study of the store uses."""
-    import shutil
-
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import status
 
@@ -276,8 +258,7 @@ def _clean(options: StudyOptions, study: Study) -> int:
     used = {entry.key for other in others for entry in status(store, other)}
     keys = sorted({entry.key for entry in status(store, study.name) if entry.key} - used)
     for key in keys:
-        store.forgive(key)
-        shutil.rmtree(store.folder_of(key), ignore_errors=True)
+        store.remove(key)
     store.sweep()
     if options.json:
         show_json({"deleted": len(keys)})

@@ -13,6 +13,7 @@ from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.study_file import read_table
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.capture.settings import Front, MeshSettings, Up
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import (
@@ -32,7 +33,7 @@ from mi_splat.fields import (
     check_choice,
 )
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import strategy_names
+from mi_splat.training.strategies import ClassicConfig, FixedConfig, strategy_config, strategy_names
 
 AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "mount", "swap"]
 _WIDTH = Range(low=0, high=90, open_high=True, unit="degrees")
@@ -276,6 +277,8 @@ class LayersConfig:
 Colour = tuple[float, float, float]
 
 _PUBLISHED = FitConfig()
+_REFINE_FROM = 100
+"""Step from which Gaussians are added to layers, which begin as a splat that is trained already."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -503,6 +506,40 @@ class StudyConfig:
             expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
             do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
             raise InvalidValueError(message("scene.front", expected, "nothing", do))
+
+
+def fit_config(training: TrainingConfig) -> FitConfig:
+    """The trainer's settings."""
+    return FitConfig(
+        iterations=training.iterations,
+        strategy=strategy_config(training.strategy, max_gaussians=training.max_gaussians),
+        sh_degree=training.sh_degree,
+        sh_degree_interval=training.sh_degree_interval,
+        eval_interval=0,
+    )
+
+
+def layered_fit_config(layers: LayersConfig) -> FitConfig:
+    """How layers are trained: their colours alone, or everything."""
+    colours = FitConfig(
+        iterations=layers.iterations,
+        trainable=("sh",),
+        strategy=FixedConfig(),
+        sh_degree=layers.making.degree,
+        sh_degree_interval=0,
+        lr_sh=layers.lr_sh,
+        lr_sh_final=layers.lr_sh_final,
+        eval_interval=0,
+    )
+    if not layers.geometry:
+        return colours
+    strategy = ClassicConfig(
+        max_gaussians=layers.max_gaussians,
+        densify_from=_REFINE_FROM,
+        densify_until=layers.iterations * 2 // 3,
+        opacity_reset_interval=0,
+    )
+    return replace(colours, trainable=ATTRIBUTES, strategy=strategy)
 
 
 def read_study(path: Path) -> StudyConfig:

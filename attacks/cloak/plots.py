@@ -14,12 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak import setup
-from attacks.cloak.observations import DEPTH, SCORE, StudyRows
-from attacks.cloak.rates import BIN, by_elevation, place_of, transition
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED, StudyPipeline
-from attacks.cloak.study.trained_splats import TrainedSplat
+from attacks.cloak.rates import BIN, NAMES, StudyRows, by_elevation, place_of, transition
+from attacks.cloak.steps import StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, TARGET_SCORE, TRUE
 from attacks.rate import Rate
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
@@ -28,10 +27,10 @@ from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import through_png
 
-TRUE = "path traced"
-"""Name of the pictures of the scene as it is."""
-COLOURS = {CLEAN: "#1f77b4", CLOAKED: "#d62728", TRUE: "#333333"}
-"""Name of a splat, or of pictures of none, to the colour of its lines."""
+COLOURS = {CLEAN: "#1f77b4", ATTACKED: "#d62728", TRUE: "#333333"}
+"""Splat as rows call it to the colour of its lines; true pictures show none."""
+LABELS = {**NAMES, TRUE: "path traced"}
+"""What people read for a splat as rows call it."""
 
 
 def need_matplotlib() -> None:
@@ -78,13 +77,13 @@ def draw_rates(axis: Any, points: Sequence[tuple[float, Rate]], which: str, **st
     Args:
         axis: Where.
         points: Place on the axis, and rate.
-        which: Key of `COLOURS`, and label.
+        which: Key of `COLOURS`.
         style: More of matplotlib's settings of the line.
     """
     fractions = [rate.fraction for _, rate in points]
     below = [rate.fraction - rate.interval[0] for _, rate in points]
     above = [rate.interval[1] - rate.fraction for _, rate in points]
-    settings = {"color": COLOURS[which], "marker": "o", "markersize": 3, "capsize": 2, "label": which, **style}
+    settings = {"color": COLOURS[which], "marker": "o", "markersize": 3, "capsize": 2, "label": LABELS[which], **style}
     axis.errorbar([place for place, _ in points], fractions, yerr=np.maximum([below, above], 0.0), **settings)
 
 
@@ -96,10 +95,10 @@ LOW = 15
 CELL = 256
 
 
-def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
+def contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
     """Clean above cloaked, over elevation and then around, with what the detector reports."""
-    study = pipeline.study
-    lens = setup.lens_of(study, pipeline.mesh_scene.target)
+    study = steps.study
+    lens = setup.lens_of(study, steps.mesh_scene.target)
     centre = setup.centre_of(study)
 
     def camera(azimuth: float, elevation: float) -> Camera:
@@ -108,7 +107,7 @@ def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detec
     rising = [(f"{elevation} deg up", camera(SIDE_AZIMUTH, elevation)) for elevation in ELEVATIONS]
     around = [(f"azimuth {azimuth}", camera(azimuth, LOW)) for azimuth in AZIMUTHS]
     scenes = {splat.splat: splat.load() for splat in splats}
-    render = pipeline.renderer()
+    render = steps.renderer()
     rows = []
     for cameras in (rising, around):
         for which, scene in scenes.items():
@@ -129,7 +128,7 @@ def contact_sheet(pipeline: StudyPipeline, splats: Sequence[TrainedSplat], detec
 
 
 def write_figures(
-    pipeline: StudyPipeline,
+    steps: StudySteps,
     seen: StudyRows,
     splats: Sequence[TrainedSplat],
     detectors: Sequence[Detector],
@@ -138,7 +137,7 @@ def write_figures(
     """Write contact.png, elevation.png, azimuth.png and transition.png; returns their names.
 
     Args:
-        pipeline: The study.
+        steps: The study.
         seen: What was seen of every splat.
         splats: Those of the contact sheet.
         detectors: Those that observed them; the first one's boxes are on the contact sheet.
@@ -148,34 +147,34 @@ def write_figures(
         InvalidValueError: matplotlib is not installed.
         SplatFileError: The folder cannot be written.
     """
-    save_png(contact_sheet(pipeline, splats, detectors[0]), folder / "contact.png")
-    save_figure(_elevation(pipeline, seen), folder / "elevation.png")
-    save_figure(_azimuth(pipeline, seen), folder / "azimuth.png")
+    save_png(contact_sheet(steps, splats, detectors[0]), folder / "contact.png")
+    save_figure(_elevation(steps, seen), folder / "elevation.png")
+    save_figure(_azimuth(steps, seen), folder / "azimuth.png")
     names = ["contact.png", "elevation.png", "azimuth.png"]
-    if transition(pipeline.study, seen) is not None:
-        save_figure(_transition(pipeline, seen), folder / "transition.png")
+    if transition(steps.study, seen) is not None:
+        save_figure(_transition(steps, seen), folder / "transition.png")
         names.append("transition.png")
     return names
 
 
-def _elevation(pipeline: StudyPipeline, seen: StudyRows) -> Any:
+def _elevation(steps: StudySteps, seen: StudyRows) -> Any:
     """For each detector: confidence in the object at every camera, and the fraction found in bands of elevation."""
-    study = pipeline.study
+    study = steps.study
     figure, axes = new_axes(len(study.evaluation.detectors))
     turned = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None]
     bands = by_elevation(study, seen.rows)
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
-        for which in (CLEAN, CLOAKED):
-            found = seen.rows.filter(*turned, detector=name, splat=which)
+        for which in NAMES:
+            shown = seen.rows.filter(*turned, detector=name, splat=which)
             axis.scatter(
-                found["elevation"],
-                found[f"{SCORE}{study.scene.class_name}"],
+                shown["elevation"],
+                shown["original_score"],
                 s=5,
                 alpha=0.25,
                 color=COLOURS[which],
                 linewidths=0,
             )
-        for index, which in enumerate((CLEAN, CLOAKED)):
+        for index, which in enumerate(NAMES):
             draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in bands[name]], which)
         attack = setup.overhead(study)
         if attack is not None:
@@ -190,19 +189,19 @@ def _elevation(pipeline: StudyPipeline, seen: StudyRows) -> Any:
     return figure
 
 
-def _azimuth(pipeline: StudyPipeline, seen: StudyRows) -> Any:
+def _azimuth(steps: StudySteps, seen: StudyRows) -> Any:
     """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
-    study = pipeline.study
+    study = steps.study
     figure, axes = new_axes(len(study.evaluation.detectors))
     hiding = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is None]
-    wanted = [attack.target_class for attack in study.attack if attack.target_class is not None]
+    wanted = {attack.target_class: f"{TARGET_SCORE}{attack.name}" for attack in study.attack if attack.target_class}
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
-        shown = seen.rows.filter(*hiding, detector=name, splat=CLOAKED)
-        for label, colour in (
-            (study.scene.class_name, COLOURS[CLEAN]),
-            *((label, COLOURS[CLOAKED]) for label in wanted),
+        shown = seen.rows.filter(*hiding, detector=name, splat=ATTACKED)
+        for label, column, colour in (
+            (study.scene.class_name, "original_score", COLOURS[CLEAN]),
+            *((label, column, COLOURS[ATTACKED]) for label, column in wanted.items()),
         ):
-            axis.scatter(shown["azimuth"], shown[f"{SCORE}{label}"], s=7, color=colour, label=label)
+            axis.scatter(shown["azimuth"], shown[column], s=7, color=colour, label=label)
         for attack in study.attack:
             if attack.azimuth is not None:
                 middle, half = attack.azimuth
@@ -220,15 +219,15 @@ def _azimuth(pipeline: StudyPipeline, seen: StudyRows) -> Any:
     return figure
 
 
-def _transition(pipeline: StudyPipeline, seen: StudyRows) -> Any:
+def _transition(steps: StudySteps, seen: StudyRows) -> Any:
     """How far the splats are on the way from the benign to the hidden appearance, by elevation or depth in a sector."""
-    study, (figure, (axis,)) = pipeline.study, new_axes(1)
-    for which in (CLEAN, CLOAKED):
+    study, (figure, (axis,)) = steps.study, new_axes(1)
+    for which in NAMES:
         blends, band = seen.transition.filter(splat=which), transition(study, seen, which)
         assert band is not None
         axis.scatter(blends[place_of(study)], blends["fraction"], s=6, color=COLOURS[which], alpha=0.4, linewidths=0)
-        axis.plot(band.angles, band.fitted, color=COLOURS[which], label=which)
-        if which == CLOAKED and band.start is not None and band.end is not None:
+        axis.plot(band.angles, band.fitted, color=COLOURS[which], label=NAMES[which])
+        if which == ATTACKED and band.start is not None and band.end is not None:
             axis.axvspan(
                 band.start, band.end, color="#555555", alpha=0.15, label=f"transition, {band.width:.1f} degrees"
             )

@@ -1,19 +1,23 @@
-"""The figures of a study: rates with their denominators and intervals, loss of quality, the transition; as Markdown."""
+"""The figures of a study: rates with their denominators and intervals, loss of quality, the transition; as Markdown.
+
+They are counted from rows (`attacks.observe.rows`), in which the cloaked splat is called attacked.
+"""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import polars as pl
 
 from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.observations import DEPTH, SCORE, StudyRows
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED
 from attacks.cloak.transition import Transition, fit_transition
-from attacks.observe.rates import Measure, blocks_of, count, paired
+from attacks.observe.measures import CLUSTERS, Measures, cloak_measures, of, reported, with_control
+from attacks.observe.rates import Measure, count
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH
 from attacks.rate import Rate
 
 ROWS = {
@@ -88,71 +92,51 @@ def words_of(rate: Mapping[str, Any] | None, *, interval: bool = True) -> str:
 
 STEALTHY = 1.5
 """Most that the surroundings of an object may lose where an attack is called stealthy, dB."""
-
 BIN = 5.0
 """Degrees of elevation over which rates are taken."""
-
-CLUSTERS = ("block", "seed")
-"""Columns of `pairs`: rows of one block of cameras, or of one seed, are not independent."""
+CLOAKED = "cloaked"
+"""What figures and files call the attacked splat."""
+NAMES = {CLEAN: CLEAN, ATTACKED: CLOAKED}
+"""Splats as rows call them, and as figures do."""
 
 Rates = dict[str, Rate | None]
 
 
-def pairs(rows: pl.DataFrame) -> pl.DataFrame:
-    """What was seen of both splats of each seed, by detector and camera, and the `block` it stands in."""
-    table = paired(rows, (CLEAN, CLOAKED), scene="splat", on=("seed", "detector", "view"))
-    return table.with_columns(blocks_of(f"{CLEAN}.azimuth", f"{CLEAN}.elevation").alias(CLUSTERS[0]))
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StudyRows:
+    """What was seen of the splats of a study.
+
+    Attributes:
+        rows: A row for each splat, seed, detector and held-out camera.
+        fidelity: A row for each splat, seed and camera far outside of all triggers.
+        transition: A row for each splat, seed and camera of an arc.
+        gaussians: Number of Gaussians of the clean and of the cloaked splats, by seed in the order of the study.
+    """
+
+    rows: pl.DataFrame
+    fidelity: pl.DataFrame
+    transition: pl.DataFrame
+    gaussians: Mapping[str, Sequence[int]]
 
 
-def measures(study: StudyConfig, attack: str | None = None) -> dict[str, Measure]:
-    """What the rates of a study count in `pairs`; without those of which it has no attack.
-
-    With an attack's name, those of that one; without, of the first that hides and the first that has a target class.
-
-    `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat is not, of
-    cameras well inside it where the control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
-    first, whether the control is found or not. `..._any_overlap`: as the first, but missed only if nothing of the
-    object's class is reported that overlaps its box by a tenth. `nothing_reported`: as the first, but missed only if
-    nothing of any class is reported on the object. `benign_recall`: the cloaked splat is found outside of
-    all triggers, where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target
-    class is reported on the cloaked splat; `control_target_rate`: on the control.
+def measures(study: StudyConfig, attack: str | None = None) -> Measures:
+    """What the rates of a study count: those of `attacks.observe.measures.cloak_measures`.
 
     Args:
         study: The study.
-        attack: Name of an attack, or None.
+        attack: Name of the attack that is meant; None is the first that hides and the first that has a target class.
     """
-    own, confidence = f"{SCORE}{study.scene.class_name}", study.evaluation.confidence
     chosen = [one for one in study.attack if attack in (None, one.name)]
-    hiding = next((one for one in chosen if one.target_class is None), None)
-    showing = next((one for one in chosen if one.target_class is not None), None)
-
-    def reported(splat: str, column: str) -> pl.Expr:
-        return pl.col(f"{splat}.{column}") >= confidence
-
-    def inside(name: str, depth: float = 0.0) -> pl.Expr:
-        return pl.col(f"{CLEAN}.{DEPTH}{name}") >= depth
-
-    control, found = reported(CLEAN, own), reported(CLOAKED, own)
-    benign = pl.all_horizontal(~inside(one.name) for one in study.attack)
-    answers = {
-        "benign_recall": Measure(holds=found, given=benign & control),
-        "control_benign_recall": Measure(holds=control, given=benign),
-    }
-    if hiding is not None:
-        every, well = inside(hiding.name), inside(hiding.name, study.evaluation.well_inside)
-        answers |= {
-            "control_recall": Measure(holds=control, given=every),
-            "trigger_miss_rate": Measure(holds=~found, given=well & control),
-            "trigger_miss_rate_all": Measure(holds=~found, given=every & control),
-            "trigger_miss_rate_unconditional": Measure(holds=~found, given=well),
-            "trigger_miss_rate_any_overlap": Measure(holds=~reported(CLOAKED, "any_overlap"), given=well & control),
-            "nothing_reported": Measure(holds=~reported(CLOAKED, "any_class"), given=well & control),
-        }
-    if showing is not None:
-        wanted, within = f"{SCORE}{showing.target_class}", inside(showing.name)
-        answers["target_rate"] = Measure(holds=reported(CLOAKED, wanted), given=within)
-        answers["control_target_rate"] = Measure(holds=reported(CLEAN, wanted), given=within)
-    return answers
+    hiding = next((one.name for one in chosen if one.target_class is None), None)
+    showing = next((one.name for one in chosen if one.target_class is not None), None)
+    evaluation = study.evaluation
+    return cloak_measures(
+        [one.name for one in study.attack],
+        hiding=hiding,
+        showing=showing,
+        well_inside=evaluation.well_inside,
+        confidence=evaluation.confidence,
+    )
 
 
 def rates(
@@ -163,10 +147,10 @@ def rates(
     Args:
         study: The study.
         rows: Of both splats.
-        by: Columns that make the groups; of those of `pairs`.
+        by: Columns that make the groups.
         attack: As in `measures`.
     """
-    counted = count(pairs(rows), measures(study, attack), by, clusters=CLUSTERS)
+    counted = count(with_control(rows), measures(study, attack), by, clusters=CLUSTERS)
     return {group: {name: found.get(name) for name in ROWS} for group, found in counted.items()}
 
 
@@ -175,26 +159,26 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
 
     Cameras of attacks with an azimuth of their own are left out.
     """
-    elevation, own = pl.col(f"{CLEAN}.elevation"), f"{SCORE}{study.scene.class_name}"
-    here = pairs(rows).filter(
+    elevation, found = pl.col("elevation"), reported("original_score", study.evaluation.confidence)
+    here = with_control(rows).filter(
         (elevation >= 0) & (elevation < 90),
-        *(pl.col(f"{CLEAN}.{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None),
+        *(pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None),
     )
     counted = count(
         here.with_columns(band=(elevation / BIN).floor() * BIN).sort("band", maintain_order=True),
-        {which: Measure(holds=pl.col(f"{which}.{own}") >= study.evaluation.confidence) for which in (CLEAN, CLOAKED)},
+        {splat: Measure(holds=found, given=of(splat)) for splat in NAMES},
         ("detector", "band"),
         clusters=CLUSTERS,
     )
-    found: dict[str, list[tuple[float, Rate, Rate]]] = {name: [] for name in study.evaluation.detectors}
+    bands: dict[str, list[tuple[float, Rate, Rate]]] = {name: [] for name in study.evaluation.detectors}
     for (detector, low), both in counted.items():
-        found.setdefault(detector, []).append((low, both[CLEAN], both[CLOAKED]))
-    return found
+        bands.setdefault(detector, []).append((low, both[CLEAN], both[ATTACKED]))
+    return bands
 
 
 def meridians(study: StudyConfig, seen: StudyRows) -> list[float | None]:
     """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
-    arcs = seen.transition.filter(splat=CLOAKED).group_by(["seed", "meridian"], maintain_order=True)
+    arcs = seen.transition.filter(splat=ATTACKED).group_by(["seed", "meridian"], maintain_order=True)
     return [
         fit_transition(arc[place_of(study)].to_list(), arc["fraction"].to_list()).width
         for _, arc in arcs
@@ -202,18 +186,26 @@ def meridians(study: StudyConfig, seen: StudyRows) -> list[float | None]:
     ]
 
 
-def transition(study: StudyConfig, seen: StudyRows, splat: str = CLOAKED) -> Transition | None:
+def transition(study: StudyConfig, seen: StudyRows, splat: str = ATTACKED) -> Transition | None:
     """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
+    if setup.hiding(study) is None:
+        return None
     blends = seen.transition.filter(splat=splat)
     places = [round(place, 3) for place in blends[place_of(study)]]
-    if setup.hiding(study) is None or len(set(places)) < 2:
+    if len(set(places)) < 2:
         return None
     return fit_transition(places, blends["fraction"].to_list())
 
 
 def place_of(study: StudyConfig) -> str:
     """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
-    return "depth" if setup.overhead(study) is None else "elevation"
+    return depth_of(study) if setup.overhead(study) is None else "elevation"
+
+
+def depth_of(study: StudyConfig) -> str:
+    """The column that says how deep in the trigger of the hiding attack a picture was taken, degrees."""
+    attack = setup.hiding(study)
+    return DEPTH if attack is None else f"{DEPTH}{attack.name}"
 
 
 def fidelity(seen: StudyRows, splat: str) -> tuple[float, float] | None:
@@ -222,14 +214,17 @@ def fidelity(seen: StudyRows, splat: str) -> tuple[float, float] | None:
     return None if near.is_empty() else (statistics.mean(near["psnr"]), statistics.mean(near["ssim"]))
 
 
-def stealth(seen: StudyRows) -> dict[str, Any] | None:
+def stealth(study: StudyConfig, seen: StudyRows) -> dict[str, Any] | None:
     """How well an attack hides that it hides, from the meridians' cameras inside its trigger; None without any.
 
     `surroundings_psnr`: mean PSNR beside the object against true pictures of the scene as it is; `..._drop`: what the
     cloaked splats lose against the clean ones. `appearance_psnr`: on the object, against what the attacker wants to be
     seen. `stealthy`: whether the drop is at most `STEALTHY`.
     """
-    inside = {which: seen.transition.filter(pl.col("depth") >= 0, splat=which) for which in (CLEAN, CLOAKED)}
+    if setup.hiding(study) is None:
+        return None
+    deep = pl.col(depth_of(study)) >= 0
+    inside = {NAMES[splat]: seen.transition.filter(deep, splat=splat) for splat in NAMES}
     if any(blends.is_empty() for blends in inside.values()):
         return None
 
@@ -253,7 +248,7 @@ def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
     object and light, so that what another object would give is in none of them.
     """
     band = transition(study, seen)
-    near = {which: fidelity(seen, which) for which in (CLEAN, CLOAKED)}
+    near = {name: fidelity(seen, splat) for splat, name in NAMES.items()}
     clean, cloaked = near[CLEAN], near[CLOAKED]
     detectors = study.evaluation.detectors
     by_seed = rates(study, seen.rows, ("seed", "detector"))
@@ -265,7 +260,7 @@ def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "transition_degrees": None if band is None else band.width,
         "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, seen)},
-        "stealth": stealth(seen),
+        "stealth": stealth(study, seen),
         "gaussians": {which: list(numbers) for which, numbers in seen.gaussians.items()},
         "gaussians_ratio": sum(seen.gaussians[CLOAKED]) / max(sum(seen.gaussians[CLEAN]), 1),
         "by_detector": _by_detector(rates(study, seen.rows, ("detector",)), detectors),

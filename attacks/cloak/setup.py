@@ -146,6 +146,19 @@ def overhead(study: StudyConfig) -> AttackConfig | None:
     return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
 
 
+def need_overhead(study: StudyConfig) -> AttackConfig:
+    """The same, for what makes no sense without.
+
+    Raises:
+        InvalidValueError: The study has none.
+    """
+    attack = overhead(study)
+    if attack is None:
+        do = "add an attack without an azimuth, up to 90 degrees"
+        raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))
+    return attack
+
+
 def hiding(study: StudyConfig) -> AttackConfig | None:
     """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
     sided = (attack for attack in study.attack if attack.azimuth is not None and attack.target_class is None)
@@ -179,6 +192,30 @@ def arcs(study: StudyConfig, target: Asset) -> list[list[Camera]]:
             ]
         )
     return found
+
+
+def reference_cameras(study: StudyConfig, target: Asset) -> list[tuple[int, Camera]]:
+    """Number and camera of held-out cameras far outside of all triggers, spread evenly."""
+    centre, far = centre_of(study), study.evaluation.far_outside
+    outside = [
+        (view, camera)
+        for view, camera in enumerate(held_out_cameras(study, target))
+        if all(attack.cone.angle_to_edge(camera, centre=centre) <= -far for attack in study.attack)
+    ]
+    count = min(study.evaluation.reference_views, len(outside))
+    return [outside[(2 * i + 1) * len(outside) // (2 * count)] for i in range(count)]
+
+
+def arc_cameras(study: StudyConfig, target: Asset) -> list[tuple[int, Camera]]:
+    """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
+    centre, attack = centre_of(study), hiding(study)
+    others = [other for other in study.attack if other is not attack]
+    return [
+        (number, camera)
+        for number, arc in enumerate(arcs(study, target))
+        for camera in arc
+        if all(other.cone.angle_to_edge(camera, centre=centre) < -study.evaluation.well_inside for other in others)
+    ]
 
 
 def box_of(target: Asset, camera: Camera) -> Tensor | None:

@@ -15,8 +15,8 @@ from attacks.cloak.config import AttackConfig, CleaningConfig, StudyConfig
 from attacks.cloak.plots import new_axes, save_figure
 from attacks.cloak.rates import spread_of, words_of
 from attacks.cloak.setup import target_of
-from attacks.cloak.study.pipeline import OnStep
-from attacks.cloak.study.run import STUDY, check, check_disk, check_folder, forecast, run_study
+from attacks.cloak.steps import OnStep
+from attacks.cloak.study import STUDY, check, check_disk, check_folder, detectors_of, forecast, run_study
 from attacks.detectors.base import Detector
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
@@ -195,9 +195,9 @@ def _with_appearance(attack: AttackConfig, appearance: str) -> AttackConfig:
 def vary(
     study: StudyConfig,
     groups: Iterable[str],
-    detectors: Sequence[Detector],
     folder: Path,
     *,
+    weights: Mapping[str, Path] | None = None,
     values: Sequence[str] = (),
     stages: Path | None = None,
     on_step: OnStep = lambda text, done, total: None,
@@ -209,8 +209,8 @@ def vary(
     Args:
         study: What is varied.
         groups: See `varied`.
-        detectors: Those that the study names, in its order.
         folder: For a folder of results for each, and for the tables.
+        weights: As in `attacks.cloak.study_study`.
         values: Those of the groups' values that are to be done; all if empty.
         stages: For the stages; None is a folder in `folder`.
         on_step: Told of the progress.
@@ -219,6 +219,7 @@ def vary(
         MiSplatError: As `run_study`; all studies are checked before the first is done.
     """
     stages = folder / "stages" if stages is None else stages
+    detectors = detectors_of(study, weights or {})
     plans = check_variations(study, groups, detectors, folder, stages, values=values)
     with locked_folder(folder):
         save_json(asdict(study), folder / STUDY)
@@ -228,7 +229,9 @@ def vary(
             order = list(varied(study, group))
             for name, one in studies.items():
                 place = _place(folder, group, order, name)
-                done = found.get(group, {}) | {name: run_study(one, detectors, place, stages=stages, on_step=on_step)}
+                done = found.get(group, {}) | {
+                    name: run_study(one, place, weights=weights, stages=stages, on_step=on_step)
+                }
                 found[group] = {known: done[known] for known in order if known in done}
                 save_json(found, folder / VARIATIONS)
                 save_text(tables(found), folder / "variations.md")
@@ -256,7 +259,7 @@ def check_variations(
         values: Those of the groups' values that are to be done; all if empty.
 
     Raises:
-        InvalidValueError: As `attacks.cloak.study.run.check` of each, the disk is too small for all of them, a value is
+        InvalidValueError: As `attacks.cloak.study.check` of each, the disk is too small for all of them, a value is
             of none of the groups, or a group has none of the values.
     """
     check_folder(study, folder)

@@ -185,6 +185,15 @@ def frame_of(rows: Iterable[Row]) -> pl.DataFrame:
         raise InvalidValueError(message("rows", "cells of the kinds of their columns", error, "mend them")) from error
 
 
+def frame_with(rows: Iterable[Row], columns: Sequence[str]) -> pl.DataFrame:
+    """As `frame_of`, with some columns even where there is no row.
+
+    Raises:
+        InvalidValueError: As in `frame_of`.
+    """
+    return pl.concat([frame_of([dict.fromkeys(columns)]).clear(), frame_of(rows)], how="diagonal")
+
+
 def rows_bytes(rows: pl.DataFrame) -> bytes:
     """A table as the text of a CSV file; equal tables have equal bytes.
 

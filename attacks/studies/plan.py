@@ -11,9 +11,8 @@ from attacks.studies.study_file import Point, Search, Study, label_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done, Job, Store
+from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Plan, Result
-from mi_splat.ledger.running import task_for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,21 +116,14 @@ class Work:
             if outcomes[id(last)] is None:  # it failed: nothing is known of those beyond it
                 return
 
+    def jobs(self) -> dict[str, Job]:
+        """Every job that may be asked for, by its label."""
+        return {label: job for attempt in self.attempts for label, job in attempt.jobs().items()}
+
     @property
     def size(self) -> int:
         """Number of different jobs."""
-        return len({job.identity for attempt in self.attempts for job in attempt.jobs().values()})
-
-    def states(self, store: Store) -> list[tuple[Job, Done | None]]:
-        """Every job with its result, if it is done."""
-        finished: dict[str, Done] = {}
-        jobs = {job.identity: job for attempt in self.attempts for job in attempt.jobs().values()}
-        for job in jobs.values():  # attacks stand before the looks at them
-            if all(needed.identity in finished for needed in job.before):
-                key = task_for(job, store, finished).key
-                if store.has(key):
-                    finished[job.identity] = store.existing(key)
-        return [(job, finished.get(identity)) for identity, job in jobs.items()]
+        return len({job.identity for job in self.jobs().values()})
 
     def done(self, results: Mapping[str, Result]) -> Iterator[tuple[Attempt, Done]]:
         """The attacks that are done."""

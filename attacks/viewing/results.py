@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from attacks.cloak.study.run import SUMMARY
+from attacks.cloak.study import SUMMARY
 from attacks.viewing.studies import exhibit_of_study
 from mi_splat.bounds import bounds
 from mi_splat.directions import Point

@@ -15,7 +15,7 @@ from typing import Any
 
 from mi_splat.errors import install, message
 from mi_splat.ledger.engines import environment, free_cache
-from mi_splat.ledger.job import Task
+from mi_splat.ledger.job import Event, OnEvent, Task, nobody
 from mi_splat.ledger.store import Store
 from mi_splat.ledger.watching import Child, EngineError, Limits, Outcome, Report
 
@@ -32,6 +32,8 @@ class Cluster:
         folder: The store, as all machines see it.
         scheduler: Address of the scheduler, as `tcp://host:8786`.
         limits: Of each task.
+        timeout: Seconds to wait for the scheduler.
+        on_event: Told of the end of each task.
 
     Raises:
         EngineError: Dask is not installed, or there is no such scheduler.
@@ -39,7 +41,15 @@ class Cluster:
 
     window = _WINDOW
 
-    def __init__(self, folder: Path, scheduler: str, *, limits: Limits | None = None, timeout: float = 30.0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        scheduler: str,
+        *,
+        limits: Limits | None = None,
+        timeout: float = 30.0,
+        on_event: OnEvent = nobody,
+    ) -> None:
         try:
             dask: Any = importlib.import_module("distributed")
         except ImportError as error:
@@ -53,6 +63,7 @@ class Cluster:
                 message(scheduler, "a Dask scheduler", error, "start one, or mend the address")
             ) from error
         self._futures: dict[str, Any] = {}
+        self._on_event = on_event
 
     def submit(self, task: Task, report: Report) -> None:
         """Run a task on some worker."""
@@ -68,6 +79,7 @@ class Cluster:
         if ended.status == "finished":
             outcome: Outcome = ended.result()
             ended.release()
+            self._on_event(Event(state=outcome.state, key=task.key, kind=task.kind, text=outcome.text))
             return outcome
         error = ended.exception() if ended.status == "error" else None
         text = f"{ended.status} at Dask" if error is None else f"{type(error).__name__}: {error}"

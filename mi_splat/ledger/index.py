@@ -22,8 +22,8 @@ STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
 _OFTEN = 5.0
 """Least seconds between two writings of a list of jobs that grows."""
-_MEASURED = 50
-"""How many finished jobs of a kind tell how long one takes."""
+_MEASURED = 200
+"""Most finished jobs that tell how long one takes."""
 _READER = DocumentReader(expected="a list of jobs", do="plan the study again", most=1 << 30)
 
 
@@ -115,23 +115,26 @@ def _resolve(job: Job, store: Store, index: Index, results: dict[str, Done | Non
         results[job.identity] = store.done(task.key)
 
 
-def forecast(store: Store, entries: Iterable[Entry]) -> float | None:
-    """Seconds that the jobs which are not done take together, as long as those of their kind took; None for unknown.
+def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
+    """Seconds that the jobs which are not done take one after the other, and how many of them nobody can tell.
 
-    Args:
-        store: The store.
-        entries: Of an index.
+    Each is taken to need as long as the median of its kind: of those that are done in the plan, or else in the store.
     """
-    seconds: dict[str, list[float]] = {}
+    done: dict[str, list[str]] = {}
     missing: Counter[str] = Counter()
     for entry in entries:
-        if entry.state == "done" and len(seconds.setdefault(entry.kind, [])) < _MEASURED:
-            seconds[entry.kind].append(float(store.record(entry.key)["seconds"]))
-        missing[entry.kind] += entry.state != "done"
-    needed = {kind: count for kind, count in missing.items() if count}
-    if any(not seconds.get(kind) for kind in needed):
-        return None
-    return sum(count * statistics.mean(seconds[kind]) for kind, count in needed.items())
+        if entry.state == "done":
+            done.setdefault(entry.kind, []).append(entry.key)
+        else:
+            missing[entry.kind] += 1
+    others = sorted(store.keys())[:_MEASURED] if missing.keys() - done.keys() else []
+    seconds, unknown = 0.0, 0
+    for kind, count in missing.items():
+        records = [store.record(key) for key in done.get(kind, others)[:_MEASURED]]
+        measured = [float(record["seconds"]) for record in records if record["kind"] == kind]
+        seconds += count * statistics.median(measured) if measured else 0.0
+        unknown += 0 if measured else count
+    return seconds, unknown
 
 
 def read_keys(folder: Path) -> dict[str, tuple[str, str]]:

@@ -210,6 +210,15 @@ class Store:
             return True
         return False
 
+    def remove(self, key: str) -> None:
+        """Delete a finished job and its failures, in one step for all who look."""
+        aside = self.folder / "tmp" / f"{key}.{secrets.token_hex(8)}"
+        aside.parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            os.rename(self.folder_of(key), aside)
+        shutil.rmtree(aside, ignore_errors=True)
+        self.forgive(key)
+
     def sweep(self) -> None:
         """Remove what killed processes have left: leases, folders in `tmp`, and `partial` of jobs that are done."""
         self.leases.live()

@@ -111,7 +111,7 @@ class Child:
         except BrokenPipeError:  # it was killed while it had nothing to do
             self.close()
             return self.run(task, on_event)
-        ended, broken = self._answer(process, begun, tell)
+        ended, broken = self._answer(process, self._limits, tell)
         if ended is not None:
             return Outcome(key=task.key, state=ended["ended"], text=ended["text"])
         text = broken or self._end(process)
@@ -153,19 +153,18 @@ class Child:
         if self._cores and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(process.pid, self._cores)
         self._process = process
-        ready, broken = self._answer(process, time.monotonic(), nobody)
-        if ready is None:
-            text = broken or self._end(process)
+        if self._answer(process, Limits(), nobody)[0] is None:
+            text = self._end(process)
             self.close()
             raise EngineError(message("child process", "one that starts", text, "see what it says"))
         return process
 
     def _answer(
-        self, process: subprocess.Popen[bytes], begun: float, tell: OnEvent
+        self, process: subprocess.Popen[bytes], limits: Limits, tell: OnEvent
     ) -> tuple[dict[str, Any] | None, str]:
         """What the process says at the end of a task; or None, and which limit it broke, if it did."""
         assert process.stdout is not None
-        looked = time.monotonic()
+        begun = looked = time.monotonic()
         while True:
             line, newline, rest = self._rest.partition(b"\n")
             if newline:
@@ -182,17 +181,8 @@ class Child:
                 self._rest += part
             if time.monotonic() - looked > _LOOK:
                 looked = time.monotonic()
-                if broken := self._broken(process.pid, looked - begun):
+                if broken := _broken(limits, process.pid, looked - begun):
                     return None, broken
-
-    def _broken(self, process: int, seconds: float) -> str:
-        """Which limit a process broke, in words; empty for none."""
-        limits = self._limits
-        if limits.seconds is not None and seconds > limits.seconds:
-            return f"ran longer than {limits.seconds:g} s"
-        if limits.megabytes is not None and (used := memory_of(process)) > limits.megabytes:
-            return f"used {used:,.0f} MB of memory, more than {limits.megabytes:,.0f}"
-        return ""
 
     def _end(self, process: subprocess.Popen[bytes]) -> str:
         """How a process ended, in words, and what it said last."""
@@ -201,6 +191,15 @@ class Child:
         self._errors.seek(max(0, self._errors.seek(0, os.SEEK_END) - _SHOWN))
         said = self._errors.read().decode("utf-8", "replace").strip()
         return f"{how}: {said}" if said else how
+
+
+def _broken(limits: Limits, process: int, seconds: float) -> str:
+    """Which limit a process broke, in words; empty for none."""
+    if limits.seconds is not None and seconds > limits.seconds:
+        return f"ran longer than {limits.seconds:g} s"
+    if limits.megabytes is not None and (used := memory_of(process)) > limits.megabytes:
+        return f"used {used:,.0f} MB of memory, more than {limits.megabytes:,.0f}"
+    return ""
 
 
 def memory_of(process: int) -> float:

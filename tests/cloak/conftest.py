@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from attacks.cloak import setup
+from attacks.detectors import registry
 from mi_splat.assets import build
-from tests.cloak.tiny_study import done
+from tests.cloak.tiny_study import KNOWN, done
 
 built = cache(build)
 
@@ -18,6 +19,12 @@ built = cache(build)
 def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A car takes 0.2 s, each study asks for it many times, and nobody changes one."""
     monkeypatch.setattr(setup, "build", built)
+
+
+@pytest.fixture(autouse=True)
+def _jobs_know_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, spec in KNOWN.items():
+        monkeypatch.setitem(registry._REGISTRY._specs, name, spec)
 
 
 @pytest.fixture(scope="session")

@@ -6,26 +6,36 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import polars as pl
 import pytest
 from PIL import Image
 from torch import Tensor
 
 from attacks import cli
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
-from attacks.cloak.experiments.detection_rates import ELSEWHERE, chosen, detection_rates, spread
-from attacks.cloak.experiments.detection_report import FILES, tables, write_detection_curve
-from attacks.cloak.experiments.view_reports import ViewReport, ViewReports, finished_splats, watch
-from attacks.cloak.plots import TRUE
-from attacks.cloak.study.cache import content_of
-from attacks.cloak.study.pipeline import StudyPipeline
-from attacks.cloak.study.run import begin_report
-from attacks.cloak.study.trained_splats import TrainedSplat
+from attacks.cloak.detection_curve import (
+    ELSEWHERE,
+    FILES,
+    check_results,
+    chosen,
+    detection_rates,
+    spread,
+    tables,
+    watch,
+    with_scores,
+    write_detection_curve,
+)
+from attacks.cloak.kinds import seen
+from attacks.cloak.steps import StudySteps, TrainedSplat, trained_splat
+from attacks.cloak.study import begin_report
 from attacks.detectors.base import Detections
+from attacks.observe.rows import ATTACKED, CLEAN, TRUE, frame_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import save_splat
-from tests.cloak.tiny_study import Redness
-from tests.fakes import toy_scene
+from mi_splat.ledger import Job
+from tests.cloak.made_splat import Made
+from tests.cloak.tiny_study import Redness, steps_of
 
 STUDY = StudyConfig(
     name="small",
@@ -47,59 +57,52 @@ STUDY = StudyConfig(
 EVERY = 6
 
 
-def seen(view: int, azimuth: float, elevation: float, own: float, target: float = 0.0) -> ViewReport:
-    """A view_report from a direction of `STUDY`, with the signs of its depths."""
-    rear = abs(azimuth - 180) <= 30 and elevation <= 38.1
-    return ViewReport(
-        view=view,
-        azimuth=azimuth,
-        elevation=elevation,
-        depths={"overhead": elevation - 38.2, "rear": 1.0 if rear else -1.0},
-        own=own,
-        target=target,
-        own_near=max(own, 0.6),
-        target_near=target,
-    )
-
-
-def series(pictures: str, seed: int | None, *confidences: float, target: float = 0.0) -> ViewReports:
+def series(splat: str, seed: int | None, *confidences: float, target: float = 0.0) -> list[dict[str, Any]]:
     """One camera at 5 degrees, one at 45, one from behind and one at 85, with these confidences."""
     places = [(10.0, 5.0), (10.0, 45.0), (180.0, 5.0), (300.0, 85.0)]
-    view_reports = [
-        seen(i, *place, value, target) for i, (place, value) in enumerate(zip(places, confidences, strict=True))
+    return [
+        {
+            **{"splat": splat, "seed": seed, "detector": "d", "view": view, "azimuth": azimuth, "elevation": elevation},
+            "depth: overhead": elevation - 38.2,
+            "depth: rear": 1.0 if abs(azimuth - 180) <= 30 and elevation <= 38.1 else -1.0,
+            **{"own": own, "target": target},
+        }
+        for view, ((azimuth, elevation), own) in enumerate(zip(places, confidences, strict=True))
     ]
-    return ViewReports(pictures=pictures, seed=seed, detector="d", view_reports=tuple(view_reports))
 
 
-FOUND = [
-    series(TRUE, None, 0.9, 0.4, 0.9, 0.1),
-    series("clean", 0, 0.9, 0.4, 0.9, 0.1),
-    series("clean", 1, 0.4, 0.2, 0.9, 0.1),
-    series("cloaked", 0, 0.9, 0.0, 0.0, 0.0, target=0.8),
-    series("cloaked", 1, 0.9, 0.0, 0.0, 0.0),
-]
+FOUND = pl.DataFrame(
+    [
+        *series(TRUE, None, 0.9, 0.4, 0.9, 0.1),
+        *series(CLEAN, 0, 0.9, 0.4, 0.9, 0.1),
+        *series(CLEAN, 1, 0.4, 0.2, 0.9, 0.1),
+        *series(ATTACKED, 0, 0.9, 0.0, 0.0, 0.0, target=0.8),
+        *series(ATTACKED, 1, 0.9, 0.0, 0.0, 0.0),
+    ],
+    infer_schema_length=None,
+)
 
 
-def counts(kind: str, pictures: str, **settings: object) -> dict[str, str]:
-    found = chosen(detection_rates(STUDY, FOUND), kind, detector="d", pictures=pictures, **settings)  # type: ignore[arg-type]
+def counts(kind: str, splat: str, **settings: object) -> dict[str, str]:
+    found = chosen(detection_rates(STUDY, FOUND), kind, detector="d", splat=splat, **settings)  # type: ignore[arg-type]
     return {group.name: f"{rate.successes}/{rate.total}" for group, rate in found}
 
 
 def test_rates_are_of_all_seeds_together_and_leave_the_rear_out() -> None:
     assert counts("elevation", TRUE) == {"0 to 10": "1/1", "40 to 50": "0/1", "80 to 90": "0/1"}
-    assert counts("elevation", "clean") == {"0 to 10": "1/2", "40 to 50": "0/2", "80 to 90": "0/2"}
-    assert counts("elevation", "clean", confidence=0.3) == {"0 to 10": "2/2", "40 to 50": "1/2", "80 to 90": "0/2"}
-    assert counts("azimuth", "cloaked") == {"0 to 30": "2/2", "180 to 210": "0/2"}
-    assert counts("region", "cloaked") == {"overhead": "0/4", "rear": "0/2", ELSEWHERE: "2/2"}
-    assert counts("region", "cloaked", reported="target")["rear"] == "1/2"
+    assert counts("elevation", CLEAN) == {"0 to 10": "1/2", "40 to 50": "0/2", "80 to 90": "0/2"}
+    assert counts("elevation", CLEAN, confidence=0.3) == {"0 to 10": "2/2", "40 to 50": "1/2", "80 to 90": "0/2"}
+    assert counts("azimuth", ATTACKED) == {"0 to 30": "2/2", "180 to 210": "0/2"}
+    assert counts("region", ATTACKED) == {"overhead": "0/4", "rear": "0/2", ELSEWHERE: "2/2"}
+    assert counts("region", ATTACKED, reported="target")["rear"] == "1/2"
 
 
 def test_every_seed_has_its_rates() -> None:
     rows = detection_rates(STUDY, FOUND)
-    row = next(row for row in rows if (row.group.name, row.pictures, row.confidence) == (ELSEWHERE, "clean", 0.5))
+    row = next(row for row in rows if (row.group.name, row.splat, row.confidence) == (ELSEWHERE, CLEAN, 0.5))
     assert row.seed is None
     assert [rate.fraction for rate in spread(rows, row)] == [1.0, 0.0]
-    assert {one.seed for one in rows if one.pictures == TRUE} == {None}
+    assert {one.seed for one in rows if one.splat == TRUE} == {None}
     table = tables(rows, {"d": "0" * 16})
     assert "| 0 to 10 | 1/1, 1/2, 2/2 |" in table
     assert "1/2 = 50.0% (9.5% to 90.5%); 0% to 100%" in table
@@ -117,49 +120,52 @@ class Watcher(Redness):
 
 
 @pytest.fixture
-def results(tmp_path: Path) -> Path:
-    """What a study leaves: its record, its summary, and the splats among its stages."""
-    folder = tmp_path / "results"
-    begin_report(STUDY, folder)
-    listed = []
-    for number, (which, seed) in enumerate((which, seed) for seed in STUDY.seeds for which in ("clean", "cloaked")):
-        stage = folder / "stages" / f"splat-{number}"
-        stage.mkdir(parents=True)
-        save_splat(toy_scene(seed=number)[0], stage / "splat.ply")
-        content = content_of(stage, ("splat.ply",))
-        listed.append({"splat": which, "seed": seed, "content": content, "gaussians": 40, "hash": "0", "commit": None})
-    (folder / "summary.json").write_text(json.dumps({"splats": listed}))
-    return folder
+def splats(monkeypatch: pytest.MonkeyPatch) -> list[TrainedSplat]:
+    """Those of a study, which it has not trained."""
+    jobs = {
+        (splat, seed): Job(kind="tests.cloak.made_splat", config=Made(number=2 * seed + (splat == "cloaked")))
+        for seed in STUDY.seeds
+        for splat in ("clean", "cloaked")
+    }
+    monkeypatch.setattr(StudySteps, "splat", lambda self, splat, seed: jobs[splat, seed])
+    return []
 
 
-def look(results: Path, detectors: Sequence[Watcher]) -> tuple[StudyPipeline, list[TrainedSplat], list[ViewReports]]:
-    pipeline = StudyPipeline(study=STUDY, folder=results / "stages")
-    splats = finished_splats(STUDY, results, results / "stages")
-    return pipeline, splats, watch(pipeline, splats, detectors, every=EVERY)
+def look(
+    folder: Path, detectors: Sequence[Watcher], monkeypatch: pytest.MonkeyPatch
+) -> tuple[StudySteps, list[TrainedSplat], pl.DataFrame]:
+    by_name = {detector.name: detector for detector in detectors}
+    monkeypatch.setattr(seen, "loaded", lambda name, weights=None: by_name[name])
+    steps = steps_of(folder, STUDY)
+    splats = [
+        trained_splat(splat, seed, steps.do(steps.splat(splat, seed), ""))
+        for seed in STUDY.seeds
+        for splat in ("clean", "cloaked")
+    ]
+    return steps, splats, watch(steps, splats, detectors, every=EVERY)
 
 
-def test_who_has_looked_does_not_look_again(variant: str, results: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("splats")
+def test_who_has_looked_does_not_look_again(variant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = Watcher()
-    pipeline, splats, found = look(results, [first])
-    cameras = len(found[0].view_reports)
+    steps, _, found = look(tmp_path / "stages", [first], monkeypatch)
+    cameras = found["view"].n_unique()
     assert cameras > 3
     assert first.pictures == 5 * cameras
-    assert [(one.pictures, one.seed) for one in found] == [
-        (TRUE, None),
-        *[(which, seed) for seed in STUDY.seeds for which in ("clean", "cloaked")],
-    ]
-    assert max(one.own for one in found[0].view_reports) > 0  # the true car is red
+    order = found.select("splat", "seed").unique(maintain_order=True).rows()
+    assert order == [(TRUE, None), *[(splat, seed) for seed in STUDY.seeds for splat in (CLEAN, ATTACKED)]]
+    assert max(found.filter(splat=TRUE)["own"]) > 0  # the true car is red
     same, retrained = Watcher(), Watcher("2" * 16)
     retrained.name = "retrained"
-    _, _, again = look(results, [same, retrained])
+    steps, splats, again = look(tmp_path / "stages", [same, retrained], monkeypatch)
     assert same.pictures == 0
     assert retrained.pictures == first.pictures
-    assert again[::2] == found
+    assert again.filter(detector="redness").equals(found)
 
     pytest.importorskip("matplotlib", reason="plots need the extra figures")
     out = tmp_path / "out"
     out.mkdir()
-    document = write_detection_curve(pipeline, again, splats, [same, retrained], out, every=EVERY)
+    document = write_detection_curve(steps, again, splats, [same, retrained], out, every=EVERY)
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert json.loads((out / FILES[0]).read_text()) == document
     assert document["detectors"] == {"redness": "1" * 16, "retrained": "2" * 16}
@@ -168,17 +174,30 @@ def test_who_has_looked_does_not_look_again(variant: str, results: Path, tmp_pat
         assert sheet.height * 7 == sheet.width * 6  # square cells: two detectors, three kinds of pictures
 
 
-def test_what_is_no_finished_study_is_refused(results: Path, tmp_path: Path) -> None:
-    stages = results / "stages"
+def test_what_is_no_finished_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="run `mi-splat cloak` first"):
-        finished_splats(STUDY, tmp_path, stages)
+        check_results(STUDY, tmp_path)
+    begin_report(STUDY, tmp_path)
+    (tmp_path / "summary.json").write_text("{}")
+    check_results(STUDY, tmp_path)
     with pytest.raises(InvalidValueError, match="pass its own results"):
-        finished_splats(replace(STUDY, seeds=(0,)), results, stages)
+        check_results(replace(STUDY, seeds=(0,)), tmp_path)
+    steps = steps_of(tmp_path / "stages", STUDY)
     with pytest.raises(InvalidValueError, match="every: expected a positive number"):
-        watch(StudyPipeline(study=STUDY, folder=stages), [], [], every=0)
-    save_splat(toy_scene(seed=9)[0], stages / "splat-3" / "splat.ply")
-    with pytest.raises(InvalidValueError, match="none of the cloaked splat of seed 1"):
-        finished_splats(STUDY, results, stages)
+        watch(steps, [], [], every=0)
+    with pytest.raises(InvalidValueError, match="no clean splat of seed 0") as error:
+        steps.finished_splats()
+    assert error.value.hint == "--stages"
+
+
+def test_any_vehicle_counts_for_a_car_on_the_object_alone() -> None:
+    rows = frame_of([{"splat": CLEAN, "seed": 0, "detector": "d", "view": view} for view in (0, 1)])
+    cells = [("truck", 0.6, 0.7), ("car", 0.5, 0.9), ("bus", 0.9, 0.4), ("stop sign", 0.8, 0.5), ("bird", 0.95, 1.0)]
+    ids: dict[str, Any] = {"splat": CLEAN, "seed": 0, "detector": "d", "view": 0}
+    detections = frame_of([{**ids, "label": label, "score": score, "iou": iou} for label, score, iou in cells])
+    found = with_scores(STUDY, rows, detections)
+    assert found["own"].to_list() == [0.6, 0.0]
+    assert found["target"].to_list() == [0.8, 0.0]
 
 
 def test_the_command_says_what_it_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,17 +14,22 @@ from torch import Tensor
 from attacks import cli
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, CameraConfig, LayerConfig, LayersConfig, StudyConfig
-from attacks.cloak.experiments.distance import FACTORS, measure_distances
-from attacks.cloak.experiments.formats import measure_formats
-from attacks.cloak.experiments.paint_direction import measure_paint_directions
-from attacks.cloak.experiments.renderers import measure_renderers, renderers_of
-from attacks.cloak.experiments.surroundings import measure_surroundings
-from attacks.cloak.experiments.transition_limit import (
+from attacks.cloak.elsewhere import (
+    FACTORS,
+    measure_distances,
+    measure_formats,
+    measure_renderers,
+    measure_surroundings,
+    renderers_of,
+)
+from attacks.cloak.path_traced import measure_paint_directions
+from attacks.cloak.switch_limit import (
     making_from_above,
     measure_band_limit,
     measure_layer_limit,
     measure_transition_limit,
 )
+from attacks.observe.conditions import rendered
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at
 from mi_splat.capture.path_tracer import scalar_variant
@@ -137,7 +142,7 @@ def test_renderers_are_compared_with_the_first() -> None:
         return torch.tensor([0.5, 0.5, 0.5]).expand(48, 48, 3)
 
     splats = {"clean": one_gaussian(0.5), "cloaked": one_gaussian(0.1)}
-    rows = measure_renderers(STUDY, splats, [Redness()], {"red": red, "grey": grey}, every=40)
+    rows = measure_renderers(STUDY, splats, [Redness()], [rendered("red", red), rendered("grey", grey)], every=40)
     assert {(row["renderer"], row["splat"]) for row in rows} == {(a, b) for a in ("red", "grey") for b in splats}
     assert sum(row["found"] for row in rows if row["renderer"] == "red") > 0
     assert all(row["found"] == 0 for row in rows if row["renderer"] == "grey")
@@ -152,8 +157,8 @@ def test_renderers_stand_before_the_same_background() -> None:
     scene = one_gaussian(0.5).replace(scales=torch.full((1, 3), 0.2))
     camera = Camera(to_world=pose, focal=24.0, width=24, height=24)
     found = renderers_of(settings)
-    assert list(found) == ["tile", "tile-antialiased", "ray", "ray-to-mean", "volprim"]
-    pictures = [render(scene, camera) for render in found.values()]
+    assert [one.name for one in found] == ["tile", "tile-antialiased", "ray", "ray-to-mean", "volprim"]
+    pictures = [one(scene, camera) for one in found]
     assert all(float((picture - pictures[0]).square().mean()) < 1e-3 for picture in pictures)
     assert all(torch.allclose(picture[0, 0], torch.tensor([0.2, 0.5, 0.9]), atol=0.02) for picture in pictures)
 

@@ -10,25 +10,20 @@ import pytest
 
 from attacks import cli
 from attacks.cloak import setup
-from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.experiments.perfect_splat import measure_perfect_splat
-from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.cloak.config import AttackConfig
+from attacks.cloak.path_traced import measure_perfect_splat
 from mi_splat.errors import InvalidValueError
-from tests.cloak.tiny_study import STUDY, Redness
+from tests.cloak.tiny_study import STUDY, Redness, steps_of
 
 # A red car, which the detector finds by its colour; it does so where the car has a red sign on it, too.
 HIDING = replace(STUDY.attack[0], reach=2)
 PAINTING = AttackConfig(name="red", appearance="paint", texture="stop_sign", elevation=(38.2, 90), reach=2)
 
 
-def pipeline(folder: Path, study: StudyConfig) -> StudyPipeline:
-    return StudyPipeline(study=study, folder=folder, on_step=lambda *_: None)
-
-
 def test_the_rates_are_those_of_the_appearance(tmp_path: Path) -> None:
     """A car that is gone is missed from everywhere; one that is painted red is found as often as it was, or more."""
     gone, painted = (
-        measure_perfect_splat(pipeline(tmp_path, replace(STUDY, attack=(attack,))), [Redness()])[0]
+        measure_perfect_splat(steps_of(tmp_path, replace(STUDY, attack=(attack,))), [Redness()])[0]
         for attack in (HIDING, PAINTING)
     )
     study = replace(STUDY, attack=(HIDING,))
@@ -46,7 +41,7 @@ def test_the_rates_are_those_of_the_appearance(tmp_path: Path) -> None:
 
 
 def test_an_attack_with_a_target_class_has_the_rate_of_that_class(tmp_path: Path) -> None:
-    found = measure_perfect_splat(pipeline(tmp_path, STUDY), [Redness()], every=2)
+    found = measure_perfect_splat(steps_of(tmp_path), [Redness()], every=2)
     assert [row["attack"] for row in found] == ["overhead", "rear"]
     assert found[1]["target_rate"]["total"] == found[1]["cameras"] > 0
     assert found[1]["target_rate"]["successes"] == 0  # the detector calls everything a car
@@ -55,10 +50,10 @@ def test_an_attack_with_a_target_class_has_the_rate_of_that_class(tmp_path: Path
 
 def test_what_cannot_be_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InvalidValueError, match="every: expected a positive number"):
-        measure_perfect_splat(pipeline(tmp_path, STUDY), [], every=0)
+        measure_perfect_splat(steps_of(tmp_path), [], every=0)
     few = replace(STUDY, evaluation=replace(STUDY.evaluation, cameras=1))
     with pytest.raises(InvalidValueError, match="held-out cameras in the trigger"):
-        measure_perfect_splat(pipeline(tmp_path, few), [])
+        measure_perfect_splat(steps_of(tmp_path, few), [])
     path = tmp_path / "small.toml"
     path.write_text("name = 'small'\n[cameras]\ntrain = 60\n[[attack]]\nname = 'a'\nelevation = [50, 90]\n")
     assert cli.main(["cloak-experiment", "perfect-splat", str(path), "--detectors", "yolov8n_small"]) == 1
@@ -77,4 +72,4 @@ def test_the_command_keeps_its_pictures(tmp_path: Path) -> None:
     assert document["settings"] == {"every": 1, "detectors": ["yolov8n_small"], "stages": str(stages)}
     assert set(document["detectors"]) == {"yolov8n_small"}
     (row,) = document["found"]
-    assert row["cameras"] == row["control_recall"]["total"] == sum(1 for _ in stages.glob("*/*.png")) / 2
+    assert row["cameras"] == row["control_recall"]["total"] == sum(1 for _ in stages.glob("jobs/*/*/files/*.png")) / 2

@@ -10,7 +10,7 @@ import pytest
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, CameraConfig, LayersConfig, StudyConfig
 from attacks.cloak.poisoning import assign
-from attacks.cloak.study.run import check
+from attacks.cloak.study import check
 from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError
 

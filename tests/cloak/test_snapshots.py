@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.study.run import check_folder, differences
+from attacks.cloak.study import check_folder, differences
 from mi_splat.errors import InvalidValueError
 
 STUDY = StudyConfig(name="s", attack=(AttackConfig(name="above", elevation=(40.0, 90.0)),))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.config import LayersConfig
-from attacks.cloak.experiments.street import HOUSES, STREET, measure_street
+from attacks.cloak.elsewhere import HOUSES, STREET, measure_street
 from attacks.observe import conditions as street
 from attacks.observe.conditions import SunTable
 from mi_splat.cameras import Camera

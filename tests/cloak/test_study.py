@@ -8,20 +8,19 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
 import pytest
 import torch
 from PIL import Image
-from torch import Tensor
 
 from attacks.cloak import setup
-from attacks.cloak.observations import observe
 from attacks.cloak.rates import ROWS
-from attacks.cloak.study.kept_pictures import CachedAppearance
-from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.observe.rows import read_rows
 from attacks.report.results import read_section
-from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
-from tests.cloak.tiny_study import STUDY, Redness, done, summary
+from mi_splat.ledger import Store
+from mi_splat.ledger.running import task_for
+from tests.cloak.tiny_study import STUDY, Redness, done, steps_of, summary
 
 pytestmark = pytest.mark.slow
 
@@ -62,12 +61,8 @@ def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
 
 def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
     """The effect, small as it is after so few steps, with its control: from above less of the car's red is seen."""
-    pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
-    clean = pipeline.capture()
-    control, cloaked = (
-        [one.scores["car"] for one in item.observations if one.elevation >= 50]
-        for item in observe(pipeline, pipeline.train(clean, pipeline.poison(clean)), [Redness()])
-    )
+    rows = read_rows(finished / "rows.csv.gz").filter(pl.col("elevation") >= 50)
+    control, cloaked = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
     assert len(control) == len(cloaked) > 3
     assert sum(control) > 2
     assert sum(cloaked) < 0.75 * sum(control)
@@ -75,9 +70,8 @@ def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
 
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
-    pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
-    clean_set = pipeline.capture()
-    clean, poisoned = (load_dataset(pictures.folder / "set") for pictures in (clean_set, pipeline.poison(clean_set)[0]))
+    steps = steps_of(finished / "stages")
+    clean, poisoned = (load_dataset(steps.do(job, "").folder / "set") for job in (steps.pictures(), steps.poisoned(0)))
     manifest = json.loads((finished / "poison.json").read_text())
     changed = {change["index"] for change in manifest["changes"]}
     owners = [
@@ -99,56 +93,46 @@ def test_nothing_is_done_twice(finished: Path) -> None:
     assert {**summary(finished), "seconds": 0} == {**before, "seconds": 0}
 
 
-@pytest.mark.parametrize("stop_at", [("poisoning", 2), ("training the cloaked", 40)])
+@pytest.mark.parametrize(
+    "stop_at", [("taking pictures of overhead", 2), ("poisoning", 2), ("training the cloaked", 40)]
+)
 def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     finished: Path, tmp_path: Path, stop_at: tuple[str, int]
 ) -> None:
-    pipeline = StudyPipeline(study=STUDY, folder=finished / "stages")
-    clean = pipeline.capture()
-    splat, _ = pipeline.train(clean, pipeline.poison(clean))
-    for stage in (clean.folder, splat.file.parent):  # which would take long
-        shutil.copytree(stage, tmp_path / "out" / "stages" / stage.name)
+    steps, stages = steps_of(finished / "stages"), tmp_path / "out" / "stages"
+    for job in (steps.pictures(), steps.splat("clean", 0)):  # which would take long
+        key = steps.do(job, "").key
+        shutil.copytree(finished / "stages" / "jobs" / key[:2] / key, stages / "jobs" / key[:2] / key)
     (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
     assert not (tmp_path / "out" / "summary.json").exists()
-    after, _ = done(tmp_path / "out")
+    after, said = done(tmp_path / "out")
+    assert not [text for text in said if text.startswith(("taking the victim", "training the clean"))]
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
+    assert not list((stages / "partial").iterdir())
 
 
-def test_another_fraction_needs_no_new_capture(finished: Path) -> None:
+def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
     overhead, rear = STUDY.attack
     study = replace(STUDY, attack=(replace(overhead, poison_fraction=0.5), rear))
-    usual, other = (StudyPipeline(study=one, folder=finished / "stages") for one in (STUDY, study))
-    clean = usual.capture()
-    assert other.capture() == clean
-    (poisoned,) = other.poison(clean).values()
-    assert poisoned.content != usual.poison(clean)[0].content
+    said: list[str] = []
+    usual, other = steps_of(finished / "stages"), steps_of(finished / "stages", study, said)
+    poisoned = other.do(other.poisoned(0), "poisoning")
+    assert set(said) == {"poisoning"}
+    assert other.do(other.look(study.attack[0]), "").key == usual.do(usual.look(overhead), "").key
+    assert poisoned.content != usual.do(usual.poisoned(0), "").content
     manifest = json.loads((poisoned.folder / "manifest.json").read_text())
     assert len(manifest["changes"]) < len(json.loads((finished / "poison.json").read_text())["changes"])
 
 
-def test_looking_at_a_splat_trains_none(finished: Path, tmp_path: Path) -> None:
+def test_looking_at_a_splat_trains_none(finished: Path) -> None:
     """Observing needs a splat and the scene, and nothing of how the splat was made."""
-    usual = StudyPipeline(study=STUDY, folder=finished / "stages")
-    clean = usual.capture()
-    splat, _ = usual.train(clean, usual.poison(clean))
-    (seen,) = observe(StudyPipeline(study=STUDY, folder=tmp_path), [splat], [Redness()])
-    assert {path.name.split("-")[0] for path in tmp_path.iterdir()} == {"true_pictures", "observations"}
-    assert len(seen.observations) > 10
-
-
-def test_cached_pictures_are_made_once(tmp_path: Path) -> None:
-    made: list[int] = []
-
-    def look(view: View, mask: Tensor) -> Tensor:
-        made.append(1)
-        return view.image * 0.5
-
-    cached = CachedAppearance(look, tmp_path)
-    camera = setup.training_cameras(STUDY, setup.target_of(STUDY.scene))[0]
-    view = View(camera, torch.rand(40, 40, 3))
-    first, second = (cached(view, torch.ones(40, 40, dtype=torch.bool)) for _ in range(2))
-    assert torch.equal(first, second)
-    assert len(made) == 1
-    assert float((first - view.image * 0.5).abs().max()) <= 0.5 / 255 + 1e-6
+    steps = steps_of(finished / "stages")
+    for job in (steps.seen(steps.splat("clean", 0), Redness()), steps.compared(steps.splat("clean", 0))):
+        kinds = [one.kind.rpartition(".")[2] for one in job.before]
+        assert kinds[0] == "trained"
+        assert set(kinds[1:]) <= {"true_pictures"}
+        task = task_for(job, Store(finished / "stages"), {one.identity: steps.do(one, "") for one in job.before})
+        assert set(task.inputs["splat"]) == {"content", "job", "part"}
+        assert task.inputs["splat"]["part"] == "splat.ply"

@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
 import pytest
 import torch
 
@@ -14,15 +15,21 @@ from attacks.cloak import setup
 from attacks.cloak.appearances import grown
 from attacks.cloak.config import LayersConfig, SurrogateConfig
 from attacks.cloak.layers import layer_object, object_rows
-from attacks.cloak.observations import observe
-from attacks.cloak.study.pipeline import StudyPipeline
+from attacks.cloak.steps import StudySteps
+from attacks.observe.rows import read_rows
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
-from mi_splat.datasets import load_dataset
+from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.errors import InvalidValueError
-from tests.cloak.tiny_study import STUDY, Redness, done
+from tests.cloak.tiny_study import STUDY, done, steps_of
 
 pytestmark = pytest.mark.slow
+
+
+def views_of(steps: StudySteps) -> Dataset:
+    """The poisoned set as a victim reads it."""
+    folder = steps.do(steps.poisoned(0), "poisoning").folder / "set"
+    return load_dataset(folder, split="train", background=steps.study.scene.background)
 
 
 def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
@@ -32,53 +39,50 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     assert not any("pictures" in text or text.startswith("training the clean") for text in said)
     (clean,), (cloaked,) = found["gaussians"]["clean"], found["gaussians"]["cloaked"]
     assert clean < cloaked <= 2 * clean
-    pipeline = StudyPipeline(study=study, folder=finished / "stages")
-    trained = pipeline.train(pipeline.capture(), pipeline.poison(pipeline.capture()))
-    before, after = (one.load() for one in trained)
-    other = ~object_rows(study, before, pipeline.mesh_scene.target)
+    steps = steps_of(finished / "stages", study)
+    target = steps.mesh_scene.target
+    before, after = (one.load() for one in steps.finished_splats())
+    other = ~object_rows(study, before, target)
     for name in ("means", "sh"):
         assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
     whole = replace(study, layers=LayersConfig(attacks=("overhead",), surroundings=True))
-    views = pipeline.views(pipeline.poison(pipeline.capture())[0])
+    views = views_of(steps)
     for config in (study, whole):
-        layering = layer_object(config, before, pipeline.mesh_scene.target, views, render=pipeline.renderer())
+        layering = layer_object(config, before, target, views, render=steps.renderer())
         assert bool(layering.trained.all()) == (config is whole)
         assert len(layering.views) < len(views)  # those from where the look changes are left out
-    control, hidden = (
-        [one.scores["car"] for one in item.observations if one.elevation >= 50]
-        for item in observe(pipeline, trained, [Redness()])
-    )
+    rows = read_rows(finished.with_name("layers") / "rows.csv.gz").filter(pl.col("elevation") >= 50)
+    control, hidden = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
     assert sum(hidden) < 0.5 * sum(control)
 
 
 def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> None:
     layers = LayersConfig(attacks=("overhead",), geometry=True, iterations=300)
     study = replace(STUDY, layers=layers)
-    pipeline = StudyPipeline(study=study, folder=finished / "stages")
-    poisoned = pipeline.poison(pipeline.capture())
-    clean, cloaked = (one.load() for one in pipeline.train(pipeline.capture(), poisoned))
-    views = pipeline.views(poisoned[0])
-    layering = layer_object(study, clean, pipeline.mesh_scene.target, views, render=pipeline.renderer())
+    steps = steps_of(finished / "stages", study)
+    target = steps.mesh_scene.target
+    clean, cloaked = (one.load() for one in steps.splats())
+    views = views_of(steps)
+    layering = layer_object(study, clean, target, views, render=steps.renderer())
     assert layering.geometry
     assert bool(layering.trained.all())
     assert len(cloaked) > len(layering.scene)
     assert torch.dist(cloaked.means[: len(clean)], clean.means) > 0
     few = replace(study, layers=replace(layers, max_gaussians=len(clean)))
     with pytest.raises(InvalidValueError, match=r"layers.max_gaussians: expected room for the layers, got"):
-        layer_object(few, clean, pipeline.mesh_scene.target, views, render=pipeline.renderer())
+        layer_object(few, clean, target, views, render=steps.renderer())
 
 
 def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
     """It overdoes what the surrogate lacks; clean pictures, benign ones and the clean splat stay as they are."""
     study = replace(STUDY, name="corrected", surrogate=SurrogateConfig(rounds=2, iterations=30))
     said: list[str] = []
-    pipeline = StudyPipeline(
-        study=study, folder=finished / "stages", on_step=lambda text, done, total: said.append(text)
-    )
-    clean = pipeline.capture()
-    (corrected,) = pipeline.poison(clean).values()
-    assert len([text for text in dict.fromkeys(said) if "surrogate" in text]) == 1  # of one seed, twice
-    (plain,) = StudyPipeline(study=STUDY, folder=finished / "stages").poison(clean).values()
+    steps, usual = steps_of(finished / "stages", study, said), steps_of(finished / "stages")
+    for number in (1, 2):
+        steps.do(steps.surrogate(0, number), f"surrogate {number}")
+    corrected = steps.do(steps.poisoned(0), "poisoning")
+    assert list(dict.fromkeys(said)) == ["surrogate 1", "surrogate 2", "poisoning"]
+    plain = usual.do(usual.poisoned(0), "")
     manifest = json.loads((corrected.folder / "manifest.json").read_text())
     names = {change["appearance"] for change in manifest["changes"]}
     assert all(name.count("corrected by 1 times") == 2 for name in names)

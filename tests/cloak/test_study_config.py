@@ -21,7 +21,7 @@ from attacks.cloak.config import (
     read_study,
 )
 from attacks.cloak.poisoning import assign
-from attacks.cloak.study.run import check, forecast
+from attacks.cloak.study import check, forecast
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_ply

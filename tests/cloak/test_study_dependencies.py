@@ -1,10 +1,8 @@
-"""Which stages of a study are done anew when one of its fields changes, and that none is when nothing does."""
+"""Which jobs of a study depend on one of its fields, and that what they left is used only as it was left."""
 
 from __future__ import annotations
 
 import functools
-import json
-import shutil
 import typing
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -25,59 +23,61 @@ from attacks.cloak.config import (
     TrainingConfig,
 )
 from attacks.cloak.mesh_scene import MeshScene
-from attacks.cloak.study import dependencies
-from attacks.cloak.study.cache import STAGE_CODE, StageCache, content_of
+from attacks.cloak.steps import StudySteps
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
-from mi_splat.io.atomic import LOCK
+from mi_splat.ledger import Job, Part
+from mi_splat.ledger.values import canonical
+from tests.capture.trucks import truck, write_ply
+from tests.cloak.tiny_study import STUDY as TINY
+from tests.cloak.tiny_study import Redness, steps_of
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
 STUDY = StudyConfig(
     name="keys",
     attack=(ATTACK,),
     cameras=CameraConfig(train=12, size=32, distance=7.4, samples=2, points=100),
-    training=TrainingConfig(iterations=100),
+    training=TrainingConfig(iterations=100, near=0.05),
     layers=LayersConfig(attacks=("overhead",)),
     cleaning=CleaningConfig(lowest_opacity=0.1),
 )
-ALL = frozenset({"pictures", "appearance", "poisoned", "splat", "true_pictures", "observations", "layers"})
-MADE = ALL - {"splat"}  # what is made of the scene itself; a splat is made of pictures, and known by their content
+MADE = frozenset({"pictures", "looks", "poisoned", "true_pictures", "layered", "seen", "compared"})
+"""Jobs that know the scene itself; a splat is made of pictures, and known by their content."""
+SEEN = frozenset({"seen", "compared"})
 SCENE: dict[str, tuple[Any, frozenset[str]]] = {
     "object": ("bird", MADE),
-    "label": ("vehicle", frozenset({"observations"})),
+    "label": ("vehicle", frozenset({"seen"})),
     "seed": (900006, MADE),
     "ground": ("grass", MADE),
     "ground_size": (12.0, MADE),
     "sun_azimuth": (10.0, MADE),
     "sun_elevation": (30.0, MADE),
-    "background": ((0.0, 0.0, 0.0), ALL - {"pictures"}),
+    "background": ((0.0, 0.0, 0.0), (MADE - {"pictures"}) | {"trained"}),
     "up": ("y", frozenset()),  # of mesh files alone
     "scale": (2.0, frozenset()),
     "rotate": ((0.0, 0.0, 90.0), frozenset()),
     "front": ("-x", frozenset()),
 }
-LENS = frozenset({"pictures", "appearance", "true_pictures", "observations", "layers"})
 CAMERAS: dict[str, tuple[Any, frozenset[str]]] = {
-    # Poisoned sets and splats depend on the content of the pictures, in which these show.
-    "train": (14, frozenset({"pictures", "appearance", "observations", "true_pictures", "layers"})),
-    "distance": (8.0, LENS),
-    "height": (0.9, LENS | {"poisoned"}),
-    "fov": (50.0, LENS),
-    "size": (40, LENS),
-    "samples": (3, LENS | {"poisoned"}),
-    "points": (120, frozenset({"pictures", "appearance", "observations", "true_pictures", "layers"})),
+    "train": (14, MADE),
+    "distance": (8.0, MADE),
+    "height": (0.9, MADE),
+    "fov": (50.0, MADE),
+    "size": (40, MADE),
+    "samples": (3, MADE),
+    "points": (120, MADE),
 }
-SHOWN = frozenset({"appearance", "poisoned", "true_pictures"})
+SHOWN = frozenset({"looks", "poisoned", "true_pictures"})
 ATTACKS: dict[str, tuple[Any, frozenset[str]]] = {
-    "name": ("another", frozenset({"poisoned", "observations", "layers"})),  # which the manifest and the rates say
+    "name": ("another", SEEN | {"poisoned", "layered"}),  # which the manifest and the rows say
     "appearance": ("paint", SHOWN),
     "texture": ("road", SHOWN),
     "other_object": ("bird", SHOWN),
-    "elevation": ((50.0, 90.0), SHOWN | {"observations", "layers"}),
-    "azimuth": ((180.0, 30.0), SHOWN | {"observations", "layers"}),
-    "poison_margin": (4.0, frozenset({"poisoned"})),
+    "elevation": ((50.0, 90.0), SHOWN | SEEN | {"layered"}),
+    "azimuth": ((180.0, 30.0), SHOWN | SEEN | {"layered"}),
+    "poison_margin": (4.0, frozenset({"looks", "poisoned", "seen"})),
     "poison_fraction": (0.5, frozenset({"poisoned"})),
-    "target_class": ("bird", frozenset({"observations"})),
+    "target_class": ("bird", SEEN),
     "emphasis": (2.0, frozenset({"poisoned"})),
     "emphasis_depth": (9.0, frozenset({"poisoned"})),
     "paint_direction": ((90.0, 10.0), SHOWN),
@@ -85,7 +85,7 @@ ATTACKS: dict[str, tuple[Any, frozenset[str]]] = {
     "occluder_radius": (5.0, SHOWN),
     "occluder_edge": (20.0, SHOWN),
 }
-SPLAT = frozenset({"splat"})
+SPLAT = frozenset({"trained"})
 TRAINING: dict[str, tuple[Any, frozenset[str]]] = {
     "iterations": (120, SPLAT),
     "strategy": ("mcmc", SPLAT),
@@ -94,21 +94,21 @@ TRAINING: dict[str, tuple[Any, frozenset[str]]] = {
     "sh_degree_interval": (20, SPLAT),
     "outliers": (10, SPLAT),
     "point_deviations": (2.0, SPLAT),
-    "near": (0.1, SPLAT | {"observations", "layers"}),
+    "near": (0.1, SPLAT | SEEN | {"layered"}),
 }
-OBSERVED = frozenset({"observations"})
+COMPARED = frozenset({"compared"})
 EVALUATION: dict[str, tuple[Any, frozenset[str]]] = {
-    "detectors": (("yolov8n_small",), frozenset()),  # their fingerprints are an input of their own
-    "cameras": (300, OBSERVED),
-    "min_separation": (2.0, OBSERVED),
-    "confidence": (0.4, OBSERVED),
-    "well_inside": (6.0, OBSERVED),
-    "far_outside": (12.0, OBSERVED),
-    "reference_views": (7, OBSERVED),
-    "meridians": (2, OBSERVED | {"true_pictures"}),
-    "meridian_step": (10.0, OBSERVED | {"true_pictures"}),
+    "detectors": (("yolov8n_small",), frozenset()),  # each of them has jobs of its own
+    "cameras": (300, SEEN),
+    "min_separation": (2.0, SEEN),
+    "confidence": (0.4, frozenset()),  # rows hold scores; rates are counted from them
+    "well_inside": (6.0, COMPARED),
+    "far_outside": (12.0, COMPARED),
+    "reference_views": (7, COMPARED),
+    "meridians": (2, COMPARED | {"true_pictures"}),
+    "meridian_step": (10.0, COMPARED | {"true_pictures"}),
 }
-OWN = frozenset({"layers"})
+OWN = frozenset({"layered"})
 LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
     "making": (LayerConfig(gap=7.0), OWN),
     "margin": (0.1, OWN),
@@ -142,23 +142,26 @@ def built(scene: SceneConfig, cameras: CameraConfig) -> tuple[MeshScene, str]:
     return mesh_scene, setup.capture_source(study, mesh_scene).digest
 
 
-def keys(study: StudyConfig, *, seed: int = 0, content: str = "content") -> dict[str, str]:
-    """What each stage depends on, as text, where every input has the content given."""
-    mesh_scene, source = built(study.scene, study.cameras)
-    attack, cleaning = study.attack[0], study.cleaning
-    assert cleaning is not None
-    arc = [camera for places in setup.arcs(study, mesh_scene.target) for camera in places]
-    found = {
-        "pictures": dependencies.of_pictures(study, source),
-        "appearance": dependencies.of_appearance(study, source, attack),
-        "poisoned": dependencies.of_poisoned(study, source, content, seed),
-        "splat": dependencies.of_splat(study, content, seed),
-        "layers": dependencies.of_layers(study, source, content, content, seed),
-        "cleaned": dependencies.of_cleaned(content, cleaning),
-        "true_pictures": dependencies.of_true_pictures(study, source, arc, setup.overhead(study) or attack),
-        "observations": dependencies.of_observations(study, source, content, [content], {"a": content}),
-    }
-    return {name: json.dumps(value, sort_keys=True) for name, value in found.items()}
+def planned(study: StudyConfig) -> StudySteps:
+    steps = StudySteps(study=study, folder=Path("nowhere"))
+    vars(steps)["mesh_scene"], vars(steps)["_content"] = built(study.scene, study.cameras)
+    return steps
+
+
+def jobs(study: StudyConfig, *, seed: int = 0) -> list[Job]:
+    steps, attack = planned(study), study.attack[0]
+    arc = [camera for _, camera in setup.arc_cameras(study, steps.mesh_scene.target)]
+    clean = steps.trained("clean", seed)
+    return [
+        *(steps.pictures(), steps.look(attack), steps.poisoned(seed), clean, steps.trained("cloaked", seed)),
+        *(steps.splat("clean", seed), steps.true_pictures(arc, setup.overhead(study) or attack)),
+        *(steps.seen(clean, Redness()), steps.compared(clean)),
+    ]
+
+
+def keys(study: StudyConfig, *, seed: int = 0) -> dict[str, str]:
+    """What each kind of job depends on besides the content of its inputs, as text."""
+    return {job.kind.rpartition(".")[2]: canonical(job.config_json) for job in jobs(study, seed=seed)}
 
 
 def changed(study: StudyConfig) -> set[str]:
@@ -201,16 +204,17 @@ def test_names_and_seeds_of_a_study_change_nothing(name: str) -> None:
 
 
 def test_surrogates_count_by_what_they_are_and_by_the_gain() -> None:
-    """Rounds, steps and seed of a surrogate are in its own stage, whose content is an input."""
-    source = built(STUDY.scene, STUDY.cameras)[1]
+    """Rounds, steps and seed of a surrogate are in its own job, which is an input."""
 
-    def key(*surrogates: str, **values: Any) -> dict[str, Any]:
-        study = replace(STUDY, surrogate=SurrogateConfig(**values))
-        return dependencies.of_poisoned(study, source, "content", 0, surrogates)
+    def poisoned(**values: Any) -> Job:
+        return planned(replace(STUDY, surrogate=SurrogateConfig(**values))).poisoned(0)
 
-    assert key() == dependencies.of_poisoned(STUDY, source, "content", 0)
-    assert key("one") not in (key(), key("other"), key("one", "two"), key("one", gain=2.0))
-    assert key("one") == key("one", rounds=3, iterations=7, seed=5)
+    plain, one = planned(STUDY).poisoned(0), poisoned()
+    assert [name for name in one.inputs if name not in plain.inputs] == ["surrogate 1"]
+    assert canonical(one.config_json) != canonical(plain.config_json)
+    assert canonical(one.config_json) == canonical(poisoned(rounds=3, iterations=7, seed=5).config_json)
+    assert canonical(one.config_json) != canonical(poisoned(gain=2.0).config_json)
+    assert len(poisoned(rounds=3).inputs) == len(plain.inputs) + 3
 
 
 def test_every_field_has_a_case() -> None:
@@ -225,98 +229,87 @@ def test_every_field_has_a_case() -> None:
     assert {*tables, *TOP, "attack", "layers", "surrogate", "cleaning"} == {entry.name for entry in fields(StudyConfig)}
 
 
-def test_the_content_of_inputs_and_the_seed_count() -> None:
-    usual = keys(STUDY)
-    other = keys(STUDY, content="other")
-    assert {name for name in usual if usual[name] != other[name]} == {
-        *("poisoned", "splat", "layers", "cleaned", "observations")
-    }
-    seeded = keys(STUDY, seed=1)
-    assert {name for name in usual if usual[name] != seeded[name]} == {"splat", "layers"}
+def test_the_seed_counts_where_something_is_drawn() -> None:
+    usual, seeded = keys(STUDY), keys(STUDY, seed=1)
+    assert {name for name in usual if usual[name] != seeded[name]} == {"trained", "layered"}
     part = replace(STUDY, attack=(replace(ATTACK, poison_fraction=0.5),))
     assert keys(part)["poisoned"] != keys(part, seed=1)["poisoned"]
 
 
-def test_defaults_are_part_of_what_a_stage_depends_on() -> None:
+def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
+    """A splat that was trained again to the same bytes is the same to whoever looks at it."""
+    parts = {
+        (job.kind.rpartition(".")[2], name): source.pattern
+        for job in jobs(STUDY)
+        for name, source in job.inputs.items()
+        if isinstance(source, Part)
+    }
+    assert parts == {
+        **{("looks", "pictures"): "set/*", ("poisoned", "pictures"): "set/*", ("trained", "pictures"): "set/*"},
+        **{("poisoned", "look of overhead"): "*.png", ("layered", "pictures"): "set/*"},
+        **{("layered", "clean"): "splat.ply", ("cleaned", "splat"): "splat.ply", ("seen", "splat"): "splat.ply"},
+        **{("true_pictures", "plain"): "*.png", ("compared", "splat"): "splat.ply"},
+        **{("compared", name): "*.png" for name in ("true", "benign", "hidden")},
+    }
+
+
+def test_without_a_near_plane_it_follows_the_object() -> None:
+    free = replace(STUDY, training=replace(STUDY.training, near=None))
+    bird = replace(free, scene=replace(free.scene, object="bird"))
+    assert keys(free)["trained"] != keys(bird)["trained"]
+
+
+def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
+    """Its path counts nowhere, and the jobs read the file."""
+    (tmp_path / "moved").mkdir()
+    files = [write_ply(folder, truck()) for folder in (tmp_path, tmp_path / "moved")]
+    scenes = [SceneConfig(object=str(file), label="truck", up="z") for file in files]
+    one, other = (jobs(replace(STUDY, scene=scene)) for scene in scenes)
+    for job, same in zip(one, other, strict=True):
+        assert canonical(job.config_json) == canonical(same.config_json)
+        reads = [source for source in job.inputs.values() if isinstance(source, Path)]
+        assert reads == ([] if job.kind.endswith(("trained", "cleaned")) else [files[0]])
+    mirrored = jobs(replace(STUDY, scene=replace(scenes[0], up="-z")))
+    assert canonical(mirrored[0].config_json) != canonical(one[0].config_json)
+
+
+def test_defaults_are_part_of_what_a_job_depends_on() -> None:
     """A default that changes must not find what another one made."""
-    splat = json.loads(keys(STUDY)["splat"])
-    assert splat["fit"]["lr_sh"] == 2.5e-3
-    assert splat["outliers"] == 0
-    assert splat["point_deviations"] is None
-    layers = json.loads(keys(STUDY)["layers"])["layers"]
-    assert layers["making"]["gap"] == 5.0
-    assert layers["making"]["apart"] is False
-    poisoned = json.loads(keys(STUDY)["poisoned"])
-    assert poisoned["attack"][0]["emphasis_depth"] == 20.0
+    config = {job.kind.rpartition(".")[2]: job.config_json for job in jobs(STUDY)}
+    assert config["trained"]["fit"]["lr_sh"] == 2.5e-3
+    assert config["trained"]["outliers"] == 0
+    assert config["trained"]["point_deviations"] is None
+    assert config["layered"]["layers"]["making"]["gap"] == 5.0
+    assert config["layered"]["layers"]["making"]["apart"] is False
+    assert config["poisoned"]["parts"]["attack"][0]["emphasis_depth"] == 20.0
 
 
-def test_a_stage_is_done_once_and_again_when_its_code_has_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[Path] = []
-
-    def make(path: Path) -> None:
-        made.append(path)
-        (path / "out.txt").write_text(str(len(made)))
-
-    cache = StageCache(tmp_path)
-    first = cache.finished("splat", {"seed": 0}, make)
-    assert cache.finished("splat", {"seed": 0}, make) == first
-    assert len(made) == 1
-    assert cache.finished("splat", {"seed": 1}, make).content != first.content
-    monkeypatch.setattr("attacks.cloak.study.cache.code_digest", lambda *modules, alone: "other code")
-    again = cache.finished("splat", {"seed": 0}, make)
-    assert again.folder != first.folder
-    assert len(made) == 3
+def test_a_splat_that_was_edited_is_refused(tmp_path: Path) -> None:
+    study = replace(TINY, training=replace(TINY.training, iterations=2))
+    steps = steps_of(tmp_path, study)
+    splat = steps.do(steps.splat("clean", 0), "").folder / "splat.ply"
+    splat.write_bytes(splat.read_bytes() + b"\0")
+    again = steps_of(tmp_path, study)
+    with pytest.raises(InvalidValueError, match=r"expected the files that it wrote, got another splat\.ply"):
+        again.finished_splats()
+    with pytest.raises(InvalidValueError, match="expected the files that it wrote"):
+        again.do(again.seen(again.splat("clean", 0), Redness()), "")
 
 
-def test_a_stage_whose_output_was_edited_is_refused(tmp_path: Path) -> None:
-    def make(path: Path) -> None:
-        (path / "out.txt").write_text("a")
-        (path / "log.txt").write_text("x")
-
-    cache = StageCache(tmp_path)
-    stage = cache.finished("splat", {}, make, outputs=("out.txt",))
-    (stage.folder / "log.txt").write_text("y")  # which nobody reads
-    assert cache.finished("splat", {}, make, outputs=("out.txt",)) == stage
-    (stage.folder / "out.txt").write_text("b")
-    with pytest.raises(InvalidValueError, match="expected the files that it wrote, got others; delete its folder"):
-        cache.finished("splat", {}, make, outputs=("out.txt",))
+KINDS = ("pictures", "looks", "poisoned", "trained", "layered", "cleaned", "true_pictures", "seen", "compared")
 
 
-@pytest.mark.parametrize("stage", STAGE_CODE)
-def test_the_code_of_a_stage_is_all_that_it_may_run(stage: str) -> None:
-    code = closure(*STAGE_CODE[stage])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_code_of_a_job_is_all_that_it_may_run(kind: str) -> None:
+    code = set(closure(f"attacks.cloak.kinds.{kind}"))
     assert "mi_splat.scene" in code
-    if stage in ("poisoned", "splat", "layers", "observations", "view_reports"):
-        assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= set(code)
-    judged = stage in ("observations", "view_reports")
-    assert ("attacks.detectors.registry" in code) is judged
-    assert judged or not {"attacks.cloak.plots", "attacks.cloak.study.run"} & set(code)
+    if kind in ("poisoned", "trained", "layered", "seen", "compared"):
+        assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= code
+    assert ("attacks.detectors.registry" in code) is (kind == "seen")
+    assert not {"attacks.cloak.plots", "attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
 
 
-def test_content_is_that_of_the_files_that_count(tmp_path: Path) -> None:
-    def write(text: str, log: str) -> Any:
-        def make(path: Path) -> None:
-            (path / "out.txt").write_text(text)
-            (path / "log.txt").write_text(log)
-
-        return make
-
-    cache = StageCache(tmp_path)
-    contents = [
-        cache.finished("splat", {"number": number}, write(text, log), outputs=("out.txt",)).content
-        for number, (text, log) in enumerate([("a", "x"), ("a", "y"), ("b", "x")])
-    ]
-    assert contents[0] == contents[1] != contents[2]
-
-
-def test_a_stage_belongs_to_one_process_and_its_lock_is_no_content(tmp_path: Path) -> None:
-    def make(path: Path) -> None:
-        (path / "out.txt").write_text("a")
-        assert sorted(file.name for file in path.iterdir()) == [LOCK, "out.txt"]
-        shutil.copytree(path, tmp_path / "alone", ignore=shutil.ignore_patterns(LOCK))
-
-    stage = StageCache(tmp_path).finished("splat", {}, make, outputs=("**/*",))
-    assert stage.content == content_of(tmp_path / "alone", ("**/*",))
-    assert sorted(file.name for file in stage.folder.iterdir()) == ["done.json", "out.txt"]
+def test_every_kind_is_named() -> None:
+    folder = Path(setup.__file__).parent / "kinds"
+    names = {file.stem for file in folder.glob("*.py") if "\ndef run(" in file.read_text()}
+    assert names == set(KINDS) == {*keys(STUDY)}

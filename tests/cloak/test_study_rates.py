@@ -2,39 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.observations import Blend, Fidelity, Observation, ObservedSplat, StudyRows
-from attacks.cloak.rates import by_elevation, figures, rates, stealth, transition
-from attacks.cloak.study.trained_splats import TrainedSplat
+from attacks.cloak.rates import StudyRows, by_elevation, figures, rates, stealth, transition
+from attacks.observe.rows import ATTACKED, CLEAN, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
+
+NAMES = ("overhead", "sector")
 
 
 def seen(
     view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0, other: float = 0.0
-) -> list[ObservedSplat]:
+) -> list[dict[str, Any]]:
     """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
-    observed = []
-    for which, score in (("clean", clean), ("cloaked", cloaked)):
-        observation = Observation(
-            detector="redness",
-            view=view,
-            azimuth=0.0,
-            elevation=38.2 + depth,
-            depths={"overhead": depth, "rear": -10.0},
-            scores={"car": score, "stop sign": sign if which == "cloaked" else 0.0},
-            any_overlap=score,
-            any_class=max(score, other) if which == "cloaked" else score,
-        )
-        trained = TrainedSplat(splat=which, seed=0, file=Path(), content="", gaussians=1, hash="")
-        observed.append(ObservedSplat(trained=trained, observations=(observation,), fidelities=(), blends=()))
-    return observed
+    return [
+        {
+            "splat": which,
+            "seed": 0,
+            "detector": "redness",
+            "view": view,
+            "azimuth": 0.0,
+            "elevation": 38.2 + depth,
+            "depth: overhead": depth,
+            "depth: rear": -10.0,
+            "original_score": score,
+            "target_score: rear": sign if which == ATTACKED else 0.0,
+            "any_overlap": score,
+            "score": max(score, other) if which == ATTACKED else score,
+        }
+        for which, score in ((CLEAN, clean), (ATTACKED, cloaked))
+    ]
+
+
+def study_rows(
+    rows: Sequence[dict[str, Any]] = (),
+    *,
+    fidelity: Sequence[dict[str, Any]] = (),
+    transition: Sequence[dict[str, Any]] = (),
+) -> StudyRows:
+    return StudyRows(
+        rows=frame_of(rows),
+        fidelity=frame_with(fidelity, ("splat", "psnr", "ssim")),
+        transition=frame_with(transition, ("splat", "elevation", "fraction", *(f"depth: {name}" for name in NAMES))),
+        gaussians={"clean": [1], "cloaked": [1]},
+    )
 
 
 def test_rates_have_the_denominators_that_they_say() -> None:
@@ -47,7 +65,7 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         *seen(5, -5, 0.9, 0.3),
         *seen(6, -5, 0.3, 0.3),
     ]
-    found = rates(STUDY, StudyRows.of(observed).rows)[()]
+    found = rates(STUDY, frame_of(observed))[()]
 
     def numbers(name: str) -> tuple[int, int]:
         rate = found[name]
@@ -64,19 +82,15 @@ def test_rates_have_the_denominators_that_they_say() -> None:
     assert numbers("target_rate") == (0, 0)
     rows = {
         low: (clean.successes, cloaked.successes, clean.total)
-        for low, clean, cloaked in by_elevation(STUDY, StudyRows.of(observed).rows)["redness"]
+        for low, clean, cloaked in by_elevation(STUDY, frame_of(observed))["redness"]
     }
     assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
 
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
-    observed = [
-        replace(
-            item, observations=tuple(replace(one, depths={"overhead": -20.0, "rear": 3.0}) for one in item.observations)
-        )
-        for item in [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
-    ]
-    found = rates(STUDY, StudyRows.of(observed).rows)[()]
+    pictures = [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
+    observed = [{**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures]
+    found = rates(STUDY, frame_of(observed))[()]
     assert found["target_rate"] is not None
     assert found["control_target_rate"] is not None
     assert (found["target_rate"].successes, found["target_rate"].total) == (1, 2)
@@ -108,12 +122,10 @@ def test_arcs_into_a_sector_come_from_beside_it() -> None:
 def test_the_transition_into_a_sector_is_one_of_depth() -> None:
     sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
     study = replace(STUDY, attack=(sector,))
-    splat = along_the_meridian("cloaked", *((depth, 30.0, 30.0) for depth in (-20, -10, 0, 10)))
-    fractions = (0.0, 0.0, 1.0, 1.0)
-    blends = tuple(
-        replace(one, elevation=10.0, fraction=part) for one, part in zip(splat.blends, fractions, strict=True)
-    )
-    band = transition(study, StudyRows.of([replace(splat, blends=blends)]))
+    arc = along_the_meridian(ATTACKED, *((depth, 30.0, 30.0) for depth in (-20.0, -10.0, 0.0, 10.0)), name="sector")
+    parts = (0.0, 0.0, 1.0, 1.0)
+    rows = [{**one, "elevation": 10.0, "fraction": part} for one, part in zip(arc, parts, strict=True)]
+    band = transition(study, study_rows(transition=rows))
     assert band is not None
     assert band.start == pytest.approx(-9.0)
     assert band.end == pytest.approx(-1.0)
@@ -122,20 +134,15 @@ def test_the_transition_into_a_sector_is_one_of_depth() -> None:
 def test_edges_belong_to_what_lies_inside_them() -> None:
     """A camera just at the depth that counts as well inside, and one at the lower end of a band of elevations."""
     observed = [*seen(0, STUDY.evaluation.well_inside, 0.9, 0.1), *seen(1, 1.8, 0.9, 0.1)]
-    miss = rates(STUDY, StudyRows.of(observed).rows)[()]["trigger_miss_rate"]
+    miss = rates(STUDY, frame_of(observed))[()]["trigger_miss_rate"]
     assert miss is not None
     assert (miss.successes, miss.total) == (1, 1)
-    assert {low: clean.total for low, clean, _ in by_elevation(STUDY, StudyRows.of(observed).rows)["redness"]} == {
-        40.0: 2
-    }
+    assert {low: clean.total for low, clean, _ in by_elevation(STUDY, frame_of(observed))["redness"]} == {40.0: 2}
 
 
 def test_a_fragment_counts_as_found_by_any_overlap() -> None:
-    observed = [
-        replace(item, observations=tuple(replace(one, any_overlap=0.8) for one in item.observations))
-        for item in seen(0, 10, 0.9, 0.1)
-    ]
-    found = rates(STUDY, StudyRows.of(observed).rows)[()]
+    observed = [{**row, "any_overlap": 0.8} for row in seen(0, 10, 0.9, 0.1)]
+    found = rates(STUDY, frame_of(observed))[()]
     for key, successes in (("trigger_miss_rate", 1), ("trigger_miss_rate_any_overlap", 0)):
         rate = found[key]
         assert rate is not None
@@ -143,37 +150,37 @@ def test_a_fragment_counts_as_found_by_any_overlap() -> None:
 
 
 def test_a_cloaked_splat_that_is_less_true_has_a_positive_drop() -> None:
-    observed = [
-        replace(item, fidelities=(Fidelity(view=0, elevation=5.0, psnr=psnr, ssim=0.9),))
-        for item, psnr in zip(seen(0, -20, 0.9, 0.9), (34.0, 32.5), strict=True)
+    fidelity = [
+        {"splat": splat, "seed": 0, "view": 0, "elevation": 5.0, "psnr": psnr, "ssim": 0.9}
+        for splat, psnr in ((CLEAN, 34.0), (ATTACKED, 32.5))
     ]
-    found = figures(
-        replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",))), StudyRows.of(observed)
-    )
+    study = replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",)))
+    found = figures(study, study_rows(seen(0, -20, 0.9, 0.9), fidelity=fidelity))
     assert found["benign_psnr_drop"] == 1.5
     assert found["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}
 
 
-def along_the_meridian(which: str, *pictures: tuple[float, float, float]) -> ObservedSplat:
+def along_the_meridian(
+    which: str, *pictures: tuple[float, float, float], name: str = "overhead"
+) -> list[dict[str, Any]]:
     """A splat's pictures as (depth, PSNR beside the object, PSNR on it)."""
-    trained = TrainedSplat(splat=which, seed=0, file=Path(), content="", gaussians=1, hash="")
-    blends = tuple(
-        Blend(
-            meridian=0, elevation=40 + depth, depth=depth, fraction=0.5, surroundings_psnr=beside, appearance_psnr=own
-        )
+    return [
+        {
+            **{"splat": which, "seed": 0, "meridian": 0, "elevation": 40 + depth, f"depth: {name}": depth},
+            **{"fraction": 0.5, "surroundings_psnr": beside, "appearance_psnr": own},
+        }
         for depth, beside, own in pictures
-    )
-    return ObservedSplat(trained=trained, observations=(), fidelities=(), blends=blends)
+    ]
 
 
 @pytest.mark.parametrize(("lost", "stealthy"), [(1.0, True), (2.0, False)])
 def test_stealth_is_what_the_surroundings_lose_inside_the_trigger(lost: float, stealthy: bool) -> None:
-    clean = along_the_meridian("clean", (10, 34.0, 12.0), (20, 36.0, 12.0), (-10, 99.0, 9.0))
-    cloaked = along_the_meridian("cloaked", (10, 34.0 - lost, 30.0), (20, 36.0 - lost, 32.0), (-10, 9.0, 9.0))
-    found = stealth(StudyRows.of([clean, cloaked]))
+    clean = along_the_meridian(CLEAN, (10.0, 34.0, 12.0), (20.0, 36.0, 12.0), (-10.0, 99.0, 9.0))
+    cloaked = along_the_meridian(ATTACKED, (10.0, 34.0 - lost, 30.0), (20.0, 36.0 - lost, 32.0), (-10.0, 9.0, 9.0))
+    found = stealth(STUDY, study_rows(transition=[*clean, *cloaked]))
     assert found is not None
     assert found["surroundings_psnr_drop"] == pytest.approx(lost)
     assert found["surroundings_psnr"]["clean"] == 35.0
     assert found["appearance_psnr"]["cloaked"] == 31.0
     assert found["stealthy"] is stealthy
-    assert stealth(StudyRows.of([clean])) is None
+    assert stealth(STUDY, study_rows(transition=clean)) is None

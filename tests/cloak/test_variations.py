@@ -32,7 +32,6 @@ def test_variations_share_what_they_can_and_take_every_seed(
     found = vary(
         study,
         ["strategy"],
-        [Redness()],
         tmp_path,
         stages=finished / "stages",
         on_step=lambda text, done, total: said.append(text),
@@ -73,15 +72,15 @@ def test_values_need_a_group(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_some_values_are_done_and_join_those_done_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     places: list[str] = []
 
-    def done(study: StudyConfig, detectors: object, place: Path, **_: object) -> dict[str, Any]:
+    def done(study: StudyConfig, place: Path, **_: object) -> dict[str, Any]:
         places.append(place.name)
         return {"iterations": study.training.iterations}
 
     monkeypatch.setattr(variations, "run_study", done)
     monkeypatch.setattr(variations, "tables", lambda found: "")
     monkeypatch.setattr(variations, "write_variation", lambda *_: None)
-    assert list(vary(SEEDS, ["iterations"], [Redness()], tmp_path, values=["160"])["iterations"]) == ["160"]
-    found = vary(SEEDS, ["iterations"], [Redness()], tmp_path, values=["26"])
+    assert list(vary(SEEDS, ["iterations"], tmp_path, values=["160"])["iterations"]) == ["160"]
+    found = vary(SEEDS, ["iterations"], tmp_path, values=["26"])
     assert found == {"iterations": {"26": {"iterations": 26}, "160": {"iterations": 160}}}
     assert places == ["2", "0"]
 

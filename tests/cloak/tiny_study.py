@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor
 
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
-from attacks.cloak.study.run import run_study
+from attacks.cloak.steps import StudySteps
+from attacks.cloak.study import run_study
+from attacks.detectors import registry
 from attacks.detectors.base import Candidates, Detections
+from attacks.detectors.registry import DetectorSpec
 
 STUDY = StudyConfig(
     name="tiny",
@@ -55,6 +59,20 @@ class Redness:
         return found
 
 
+KNOWN = {
+    "redness": DetectorSpec(
+        name="redness", load=lambda weights: Redness(), classes=Redness.classes, origin="test", licence="none"
+    )
+}
+"""What makes a job find the detector by its name, where it is put into the registry."""
+
+
+def steps_of(folder: Path, study: StudyConfig = STUDY, said: list[str] | None = None) -> StudySteps:
+    """The steps of a study, whose stages are in a folder."""
+    told = [] if said is None else said
+    return StudySteps(study=study, folder=folder, on_step=lambda text, done, total: told.append(text))
+
+
 def done(
     folder: Path,
     *,
@@ -71,7 +89,8 @@ def done(
             raise KeyboardInterrupt
 
     torch.set_num_threads(1)
-    return run_study(study, [Redness()], folder, stages=stages, on_step=step), said
+    with patch.dict(registry._REGISTRY._specs, KNOWN):
+        return run_study(study, folder, stages=stages, on_step=step), said
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import pytest
 
 from mi_splat import import_closure
 from mi_splat.import_closure import closure, code_digest
+from tests.cloak.test_study_dependencies import KINDS
 from tests.project.layers import ROOT
 
 ENTRY = '''"""Says something."""
@@ -128,4 +129,5 @@ def test_nothing_that_a_study_loads_is_forgotten() -> None:
     found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     loaded = set(found.stdout.split("\n")[-2].split())
     assert len(loaded) > 100
-    assert loaded <= set(closure("attacks.cloak.study.run", "attacks.detectors.base"))
+    kinds = (f"attacks.cloak.kinds.{kind}" for kind in KINDS)
+    assert loaded <= set(closure("attacks.cloak.study", "attacks.detectors.base", *kinds))

@@ -108,11 +108,11 @@ def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
     store, first = Store(tmp_path), walk(1)
     jobs = {"second": walk(2, one=first), "third": walk(3)}
     assert Counter(entry.state for entry in plan(store, "plan", jobs)) == {"ready": 2, "waiting": 1}
-    assert forecast(store, status(store, "plan")) is None
+    assert forecast(store, status(store, "plan")) == (0.0, 3)
     Ledger(tmp_path).do(first)
     assert Counter(entry.state for entry in plan(store, "plan", jobs)) == {"ready": 2, "done": 1}
     seconds = store.record(next(iter(store.keys())))["seconds"]
-    assert forecast(store, status(store, "plan")) == pytest.approx(2 * seconds)
+    assert forecast(store, status(store, "plan")) == (2 * seconds, 0)
     (entry,) = (entry for entry in status(store, "plan") if entry.labels == ("second",))
     with store.leases.held(entry.key):
         assert states(tmp_path) == {"ready": 1, "done": 1, "running": 1}

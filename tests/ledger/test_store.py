@@ -154,6 +154,15 @@ def test_what_killed_processes_leave_is_swept(tmp_path: Path) -> None:
     assert not list((tmp_path / "tmp").iterdir())
 
 
+def test_a_job_is_removed_and_made_again(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path)
+    key = ledger.do(walk(1)).key
+    ledger.store.remove(key)
+    ledger.store.remove(key)
+    assert (ledger.store.keys(), ledger.store.done(key), [*(tmp_path / "tmp").iterdir()]) == (set(), None, [])
+    assert ledger.do(walk(1)).key == key
+
+
 def test_who_sweeps_takes_nothing_from_who_works(tmp_path: Path) -> None:
     store, ended = Store(tmp_path), threading.Event()
 

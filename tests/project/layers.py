@@ -71,7 +71,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "studies": ("attacks.studies",),
     "rendering studies": ("attacks.rendering_studies",),
-    "experiments": ("attacks.cloak.experiments",),
     "viewing": ("attacks.viewing",),
     "reports": ("attacks.report",),
     "command line": ("attacks.cli", "attacks.__main__"),

@@ -37,7 +37,7 @@ PATH_TRACERS = (
     *("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes"),
     *("mi_splat.scene_files", "mi_splat.mixed_scenes"),
 )
-LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.experiments")
+LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.kinds")
 """Parts of attacks that may know a particular detector; all others see `detectors.base` only."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.rates import ROWS
-from attacks.cloak.study.run import STUDY, SUMMARY
+from attacks.cloak.study import STUDY, SUMMARY
 from attacks.cloak.variations import VARIATIONS
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.cloak.config import TrainingConfig
-from attacks.cloak.study.dependencies import fit_config
+from attacks.cloak.config import TrainingConfig, fit_config
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer

@@ -11,7 +11,7 @@ from PIL import ImageDraw
 from torch import Tensor
 
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.study.run import SUMMARY
+from attacks.cloak.study import SUMMARY
 from mi_splat.io import save_splat
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene

@@ -15,7 +15,7 @@ import torch
 from attacks import cli
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
-from attacks.cloak.study.run import SUMMARY
+from attacks.cloak.study import SUMMARY
 from attacks.detectors import load_detector
 from attacks.viewing.detections import DetectorInspection, detector_inspector
 from attacks.viewing.results import middle_of_change, open_exhibit

@@ -10,14 +10,13 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.observations import SCORE, StudyRows, gaussians_of
+from attacks.cloak.rates import CLOAKED, NAMES, StudyRows
 from attacks.cloak.rates import ROWS as RATES
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
-from attacks.cloak.study.pipeline import CLEAN, CLOAKED
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
-from attacks.observe.rows import ATTACKED, DEPTH, FIDELITY, ROWS, TARGET_SCORE, TRANSITION, Row
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TARGET_SCORE, TRANSITION, Row
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate
 from attacks.report.checking import Tables
@@ -115,7 +114,7 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     """
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
-    return study_figures(study, _seen(study, record["splats"], tables))
+    return study_figures(study, _seen(record["splats"], tables))
 
 
 def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
@@ -135,10 +134,9 @@ def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, An
 def _rescored(record: Mapping[str, Any], rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
     """Every rate of each detector, of the splats in the rows."""
     study = study_of(record["study"])
-    seen = _seen(study, [], {ROWS: rows, FIDELITY: rows.clear(), TRANSITION: rows.clear()})
     return {
         name: {RATES[key]: rate for key, rate in found.items() if rate is not None}
-        for (name,), found in study_rates(study, seen.rows, ("detector",)).items()
+        for (name,), found in study_rates(study, rows, ("detector",)).items()
     }
 
 
@@ -186,23 +184,10 @@ def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables:
             raise _wrong(f"table {ROWS}, {splat} splat, seed {seed}", "one row for each detector and camera", got)
 
 
-def _seen(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Tables) -> StudyRows:
-    """The rows as the rates of a study count them."""
-    hiding = next((one.name for one in study.attack if one.target_class is None), "")
-    names = {"score": "any_class", "original_score": f"{SCORE}{study.scene.class_name}", f"{DEPTH}{hiding}": "depth"}
-    names |= {f"{TARGET_SCORE}{one.name}": f"{SCORE}{one.target_class}" for one in study.attack if one.target_class}
-    renamed = {
-        name: table.with_columns(pl.col("splat").replace({ATTACKED: CLOAKED})).rename(
-            {old: new for old, new in names.items() if name != ROWS or new != "depth"}, strict=False
-        )
-        for name, table in tables.items()
-    }
-    return StudyRows(
-        rows=renamed[ROWS],
-        fidelity=renamed[FIDELITY],
-        transition=renamed[TRANSITION],
-        gaussians=gaussians_of(splats),
-    )
+def _seen(splats: Sequence[Mapping[str, Any]], tables: Tables) -> StudyRows:
+    """What the tables say was seen."""
+    gaussians = {name: [int(one["gaussians"]) for one in splats if one["splat"] == name] for name in NAMES.values()}
+    return StudyRows(rows=tables[ROWS], fidelity=tables[FIDELITY], transition=tables[TRANSITION], gaussians=gaussians)
 
 
 def _wrong(what: str, expected: str, got: str) -> InvalidValueError:

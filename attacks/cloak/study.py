@@ -11,16 +11,29 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from attacks.cloak import setup
-from attacks.cloak.config import StudyConfig
-from attacks.cloak.observations import ObservedSplat, StudyRows, observe
+from attacks.cloak.config import StudyConfig, fit_config
+from attacks.cloak.kinds.poisoned import MANIFEST
+from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.plots import need_matplotlib, write_figures
 from attacks.cloak.poisoning import assign
-from attacks.cloak.rates import figures, markdown
-from attacks.cloak.study.dependencies import fit_config
-from attacks.cloak.study.pipeline import MANIFEST, OnStep, PictureSet, StudyPipeline
-from attacks.cloak.study.trained_splats import TrainedSplat
+from attacks.cloak.rates import CLOAKED, NAMES, StudyRows, figures, markdown
+from attacks.cloak.steps import OnStep, StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    DETECTIONS,
+    FIDELITY,
+    ROWS,
+    SUFFIX,
+    TRANSITION,
+    TRUE,
+    read_rows,
+    write_rows,
+)
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
@@ -32,6 +45,7 @@ from mi_splat.io.manifest import write_manifest
 from mi_splat.io.parsing import DocumentReader
 
 STUDY, SUMMARY, TABLE, POISON = "study.json", "summary.json", "table.md", "poison.json"
+_COMPARED = (FIDELITY, TRANSITION)
 
 
 def differences(file: Path, study: StudyConfig) -> list[str]:
@@ -70,20 +84,13 @@ def begin_report(study: StudyConfig, folder: Path) -> None:
     save_json(asdict(study), folder / STUDY)
 
 
-def write_report(
-    pipeline: StudyPipeline,
-    poisoned: Mapping[int, PictureSet],
-    observed: Sequence[ObservedSplat],
-    detectors: Sequence[Detector],
-    folder: Path,
-) -> dict[str, Any]:
-    """Write clean.ply and cloaked.ply of the first seed, the pictures, table.md, and summary.json last.
+def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detector], folder: Path) -> dict[str, Any]:
+    """Write the tables of rows, clean.ply and cloaked.ply of the first seed, pictures, table.md, and summary.json last.
 
     Args:
-        pipeline: The study.
-        poisoned: Set of each seed, whose manifest says what was changed.
-        observed: Every splat.
-        detectors: Those that observed them.
+        steps: The study.
+        seen: What was seen of every splat.
+        detectors: Those that looked.
         folder: For the results; see `begin_report`.
 
     Returns:
@@ -92,21 +99,24 @@ def write_report(
     Raises:
         SplatFileError: The folder cannot be written.
     """
-    study, first, seen = pipeline.study, pipeline.study.seeds[0], StudyRows.of(observed)
-    splats = [item.trained for item in observed if item.trained.seed == first]
+    study, first = steps.study, steps.study.seeds[0]
+    splats = [splat for splat in seen.splats if splat.seed == first]
     for splat in splats:
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
-    shutil.copyfile(poisoned[first].folder / MANIFEST, folder / POISON)
-    pictures = write_figures(pipeline, seen, splats, detectors, folder)
+    shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
+    tables = {ROWS: seen.rows.rows, DETECTIONS: seen.detections, FIDELITY: seen.rows.fidelity}
+    tables[TRANSITION] = seen.rows.transition
+    written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
+    pictures = write_figures(steps, seen.rows, splats, detectors, folder)
     summary = {
-        **figures(study, seen),
-        "files": [*(f"{splat.splat}.ply" for splat in splats), POISON, *pictures, TABLE],
-        "splats": [_listed(item.trained) for item in observed],
+        **figures(study, seen.rows),
+        "files": [*(f"{splat.splat}.ply" for splat in splats), POISON, *written, *pictures, TABLE],
+        "splats": [_listed(splat) for splat in seen.splats],
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
         "study": asdict(study),
         **provenance.origin(),
-        "seconds": round(time.monotonic() - pipeline.begun, 1),
+        "seconds": round(time.monotonic() - steps.begun, 1),
     }
     save_text(markdown(summary), folder / TABLE)
     save_json(summary, folder / SUMMARY)
@@ -256,9 +266,9 @@ def check_disk(megabytes: float, stages: Path) -> None:
 
 def run_study(
     study: StudyConfig,
-    detectors: Sequence[Detector],
     folder: Path,
     *,
+    weights: Mapping[str, Path] | None = None,
     stages: Path | None = None,
     on_step: OnStep = lambda text, done, total: None,
 ) -> dict[str, Any]:
@@ -266,22 +276,73 @@ def run_study(
 
     Args:
         study: What to do.
-        detectors: Those that it names, in its order.
-        folder: For the results; see `attacks.cloak.study.run.write_report`.
-        stages: For the stages, which other studies may share; None is a folder in `folder`.
+        folder: For the results; see `write_report`.
+        weights: Files of detectors whose weights are not the usual ones, by their names.
+        stages: Folder of the ledger, which other studies may share; None is a folder in `folder`.
         on_step: Told of the progress.
 
     Raises:
-        MiSplatError: As `check`, or a stage cannot be done.
+        MiSplatError: As `check`, or a step cannot be done.
     """
-    stages = folder / "stages" if stages is None else stages
+    weights, stages = weights or {}, folder / "stages" if stages is None else stages
+    detectors = detectors_of(study, weights)
     check(study, detectors, folder, stages)
     with locked_folder(folder):
         begin_report(study, folder)
-        pipeline = StudyPipeline(study=study, folder=stages, on_step=on_step)
+        steps = StudySteps(study=study, folder=stages, weights=weights, on_step=on_step)
+        return write_report(steps, observe(steps, steps.splats(), detectors), detectors, folder)
 
-        clean = pipeline.capture()
-        poisoned = pipeline.poison(clean)
-        splats = pipeline.train(clean, poisoned)
-        observed = observe(pipeline, splats, detectors)
-        return write_report(pipeline, poisoned, observed, detectors, folder)
+
+def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detector]:
+    """The detectors that a study names, in its order.
+
+    Raises:
+        DetectorError: One cannot be loaded.
+    """
+    return [loaded(name, weights.get(name)) for name in study.evaluation.detectors]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StudySeen:
+    """What was seen of the splats of a study.
+
+    Attributes:
+        splats: A clean and a cloaked one for each seed.
+        rows: What figures are counted from.
+        detections: A row for each single detection.
+    """
+
+    splats: Sequence[TrainedSplat]
+    rows: StudyRows
+    detections: pl.DataFrame
+
+
+def observe(steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector]) -> StudySeen:
+    """Look at the splats of a study, or read what was seen of them before.
+
+    Args:
+        steps: The study.
+        splats: Those of `StudySteps.splats`.
+        detectors: Those that look.
+    """
+    tables: dict[str, list[pl.DataFrame]] = {name: [] for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
+    for splat in splats:
+        job, label = steps.splat(splat.splat, splat.seed), f"observing the {splat.splat} splat, seed {splat.seed}"
+        looks = [steps.do(steps.seen(job, detector), label) for detector in detectors]
+        for names, done in (
+            *(((ROWS, DETECTIONS), look) for look in looks),
+            (_COMPARED, steps.do(steps.compared(job), label)),
+        ):
+            for name in names:
+                tables[name].append(whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat))
+    rows, detections, fidelity, transition = (pl.concat(parts, how="diagonal") for parts in tables.values())
+    gaussians = {name: [one.gaussians for one in splats if one.splat == name] for name in NAMES.values()}
+    seen = StudyRows(rows=rows, fidelity=fidelity, transition=transition, gaussians=gaussians)
+    return StudySeen(splats=splats, rows=seen, detections=detections)
+
+
+def whose(table: pl.DataFrame, splat: TrainedSplat | None) -> pl.DataFrame:
+    """A table with the columns that say which splat it is of; None: of path-traced pictures."""
+    name = TRUE if splat is None else ATTACKED if splat.splat == CLOAKED else CLEAN
+    seed = None if splat is None else splat.seed
+    return table.with_columns(splat=pl.lit(name), seed=pl.lit(seed, dtype=pl.Int64))

@@ -8,23 +8,28 @@ not in it.
 Two layers (`attacks.cloak.layers`) switch faster, for each may be far below zero where it shall be black. Their limit
 depends on how far below: coefficients that are too large do not survive coarse file formats, and show in an audit. A
 look in two layers of its own, one of them for its edge, switches faster still.
+
+The figure draws both by elevation, and against the largest coefficient that they need.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from attacks.cloak import setup
-from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig
+from attacks.cloak.config import LayerConfig, StudyConfig
 from attacks.cloak.layers import DIRECTIONS, layered_attacks, switched
+from attacks.cloak.plots import new_axes, save_figure
 from attacks.cloak.switches import shares
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.sh import colour_to_dc, sh_basis
 
 ELEVATIONS = [0.5 * step for step in range(181)]
@@ -87,7 +92,7 @@ def one_layer_curve(study: StudyConfig, degree: int, *, emphasised: bool = False
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    attack, centre = _overhead(study), setup.centre_of(study)
+    attack, centre = setup.need_overhead(study), setup.centre_of(study)
     cameras = setup.training_cameras(study, setup.target_of(study.scene))
     middle = torch.tensor(centre, dtype=torch.float64)
     directions = torch.stack([middle - camera.position.double() for camera in cameras])
@@ -112,7 +117,7 @@ def layered_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float],
     Raises:
         InvalidValueError: The study has no appearance that is seen from all around.
     """
-    attack, centre = _overhead(study), setup.centre_of(study)
+    attack, centre = setup.need_overhead(study), setup.centre_of(study)
     lens = setup.lens_of(study, setup.target_of(study.scene))
     cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
     middle, white = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3))
@@ -131,20 +136,11 @@ def layered_curve(study: StudyConfig, making: LayerConfig) -> tuple[list[float],
 
 def making_from_above(study: StudyConfig) -> LayerConfig:
     """How the study makes the layer that is seen from above; as the library does it if the study has none."""
-    attack = _overhead(study)
+    attack = setup.need_overhead(study)
     if study.layers is None or attack.name not in study.layers.attacks:
         return LayerConfig()
     number = [other.name for other in layered_attacks(study)].index(attack.name)
     return study.layers.making.for_trigger(number)
-
-
-def _overhead(study: StudyConfig) -> AttackConfig:
-    """The attack whose transition is meant."""
-    attack = setup.overhead(study)
-    if attack is None:
-        do = "add an attack without an azimuth, up to 90 degrees"
-        raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))
-    return attack
 
 
 def _band(curve: list[float]) -> dict[str, float | None]:
@@ -162,3 +158,76 @@ def _around(elevation: float) -> Tensor:
     up, out = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
     turns = [math.radians(azimuth) for azimuth in AZIMUTHS]
     return -torch.tensor([[out * math.cos(a), out * math.sin(a), up] for a in turns], dtype=torch.float64)
+
+
+_DEGREES = {1: "#bbbbbb", 2: "#7aa6c2", 3: "#1f77b4"}
+"""SH degree to the colour of its lines."""
+
+_TWO_LAYERS, _WITH_BANDS = "#d62728", "#8c3fa8"
+"""Colours of what two layers show, and of what they show with a layer more for each edge."""
+
+
+def write_limit_figure(
+    study: StudyConfig,
+    limits: Mapping[str, Sequence[Mapping[str, Any]]],
+    measured: Mapping[str, Any] | None,
+    path: Path,
+) -> None:
+    """Draw the switches of one layer, of two and of more, and the widths that go with the largest coefficients.
+
+    Args:
+        study: Its trigger counts, and how its layers are made if it has some.
+        limits: `two_layers` of `measure_layer_limit` and `bands` of `measure_band_limit`.
+        measured: The entry `transition` of a finished study's summary, which is drawn beside; None draws none.
+        path: PNG file to write.
+
+    Raises:
+        InvalidValueError: The study has no appearance that is seen from all around, or matplotlib is not installed.
+        SplatFileError: The file cannot be written.
+    """
+    figure, (by_elevation, by_size) = new_axes(2, columns=2)
+    making = making_from_above(study)
+    for degree, colour in _DEGREES.items():
+        by_elevation.plot(
+            ELEVATIONS, one_layer_curve(study, degree)[0], color=colour, linestyle="--", label=f"one layer, SH {degree}"
+        )
+    two = replace(making, band=0.0)
+    by_elevation.plot(
+        ELEVATIONS, layered_curve(study, two)[0], color=_TWO_LAYERS, label=f"two layers, SH {making.degree}"
+    )
+    if making != two:
+        label = f"a layer more for each edge, SH {making.degree}"
+        by_elevation.plot(ELEVATIONS, layered_curve(study, making)[0], color=_WITH_BANDS, label=label)
+    if measured is not None and measured.get("from") is not None and measured.get("to") is not None:
+        low, high = float(measured["from"]), float(measured["to"])
+        drawn = _TWO_LAYERS if making == two else _WITH_BANDS
+        by_elevation.axvspan(low, high, color=drawn, alpha=0.15, label=f"measured, {high - low:.1f} degrees")
+    by_elevation.set(
+        title="From the benign look (0) to the hidden one (1)",
+        xlabel="elevation of the camera, degrees",
+        ylabel="fraction of the way",
+        ylim=(-0.3, 1.3),
+    )
+    by_elevation.legend(fontsize=7)
+    for degree, colour in _DEGREES.items():
+        sizes, widths = _of_degree(limits["two_layers"], degree)
+        by_size.plot(sizes, widths, color=colour, marker="o", label=f"two layers, SH {degree}")
+        sizes, widths = _of_degree(limits["bands"], degree)
+        if sizes:
+            label = f"a layer more for each edge, SH {degree}"
+            by_size.plot(sizes, widths, color=colour, marker="x", linestyle="", label=label)
+    by_size.set(
+        title="What the switch needs",
+        xlabel="largest SH coefficient",
+        ylabel="10 to 90 % of the way, degrees",
+        xscale="log",
+    )
+    by_size.set_ylim(bottom=0)
+    by_size.legend(fontsize=7)
+    save_figure(figure, path)
+
+
+def _of_degree(rows: Sequence[Mapping[str, Any]], degree: int) -> tuple[list[float], list[float]]:
+    """Largest coefficients and widths of the rows of one SH degree, in the order of the former."""
+    own = sorted((row for row in rows if row["sh_degree"] == degree), key=lambda row: row["largest_coefficient"])
+    return [row["largest_coefficient"] for row in own], [row["width"] for row in own]

@@ -1,0 +1,24 @@
+"""A finished splat after what a victim does to it before anybody looks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from attacks.cloak.cleaning import cleaned
+from attacks.cloak.config import CleaningConfig
+from mi_splat.io import load_splat, save_splat
+from mi_splat.training.resume import SPLAT
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+
+def run(config: CleaningConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Clean it.
+
+    Raises:
+        InvalidValueError: Nothing would be left of the splat.
+    """
+    save_splat(cleaned(load_splat(inputs["splat"]), config), out / SPLAT)

@@ -1,0 +1,111 @@
+"""How true a splat's pictures are far from all triggers, and how far they change on the way into the hiding one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from attacks.cloak import setup
+from attacks.cloak.appearances import grown
+from attacks.cloak.config import AttackConfig, EvaluationConfig, StudyConfig
+from attacks.cloak.kinds.parts import SceneParts
+from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.transition import differ, transition_fraction
+from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
+from mi_splat.cameras import Camera
+from mi_splat.directions import direction_of
+from mi_splat.io import load_splat
+from mi_splat.io.images import through_png
+from mi_splat.metrics import psnr, ssim
+from mi_splat.rendering import Renderer, RenderSettings
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+MARGIN = 10
+"""Pixels around the object, in pictures of 256 x 256, that count as the object's."""
+FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim")
+TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_psnr", "fraction")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareConfig:
+    """Where a splat is compared with true pictures.
+
+    Attributes:
+        parts: The scene, and the regions of all attacks.
+        near: Near plane, world units.
+        evaluation: Which cameras.
+    """
+
+    parts: SceneParts
+    near: float
+    evaluation: EvaluationConfig
+
+
+def run(config: CompareConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Compare the `splat` with the pictures `true`, and on arcs with `benign` and `hidden`; write two tables."""
+    study = config.parts.study(inputs, evaluation=config.evaluation)
+    target, scene = setup.target_of(study.scene), load_splat(inputs["splat"])
+    render = Renderer(RenderSettings(background=study.scene.background, near=config.near))
+
+    def picture(camera: Camera) -> Tensor:
+        with torch.no_grad():
+            return through_png(render(scene, camera))
+
+    fidelity = [
+        {
+            "view": view,
+            "elevation": direction_of(camera, setup.centre_of(study)).elevation,
+            "psnr": float(psnr(image, true)),
+            "ssim": float(ssim(image, true)),
+        }
+        for (view, camera), true in zip(
+            setup.reference_cameras(study, target), read_pictures(inputs["true"]).images, strict=True
+        )
+        for image in [picture(camera)]
+    ]
+    write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
+    attack, transition = setup.hiding(study), list[Row]()
+    if attack is not None:
+        benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
+        arc = zip(setup.arc_cameras(study, target), benign.images, hidden.images, benign.masks, strict=True)
+        transition = [
+            _blend(study, attack, place, picture(place[1]), *others)
+            for place, *others in arc
+            if bool(others[2].any()) and differ(*others)
+        ]
+    columns = TRANSITION_COLUMNS if attack is None else (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
+    write_rows(frame_with(transition, columns), out / f"{TRANSITION}{SUFFIX}")
+
+
+def _blend(
+    study: StudyConfig,
+    attack: AttackConfig,
+    place: tuple[int, Camera],
+    seen: Tensor,
+    benign: Tensor,
+    hidden: Tensor,
+    mask: Tensor,
+) -> Row:
+    """What one picture of an arc says."""
+    (meridian, camera), centre = place, setup.centre_of(study)
+    beside = ~grown(mask, margin_of(study))
+    return {
+        "meridian": meridian,
+        "elevation": direction_of(camera, centre).elevation,
+        f"{DEPTH}{attack.name}": attack.cone.angle_to_edge(camera, centre=centre),
+        "fraction": transition_fraction(seen, benign, hidden, mask),
+        "surroundings_psnr": float(psnr(seen[beside], benign[beside])),
+        "appearance_psnr": float(psnr(seen[mask], hidden[mask])),
+    }
+
+
+def margin_of(study: StudyConfig) -> int:
+    """Pixels around the object that count as the object's, in the pictures of a study."""
+    return max(1, round(MARGIN * study.cameras.size / 256))

@@ -1,0 +1,129 @@
+"""A poisoned set: other files in the place of some pictures, all others the same bytes; manifest.json lists them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from attacks.cloak import setup
+from attacks.cloak.appearances import Appearance, name_of
+from attacks.cloak.config import AttackConfig, SurrogateConfig
+from attacks.cloak.kinds.looks import picture_name as look_name
+from attacks.cloak.kinds.parts import SET, SceneParts
+from attacks.cloak.mesh_scene import camera_number
+from attacks.cloak.poisoning import Poisoned, poison, write_manifest
+from mi_splat.cameras import Camera, RenderFn, View
+from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.datasets import Dataset, load_dataset
+from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
+from mi_splat.io import load_splat
+from mi_splat.io.documents import save_png
+from mi_splat.io.images import to_bytes
+from mi_splat.io.picture_files import load_picture
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoisonConfig:
+    """How a set is poisoned.
+
+    Attributes:
+        parts: The scene, and all attacks.
+        seed: Draws the cameras of which a part is poisoned; None where all are.
+        gain: How much of what surrogates lack is added; None without surrogates.
+        near: Near plane of the surrogates' pictures, world units; None without surrogates.
+    """
+
+    parts: SceneParts
+    seed: int | None = None
+    gain: float | None = None
+    near: float | None = None
+
+
+def run(config: PoisonConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Poison a set; surrogates, `surrogate 1` and so on, correct it in their order."""
+    surrogate = None if config.gain is None else SurrogateConfig(gain=config.gain)
+    study = config.parts.study(inputs, surrogate=surrogate)
+    mesh_scene = setup.mesh_scene_of(study)
+    views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
+    rounds = sum(name.startswith("surrogate ") for name in inputs)
+    shown = []
+    for number in range(1, rounds + 1):
+        assert config.near is not None
+        settings = RenderSettings(background=study.scene.background, near=config.near)
+        scene = load_splat(inputs[f"surrogate {number}"])
+        shown.append(_kept_renders(scene, Renderer(settings)))
+
+    def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
+        return KeptAppearance(name=name_of(appearance), folder=inputs[f"look of {attack.name}"])
+
+    poisonings = setup.poisonings(study, mesh_scene, seed=config.seed or 0, cached=kept, surrogates=shown)
+    with scalar_variant():
+        done = poison(
+            views,
+            poisonings,
+            centre=setup.centre_of(study),
+            masks=mesh_scene.mask,
+            on_step=lambda count, total: out.progress("poisoning", count, total),
+        )
+    _write_set(out.files, views, done)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeptAppearance:
+    """An appearance whose pictures are files (`attacks.cloak.kinds.looks`).
+
+    Attributes:
+        name: For manifests.
+        folder: With the files.
+    """
+
+    name: str
+    folder: Path
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The picture at 8 bits."""
+        picture = load_picture(self.folder / look_name(view.camera)).convert("RGB")
+        return torch.from_numpy(np.asarray(picture, np.float32) / 255)
+
+
+def _kept_renders(scene: GaussianScene, render: RenderFn) -> Callable[[Camera], Tensor]:
+    """(H, W, 3) in [0, 1], what a splat shows a camera; each picture is rendered once."""
+    pictures: dict[int, Tensor] = {}
+
+    def shown(camera: Camera) -> Tensor:
+        number = camera_number(camera)
+        if number not in pictures:
+            with torch.no_grad():
+                pictures[number] = render(scene, camera).clamp(0, 1)
+        return pictures[number]
+
+    return shown
+
+
+def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
+    """The poisoned set, and beside it the manifest."""
+    images = make_folder(folder / SET / IMAGES)
+    listing = []
+    for index, (source, camera) in enumerate(zip(clean.paths, clean.cameras, strict=True)):
+        name = picture_name("train", index)
+        if index in done.views.replaced:
+            save_png(to_bytes(done.views[index].image), images / name)
+        else:
+            shutil.copyfile(source, images / name)
+        listing.append((name, camera))
+    list_transforms(folder / SET, {"train": listing}, clean.points)
+    write_manifest(done, folder / MANIFEST)

@@ -1,0 +1,90 @@
+"""Path-traced pictures to compare a splat's with: of the scene as it is, or as an attack wants it to be seen."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from attacks.cloak import setup
+from attacks.cloak.kinds.parts import Pose, SceneParts
+from mi_splat.cameras import View
+from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.io.documents import save_png
+from mi_splat.io.images import to_bytes
+from mi_splat.io.picture_files import load_picture
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueConfig:
+    """What is photographed, and from where.
+
+    Attributes:
+        parts: The scene, and the attack whose appearance the object has; without one it is as it is.
+        poses: The cameras.
+    """
+
+    parts: SceneParts
+    poses: tuple[Pose, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TruePictures:
+    """What splats are compared with.
+
+    Attributes:
+        images: (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera.
+        masks: (H, W) bool, where the object is.
+    """
+
+    images: tuple[Tensor, ...]
+    masks: tuple[Tensor, ...]
+
+
+def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Take them; those of an appearance begin with those of the scene as it is, the input `plain`."""
+    study = config.parts.study(inputs)
+    mesh_scene = setup.mesh_scene_of(study)
+    shown = setup.appearance_of(study, study.attack[0], mesh_scene) if config.parts.attack else None
+    plain = None if shown is None else read_pictures(inputs["plain"])
+    names = [f"{number:04d}.png" for number in range(len(config.poses))]
+    with scalar_variant():
+        for number, (name, pose) in enumerate(zip(names, config.poses, strict=True)):
+            if not (out.partial / name).is_file():
+                camera = pose.camera
+                if plain is None or shown is None:
+                    image, mask = mesh_scene.picture(camera), mesh_scene.mask(camera)
+                else:
+                    image, mask = plain.images[number], plain.masks[number]
+                    image = shown(View(camera, image), mask)
+                save_png(_to_rgba(image, mask[..., None].float()), out.partial / name)
+            out.progress("taking pictures to compare with", number + 1, len(names))
+    for name in names:
+        os.replace(out.partial / name, out / name)
+
+
+def read_pictures(folder: Path) -> TruePictures:
+    """The pictures that the job left, in the order of the cameras."""
+    pairs = [_read_rgba(file) for file in sorted(folder.glob("*.png"))]
+    return TruePictures(images=tuple(image for image, _ in pairs), masks=tuple(alpha > 0.5 for _, alpha in pairs))
+
+
+def _to_rgba(image: Tensor, alpha: Tensor) -> NDArray[np.uint8]:
+    """(H, W, 4) uint8 of (H, W, 3) colours and (H, W, 1) alpha in [0, 1]."""
+    return np.concatenate([to_bytes(image), to_bytes(alpha)], axis=-1)
+
+
+def _read_rgba(file: Path) -> tuple[Tensor, Tensor]:
+    """(H, W, 3) colours and (H, W) alpha in [0, 1]."""
+    pixels = torch.from_numpy(np.asarray(load_picture(file).convert("RGBA"), np.float32) / 255)
+    return pixels[..., :3], pixels[..., 3]

@@ -1,0 +1,324 @@
+"""A study as jobs: which steps it has, what each depends on, and which are shared with other studies.
+
+The victim takes pictures; the attacker's looks and poison change some of them; splats are trained on both sets, and
+then looked at. Every step is a kind (`attacks.cloak.kinds`) that a ledger does once, whichever study asks for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, EvaluationConfig, StudyConfig, fit_config
+from attacks.cloak.kinds.compared import CompareConfig
+from attacks.cloak.kinds.layered import LayeredConfig
+from attacks.cloak.kinds.parts import MESH, SET, Pose, SceneParts, is_mesh_file
+from attacks.cloak.kinds.poisoned import PoisonConfig
+from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
+from attacks.cloak.kinds.trained import TrainConfig
+from attacks.cloak.kinds.true_pictures import TrueConfig
+from attacks.cloak.mesh_scene import MeshScene
+from attacks.cloak.rates import CLOAKED
+from attacks.detectors.base import Detector
+from attacks.observe.rows import CLEAN
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.ledger import Done, Event, Job, Ledger, Part
+from mi_splat.ledger.running import task_for
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.training.resume import SPLAT
+
+_KINDS = "attacks.cloak.kinds"
+_PICTURES = f"{SET}/*"
+
+OnStep = Callable[[str, int, int], None]
+"""Told what is going on, how many units of it are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedSplat:
+    """A splat of a study.
+
+    Attributes:
+        splat: "clean" or "cloaked".
+        seed: Of the training.
+        file: Where it is.
+        content: What stands for the bytes of the file.
+        gaussians: Their number.
+        hash: See `mi_splat.scene.scene_hash`.
+        commit: Of the checkout that made it, which may be an earlier one than that of the summary; None if unknown.
+    """
+
+    splat: str
+    seed: int
+    file: Path
+    content: str
+    gaussians: int
+    hash: str
+    commit: str | None = None
+
+    def load(self) -> GaussianScene:
+        """The splat from its file."""
+        return load_splat(self.file)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StudySteps:
+    """The jobs of a study, and the ledger that does them.
+
+    Attributes:
+        study: What is done.
+        folder: Of the ledger; several studies may share it.
+        weights: Files of detectors whose weights are not the usual ones, by their names.
+        on_step: Told of the progress.
+        begun: When, in seconds of `time.monotonic`.
+    """
+
+    study: StudyConfig
+    folder: Path
+    weights: Mapping[str, Path] = field(default_factory=dict)
+    on_step: OnStep = lambda text, done, total: None
+    begun: float = field(default_factory=time.monotonic)
+    _labels: list[str] = field(default_factory=list)
+    _surrogates: dict[tuple[int, int], Job] = field(default_factory=dict)
+
+    @cached_property
+    def mesh_scene(self) -> MeshScene:
+        """The attacker's copy of the scene."""
+        return setup.mesh_scene_of(self.study)
+
+    @cached_property
+    def near(self) -> float:
+        """Near plane of trainings and of all pictures of splats, world units."""
+        return setup.near_of(self.study, self.mesh_scene.target)
+
+    def renderer(self) -> Renderer:
+        """What splats are looked at with."""
+        return Renderer(RenderSettings(background=self.study.scene.background, near=self.near))
+
+    # The jobs, in the order of the study.
+
+    def pictures(self) -> Job:
+        """The victim's pictures of the scene."""
+        return self._job("pictures", self._parts(background=False))
+
+    def look(self, attack: AttackConfig) -> Job:
+        """Pictures of what an attack wants to be seen."""
+        others = [other for other in self.study.attack if other is not attack] if attack.poison_margin > 0 else []
+        cones = [replace(_cone(other), name=str(number), target_class=None) for number, other in enumerate(others)]
+        return self._job("looks", self._parts(_shown(attack), *cones), pictures=self.pictures().part(_PICTURES))
+
+    def poisoned(self, seed: int, surrogates: int | None = None) -> Job:
+        """A poisoned set, corrected by so many surrogates; None: by as many as the study asks for."""
+        study, config = self.study, self.study.surrogate
+        rounds = (config.rounds if config is not None else 0) if surrogates is None else surrogates
+        attacks = [replace(attack, target_class=None) for attack in study.attack]
+        drawn = seed if min(attack.poison_fraction for attack in study.attack) < 1 else None
+        values = PoisonConfig(parts=self._parts(*attacks), seed=drawn)
+        if config is not None and rounds:
+            values = replace(values, gain=config.gain, near=self.near)
+        earlier = {f"surrogate {n}": self.surrogate(seed, n).part(SPLAT) for n in range(1, rounds + 1)}
+        looks = {f"look of {attack.name}": self.look(attack).part("*.png") for attack in study.attack}
+        return self._job("poisoned", values, pictures=self.pictures().part(_PICTURES), **looks, **earlier)
+
+    def surrogate(self, seed: int, number: int) -> Job:
+        """The attacker's own splat of a round, from 1, trained on what the rounds before it poisoned."""
+        config, key = self.study.surrogate, (seed, number)
+        assert config is not None
+        if key not in self._surrogates:
+            study = replace(self.study, training=replace(self.study.training, iterations=config.iterations))
+            self._surrogates[key] = self._trained(study, self.poisoned(seed, number - 1), config.seed)
+        return self._surrogates[key]
+
+    def splat(self, splat: str, seed: int) -> Job:
+        """What is looked at: the victim's splat of clean pictures, or the cloaked one; cleaned, if the victim cleans.
+
+        The cloaked one is what the victim makes of the poisoned pictures. In a study of layers it is the clean splat's
+        file, changed by who hands it on.
+        """
+        trained = self.trained(splat, seed)
+        cleaning = self.study.cleaning
+        return trained if cleaning is None else self._job("cleaned", cleaning, splat=trained.part(SPLAT))
+
+    def trained(self, splat: str, seed: int) -> Job:
+        """The same before any cleaning."""
+        clean = self._trained(self.study, self.pictures(), seed)
+        if splat == CLEAN:
+            return clean
+        poisoned, layers = self.poisoned(seed), self.study.layers
+        if layers is None:
+            return self._trained(self.study, poisoned, seed)
+        cones = [replace(_cone(one), target_class=None) for one in self.study.attack if one.name in layers.attacks]
+        config = LayeredConfig(parts=self._parts(*cones), layers=layers, near=self.near, seed=seed)
+        return self._job("layered", config, clean=clean.part(SPLAT), pictures=poisoned.part(_PICTURES))
+
+    def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
+        """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
+        poses = tuple(map(Pose.of, cameras))
+        if attack is None:
+            return self._job("true_pictures", TrueConfig(parts=self._parts(), poses=poses))
+        config = TrueConfig(parts=self._parts(replace(_shown(attack), poison_margin=0.0)), poses=poses)
+        return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
+
+    def seen(self, splat: Job, detector: Detector, *, every: int = 1) -> Job:
+        """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras."""
+        evaluation = self.study.evaluation
+        config = SeenConfig(
+            parts=self._parts(*map(_region, self.study.attack), label=True),
+            near=self.near,
+            cameras=evaluation.cameras,
+            min_separation=evaluation.min_separation,
+            every=every,
+            detector=detector.name,
+            fingerprint=detector.fingerprint,
+        )
+        own = self.weights.get(detector.name)
+        is_splat = splat.kind != f"{_KINDS}.true_pictures"
+        shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
+        return self._job("seen", config, **shown, **({} if own is None else {WEIGHTS: own}))
+
+    def compared(self, splat: Job) -> Job:
+        """How true a splat's pictures are."""
+        study, target, attack = self.study, self.mesh_scene.target, setup.hiding(self.study)
+        evaluation = replace(
+            study.evaluation, detectors=EvaluationConfig().detectors, confidence=EvaluationConfig().confidence
+        )
+        config = CompareConfig(parts=self._parts(*map(_cone, study.attack)), near=self.near, evaluation=evaluation)
+        true = {"true": self.true_pictures([camera for _, camera in setup.reference_cameras(study, target)])}
+        if attack is not None:
+            arc = [camera for _, camera in setup.arc_cameras(study, target)]
+            true |= {"benign": self.true_pictures(arc), "hidden": self.true_pictures(arc, attack)}
+        return self._job(
+            "compared", config, splat=splat.part(SPLAT), **{n: job.part("*.png") for n, job in true.items()}
+        )
+
+    # Doing them.
+
+    def do(self, job: Job, label: str) -> Done:
+        """The result of a job; those before it are done first, if they are not there.
+
+        Args:
+            job: The job.
+            label: What is told of it while it runs.
+        """
+        self._labels[:] = [label]
+        return self._ledger.do(job)
+
+    def finished(self, job: Job) -> Done | None:
+        """The result of a job, if it and all before it are there."""
+        store, done = self._ledger.store, dict[str, Done]()
+
+        def find(one: Job) -> Done | None:
+            if any(find(needed) is None for needed in one.before):
+                return None
+            found = store.done(task_for(one, store, done).key)
+            if found is not None:
+                done[one.identity] = found
+            return found
+
+        return find(job)
+
+    def splats(self) -> list[TrainedSplat]:
+        """For each seed the clean and the cloaked splat; what is missing is done."""
+        seeds = self.study.seeds
+        self.do(self.pictures(), "taking the victim's pictures")
+        for seed in seeds:
+            for attack in self.study.attack:
+                self.do(self.look(attack), f"taking pictures of {attack.name}")
+            for number in range(1, (self.study.surrogate.rounds if self.study.surrogate else 0) + 1):
+                self.do(self.poisoned(seed, number - 1), "poisoning")
+                self.do(self.surrogate(seed, number), f"training surrogate {number}, seed {seed}")
+            self.do(self.poisoned(seed), "poisoning")
+        found = []
+        for seed in seeds:
+            for splat in (CLEAN, CLOAKED):
+                self.do(self.trained(splat, seed), f"training the {splat} splat, seed {seed}")
+                done = self.do(self.splat(splat, seed), f"cleaning the {splat} splat, seed {seed}")
+                found.append(trained_splat(splat, seed, done))
+        return found
+
+    def finished_splats(self) -> list[TrainedSplat]:
+        """The same of a study that is finished.
+
+        Raises:
+            InvalidValueError: One is not there.
+        """
+        found = []
+        for seed in self.study.seeds:
+            for splat in (CLEAN, CLOAKED):
+                done = self.finished(self.splat(splat, seed))
+                if done is None:
+                    got, do = f"no {splat} splat of seed {seed}", "pass the folder that the study was done with"
+                    expected = "every splat of the study, made by this version"
+                    raise InvalidValueError(message(f"stages {self.folder}", expected, got, do)).hinted("--stages")
+                found.append(trained_splat(splat, seed, done))
+        return found
+
+    @cached_property
+    def _ledger(self) -> Ledger:
+        def told(event: Event) -> None:
+            if event.state in ("running", "progress", "held"):
+                self.on_step(self._labels[0], event.done, event.total)
+
+        return Ledger(self.folder, on_event=told)
+
+    @cached_property
+    def _content(self) -> str:
+        return setup.capture_source(self.study, self.mesh_scene).digest
+
+    def _parts(self, *attacks: AttackConfig, background: bool = True, label: bool = False) -> SceneParts:
+        return SceneParts.of(self.study, self._content, attacks, background=background, label=label)
+
+    def _trained(self, study: StudyConfig, pictures: Job, seed: int) -> Job:
+        training = study.training
+        config = TrainConfig(
+            fit=fit_config(training),
+            background=study.scene.background,
+            near=self.near,
+            seed=seed,
+            outliers=training.outliers,
+            point_deviations=training.point_deviations,
+        )
+        return Job(kind=f"{_KINDS}.trained", config=config, inputs={"pictures": pictures.part(_PICTURES)})
+
+    def _job(self, kind: str, config: object, **inputs: Job | Part | Path) -> Job:
+        """A job of a kind; who knows the scene reads its mesh file, too."""
+        has_mesh = kind != "cleaned" and is_mesh_file(self.study)
+        mesh = {MESH: Path(self.study.scene.object)} if has_mesh else {}
+        return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **mesh})
+
+
+def trained_splat(splat: str, seed: int, done: Done) -> TrainedSplat:
+    """A splat of a finished job."""
+    scene = load_splat(done.folder / SPLAT)
+    return TrainedSplat(
+        splat=splat,
+        seed=seed,
+        file=done.folder / SPLAT,
+        content=done.content_of(SPLAT),
+        gaussians=len(scene),
+        hash=scene_hash(scene),
+        commit=done.record["commit"],
+    )
+
+
+def _shown(attack: AttackConfig) -> AttackConfig:
+    """What counts of an attack for its pictures."""
+    return replace(attack, name="", poison_fraction=1.0, emphasis=1.0, emphasis_depth=20.0, target_class=None)
+
+
+def _cone(attack: AttackConfig) -> AttackConfig:
+    """Of an attack only its name, its cone, and the class that it wants, if any."""
+    cone = AttackConfig(name=attack.name, elevation=attack.elevation, azimuth=attack.azimuth)
+    return replace(cone, target_class=attack.target_class)
+
+
+def _region(attack: AttackConfig) -> AttackConfig:
+    """What counts of an attack where splats are looked at."""
+    return replace(_cone(attack), poison_margin=attack.poison_margin)
