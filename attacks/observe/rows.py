@@ -15,8 +15,6 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import math
-import re
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -41,8 +39,6 @@ MOST_BYTES = 1 << 28
 """Most that a table may be, unpacked: one that is larger is not read."""
 MOST_ROWS, MOST_COLUMNS = 4_000_000, 200
 
-_WHOLE = re.compile(r"-?[0-9]{1,18}")
-_NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+)?(e[+-]?[0-9]{1,3})?")
 _TYPES = {"text": pl.String, "whole": pl.Int64, "number": pl.Float64, "truth": pl.Boolean}
 
 
@@ -204,11 +200,7 @@ def rows_bytes(rows: pl.DataFrame) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([column.name for column in columns])
-    cells = [
-        [written(column, value, f"row {number}") for number, value in enumerate(rows[column.name], start=2)]
-        for column in columns
-    ]
-    writer.writerows(zip(*cells, strict=True))
+    writer.writerows(zip(*(_written(column, rows[column.name]) for column in columns), strict=True))
     return text.getvalue().encode()
 
 
@@ -251,20 +243,15 @@ def read_rows(path: Path, *, needs: Sequence[str] = ()) -> pl.DataFrame:
         InvalidValueError: The file is missing, too large or no CSV, a column is none of the schema or there twice, one
             that is needed is missing, or a cell is not of the kind of its column.
     """
-    head, lines = read_cells(path)
+    head, lines = _read_cells(path)
     columns = [column_of(name) for name in head]
     if len(set(head)) < len(head) or len(head) > MOST_COLUMNS:
-        raise broken(path, f"at most {MOST_COLUMNS} columns, each once", "others")
+        raise _broken(path, f"at most {MOST_COLUMNS} columns, each once", "others")
     if missing := [name for name in needs if name not in head]:
-        raise broken(path, f"the columns {', '.join(needs)}", f"none called {missing[0]}")
+        raise _broken(path, f"the columns {', '.join(needs)}", f"none called {missing[0]}")
+    cells = zip(*lines, strict=True) if lines else ((),) * len(columns)
     return pl.DataFrame(
-        {
-            column.name: pl.Series(
-                [read_cell(column, line[place], f"{path}, row {row}") for row, line in enumerate(lines, start=2)],
-                dtype=_type(column),
-            )
-            for place, column in enumerate(columns)
-        }
+        {column.name: _read_column(column, texts, path) for column, texts in zip(columns, cells, strict=True)}
     )
 
 
@@ -286,19 +273,19 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     return read_rows(path)
 
 
-def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
+def _read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
     """The head of a table and the texts of its cells; never more than `MOST_BYTES` and `MOST_ROWS`."""
     try:
         lines = csv.reader(io.StringIO(_text_of(path), newline=""), strict=True)
         head, cells = next(lines, []), list[list[str]]()
         for number, line in enumerate(lines, start=2):
             if len(line) != len(head):
-                raise broken(path, f"{len(head)} cells in row {number}", len(line))
+                raise _broken(path, f"{len(head)} cells in row {number}", len(line))
             if number > MOST_ROWS:
-                raise broken(path, f"at most {MOST_ROWS:,} rows", "more")
+                raise _broken(path, f"at most {MOST_ROWS:,} rows", "more")
             cells.append(line)
     except csv.Error as error:
-        raise broken(path, "a CSV file", error) from error
+        raise _broken(path, "a CSV file", error) from error
     return head, cells
 
 
@@ -307,61 +294,68 @@ def _text_of(path: Path) -> str:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
         if len(data) > MOST_BYTES:
-            raise broken(path, f"at most {MOST_BYTES:,} bytes", "more")
+            raise _broken(path, f"at most {MOST_BYTES:,} bytes", "more")
         return data.decode()
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        raise broken(path, "a table of rows", error) from error
+        raise _broken(path, "a table of rows", error) from error
 
 
 def _type(column: Column) -> type[pl.DataType]:
     return _TYPES[column.kind]
 
 
-def written(column: Column, value: Cell, where: str) -> str:
-    """A cell as it stands in the file.
+def _written(column: Column, cells: pl.Series) -> list[str]:
+    """The cells of a column as they stand in the file.
 
     Raises:
-        InvalidValueError: It is not of the kind of its column.
+        InvalidValueError: One is not of the kind of its column.
     """
-    kinds = {"text": str, "whole": int, "number": float, "truth": bool}
-    if value is None and column.optional:
-        return ""
-    if column.kind == "number" and type(value) is int:
-        value = float(value)
-    fits = type(value) is kinds[column.kind] and (column.kind != "text" or value != "")
-    if not fits or (isinstance(value, float) and not math.isfinite(value)):
-        expected = f"a {column.kind} in column {column.name}"
-        raise InvalidValueError(message(where, expected, repr(value), "make the result again"))
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)
+    if cells.dtype not in (_type(column), pl.Null):
+        raise _unfit(column, 0, cells)
+    wrong = cells.is_null() & (not column.optional)
+    if cells.dtype == pl.Float64:
+        wrong |= ~cells.is_finite().fill_null(value=True)
+    elif cells.dtype == pl.String:
+        wrong |= (cells == "").fill_null(value=False)
+    if wrong.any():
+        raise _unfit(column, int(wrong.arg_true()[0]), cells)
+    text: Callable[[Any], str] = {"number": repr, "truth": lambda value: str(value).lower()}.get(column.kind, str)
+    return ["" if value is None else text(value) for value in cells.to_list()]
 
 
-_READ: Mapping[str, tuple[Callable[[str], Any], str]] = {
-    "text": (lambda text: text or None, "a text"),
-    "whole": (lambda text: int(text) if _WHOLE.fullmatch(text) else None, "a whole number"),
-    "number": (lambda text: float(text) if _NUMBER.fullmatch(text) else None, "a finite number"),
-    "truth": ({"true": True, "false": False}.get, "true or false"),
+def _unfit(column: Column, row: int, cells: pl.Series) -> InvalidValueError:
+    expected, got = f"a {column.kind} in column {column.name}", repr(cells[row] if len(cells) else cells.dtype)
+    return InvalidValueError(message(f"row {row + 2}", expected, got, "make the result again"))
+
+
+_READ = {
+    "text": (r"(?s)^.+$", "a text"),
+    "whole": (r"^-?[0-9]{1,18}$", "a whole number"),
+    "number": (r"^-?[0-9]+(\.[0-9]+)?(e[+-]?[0-9]{1,3})?$", "a finite number"),
+    "truth": ("^(true|false)$", "true or false"),
 }
-"""For each kind the value of a text, None if it is none, and what it has to be."""
+"""For each kind what a text has to match, and what it then is."""
 
 
-def read_cell(column: Column, text: str, where: str) -> Cell:
-    """The value of a cell.
+def _read_column(column: Column, texts: Sequence[str], path: Path) -> pl.Series:
+    """The values of a column.
 
     Raises:
-        InvalidValueError: It is not of the kind of its column.
+        InvalidValueError: A cell is not of the kind of its column.
     """
-    if text == "" and column.optional:
-        return None
-    value_of, expected = _READ[column.kind]
-    value: Cell = value_of(text)
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        got = f"{text[:40]!r} in column {column.name}"
-        raise InvalidValueError(message(where, expected, got, "get the result again"))
-    return value
+    pattern, expected = _READ[column.kind]
+    cells = pl.Series(texts, dtype=pl.String)
+    cells = cells.set(cells == "", None) if column.optional else cells
+    fits = cells.str.contains(pattern).fill_null(value=True)
+    values = cells == "true" if column.kind == "truth" else cells.set(~fits, "0").cast(_type(column))
+    if column.kind == "number":
+        fits &= values.is_finite().fill_null(value=True)
+    if not fits.all():
+        row = int((~fits).arg_true()[0])
+        raise _broken(f"{path}, row {row + 2}", expected, f"{texts[row][:40]!r} in column {column.name}")
+    return values
 
 
-def broken(path: Path, expected: object, got: object) -> InvalidValueError:
+def _broken(where: Path | str, expected: object, got: object) -> InvalidValueError:
     """The error for a file that is no table."""
-    return InvalidValueError(message(str(path), expected, got, "get the result again"))
+    return InvalidValueError(message(str(where), expected, got, "get the result again"))
