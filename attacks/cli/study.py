@@ -49,6 +49,10 @@ class StudyOptions:
     """Processes that do jobs side by side; 0 does them in this one."""
     scheduler: Annotated[str, Called("ADDRESS")] | None = None
     """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs."""
+    seconds: Annotated[float, at_least(1, "seconds")] | None = None
+    """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
+    megabytes: Annotated[float, at_least(1, "MB")] | None = None
+    """Most memory that a job may use, likewise."""
     verify: Annotated[int, at_least(1, "jobs")] = 2
     """Jobs that reuse makes again."""
     reason: Annotated[str, Called("TEXT")] | None = None
@@ -150,14 +154,16 @@ def _tell(failed: Mapping[str, str], paths: list[Path], study: Path) -> None:
 
 def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
     from mi_splat.ledger.engines import InProcess, Processes
+    from mi_splat.ledger.watching import Limits
 
+    limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     if options.scheduler is not None:
         from mi_splat.ledger.cluster import Cluster
 
-        return Cluster(options.store, options.scheduler, on_event=on_event)
+        return Cluster(options.store, options.scheduler, limits=limits, on_event=on_event)
     if options.workers == 0:
         return InProcess(options.store, on_event=on_event)
-    return Processes(options.store, workers=options.workers, on_event=on_event)
+    return Processes(options.store, workers=options.workers, limits=limits, on_event=on_event)
 
 
 def _follow(advance: Advance) -> Callable[[Event], None]:

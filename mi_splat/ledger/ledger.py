@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, nobody
 from mi_splat.ledger.running import run_job, task_for
-from mi_splat.ledger.store import Store
+from mi_splat.ledger.store import TRIES, Store
 
 _POLL = 0.2
 
@@ -35,6 +35,8 @@ class Ledger:
         for needed in job.before:
             self.do(needed)
         task = task_for(job, self.store, self._done)
+        if len(self.store.failures(task.key)) >= TRIES:
+            self.store.forgive(task.key)
         told = False
         while True:
             try:

@@ -165,6 +165,8 @@ class Child:
         """What the process says at the end of a task; or None, and which limit it broke, if it did."""
         assert process.stdout is not None
         begun = looked = time.monotonic()
+        answers = select.poll()
+        answers.register(process.stdout, select.POLLIN)
         while True:
             line, newline, rest = self._rest.partition(b"\n")
             if newline:
@@ -174,7 +176,7 @@ class Child:
                     return values, ""
                 tell(Event(**values["event"]))
                 continue
-            if select.select([process.stdout], [], [], _LOOK)[0]:
+            if answers.poll(1000 * _LOOK):
                 part = os.read(process.stdout.fileno(), 1 << 16)
                 if not part:
                     return None, ""

@@ -8,6 +8,7 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Event, Job, Ledger, Part
+from tests.ledger.drive import walk
 from tests.ledger.kinds.configs import NumbersConfig, Shift
 
 NUMBERS = "tests.ledger.kinds.numbers"
@@ -60,3 +61,12 @@ def test_a_configuration_that_can_change_or_has_no_text_is_refused(tmp_path: Pat
         Job(kind=NUMBERS, config={})
     with pytest.raises(InvalidValueError, match=r"config\.shift\.by: expected numbers"):
         Ledger(tmp_path).do(Job(kind=NUMBERS, config=NumbersConfig(shift=Shift(by=tmp_path))))  # type: ignore[arg-type]
+
+
+def test_who_asks_for_a_job_that_has_failed_tries_it_again(tmp_path: Path) -> None:
+    events: list[Event] = []
+    for _ in range(4):
+        with pytest.raises(ValueError, match="no way"):
+            Ledger(tmp_path, on_event=events.append).do(walk(0, trouble="raise"))
+    tries = [event.text for event in events if event.state == "failed"]
+    assert tries == [f"try {number} of 3: no way" for number in (1, 2, 3, 1)]
