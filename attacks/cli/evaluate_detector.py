@@ -133,8 +133,7 @@ def scene_pictures(path: Path) -> list[LabelledPicture]:
     """A splat scene XML from each of its cameras at 8 bits; shapes whose id is a class (or stop_sign) are objects."""
     import torch
 
-    from attacks.detectors.training.conditions import viewing_conditions
-    from attacks.detectors.training.pictures import LabelledPicture
+    from attacks.detectors.training.pictures import LabelledPicture, viewing_conditions
     from attacks.gaussian_subset import GaussianSubset
     from attacks.observe.views import visible_box, visible_weight
     from mi_splat.io.images import to_bytes

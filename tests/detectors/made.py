@@ -12,8 +12,7 @@ from attacks.detectors.base import Detections
 from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.evaluation.held_out import total_false_positives
 from attacks.detectors.evaluation.measure import measure
-from attacks.detectors.training.conditions import ViewingConditions
-from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.training.pictures import LabelledPicture, ViewingConditions
 from tests.fakes import ColourDetector
 
 HERE, THERE, AWAY = [10.0, 10.0, 50.0, 50.0], [60.0, 60.0, 90.0, 90.0], [0.0, 60.0, 30.0, 90.0]

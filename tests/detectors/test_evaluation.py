@@ -20,6 +20,7 @@ from attacks.detectors.evaluation.measure import (
     Measurement,
     ObjectRow,
     average_precision,
+    confidences_at,
     false_positives,
     measure,
     poisson_interval,
@@ -182,6 +183,17 @@ def test_the_interval_is_garwood_s(count: int) -> None:
     low, high = poisson_interval(count)
     assert low == pytest.approx(chi2.ppf(0.025, 2 * count) / 2 if count else 0.0, rel=1e-6)
     assert high == pytest.approx(chi2.ppf(0.975, 2 * count + 2) / 2, rel=1e-6)
+
+
+def test_detectors_are_equally_strict_where_they_have_as_many_false_positives() -> None:
+    scores = (0.875, 0.625, 0.625, 0.25)
+    wrong = [reported((HERE, score, "car"), (HERE, 0.95, "kite")) for score in scores]
+    right = reported((HERE, 0.8, "car"))
+    sets = [measure([*wrong, right], [*[picture()] * 4, picture((HERE, 1))], SMALL_CLASSES)]
+    least = confidences_at(sets, (0.0, 0.2, 0.4, 0.6, 1.0))
+    counted = {name: sum(score >= (floor or 0) for score in scores) for name, floor in least.items()}
+    assert counted == {"0": 0, "0.2": 1, "0.4": 1, "0.6": 3, "1": 4}  # of equal ones all or none
+    assert least["1"] is None
 
 
 # Detectors

@@ -523,3 +523,10 @@ def test_a_published_model_has_as_many_weights_as_the_library_says(name: str) ->
 def test_a_model_of_another_kind_is_refused() -> None:
     with pytest.raises(TypeError, match="RetinaNet, FCOS or SSD expected, got Linear"):
         wrap("x", nn.Linear(1, 1), SMALL_LABELS)
+
+
+def test_the_floor_of_confidence_is_that_of_the_library() -> None:
+    detector = random_detector("fasterrcnn_small", seed=1)
+    assert detector.min_confidence == pytest.approx(0.05)
+    detector.model.roi_heads.score_thresh = 0.2
+    assert detector.min_confidence == pytest.approx(0.2)

@@ -1,28 +1,35 @@
+"""Trainings of the small detectors: to the same bits when interrupted, by the losses of each, and by the command."""
+
 from __future__ import annotations
 
-import itertools
-import json
-import math
+import importlib.util
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
-import numpy as np
 import pytest
 import torch
-from PIL import Image
+from safetensors import safe_open
 from torch import Tensor
 
-from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
-from attacks.detectors.training.config import SPLITS, PictureSetConfig
-from attacks.detectors.training.dataset import check_note, load, make, save_pictures
-from attacks.detectors.training.pictures import LabelledPicture, SceneRenderer, random_scene, scene_pictures
-from mi_splat.errors import InvalidValueError
-from tests.detectors.made import drawn
-
-pytestmark = pytest.mark.usefixtures("scalar")
-
-TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
+from attacks import cli
+from attacks.cli.train_detector import SmallDetector
+from attacks.detectors.base import Detector
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_WEIGHTS, DetectorError
+from attacks.detectors.evaluation.measure import measure
+from attacks.detectors.torchvision import RCNNDetector
+from attacks.detectors.training import train as steps
+from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
+from attacks.detectors.training.loop import Training, export_weights
+from attacks.detectors.training.pictures import (
+    LabelledPicture,
+)
+from attacks.detectors.training.train import train, trainer_of
+from attacks.detectors.weights import read_weights
+from tests.detectors.made import HERE, drawn, picture, reported
+from tests.io.noted import Change, changed
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -30,191 +37,285 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def seeded(number: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(number)
+PLAIN = TrainConfig(epochs=2, batch=2, low_resolution=96, low_resolution_fraction=1.0, seed=3)
 
 
-# Pictures and data sets
-
-
-def test_a_scene_is_a_function_of_the_configuration_and_its_number() -> None:
-    first, second = random_scene(TINY, 5), random_scene(TINY, 5)
-    assert [a.name for a in first.assets] == [a.name for a in second.assets]
-    for one, other in zip((*first.assets, first.surroundings), (*second.assets, second.surroundings), strict=True):
-        assert np.array_equal(one.vertices, other.vertices)
-    assert (first.light.seed, first.light.sun_azimuth) == (second.light.seed, second.light.sun_azimuth)
-
-
-def test_pictures_are_reproduced_to_the_bit() -> None:
-    for one, other in zip(scene_pictures(TINY, 0), scene_pictures(TINY, 0), strict=True):
-        assert torch.equal(one.image, other.image)
-        assert torch.equal(one.boxes, other.boxes)
-        assert torch.equal(one.labels, other.labels)
-
-
-def test_splits_use_other_objects_and_lights() -> None:
-    ranges = sorted(SPLITS.values())
-    assert all(low < high for low, high in ranges)
-    assert all(ours[1] <= theirs[0] for ours, theirs in itertools.pairwise(ranges))
-    train, held_out = random_scene(TINY, 0), random_scene(replace(TINY, split="held-out"), 0)
-    assert train.light.seed != held_out.light.seed
-
-
-def test_an_unknown_split_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="split: expected one of train, validation, held-out, got test"):
-        PictureSetConfig(split="test")
+def few() -> list[LabelledPicture]:
+    return [drawn((20 + 4 * i, 30, 70, 80), label=1 + i % 2) for i in range(4)]
 
 
 @pytest.mark.slow
-def test_cameras_reach_from_the_street_to_straight_down() -> None:
-    renderer = SceneRenderer(replace(TINY, empty=1.0), 0)
-    cameras = [renderer.choose_camera() for _ in range(120)]
-    elevations = torch.tensor([math.degrees(math.asin(-float(c.to_world[2, 2]))) for c in cameras])
-    counts = torch.histc(elevations, 6, 0, 90)
-    assert float(counts.min()) > 9
-    assert all(float(c.position[2]) > 0 for c in cameras)
-
-
-def test_streets_have_objects_that_cameras_stand_near() -> None:
-    renderer = SceneRenderer(replace(TINY, around="street", farthest=9.0, empty=0.0), 0)
-    assert renderer.contents.surroundings.name == "street"
-    centre = torch.from_numpy(renderer.contents.assets[0].body.vertices.mean(0))
-    cameras = [renderer.choose_camera() for _ in range(6)]
-    assert all(float((camera.position - centre).norm()) < 11 for camera in cameras)
-    with pytest.raises(InvalidValueError, match=r"one of street, park, .*got beach"):
-        replace(TINY, around="beach")
-
-
-def test_boxes_are_tight_and_inside_the_picture() -> None:
-    for sample in scene_pictures(replace(TINY, size=64, empty=0.0, street=0.0), 3):
-        assert SMALL_CLASSES[int(sample.labels[0]) - 1] == SMALL_CLASSES[3]
-        low, high = sample.boxes[:, :2], sample.boxes[:, 2:]
-        assert bool(((low >= 0) & (high <= 64) & (high > low)).all())
+def test_training_lowers_the_loss() -> None:
+    training = Training(replace(PLAIN, epochs=8, learning_rate=1e-3, warm_up=0.01), FasterRCNNTrainer())
+    losses = [sum(training.run_epoch(few()).values()) for _ in range(6)]
+    assert min(losses[-2:]) < 0.7 * losses[0]
 
 
 @pytest.mark.slow
-def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
-    make(replace(TINY, count=2), tmp_path, processes=0)
-    before = (tmp_path / "00000.png").stat().st_mtime_ns
-    steps: list[tuple[int, int]] = []
-    make(TINY, tmp_path, processes=0, on_step=lambda done, wanted: steps.append((done, wanted)))
-    assert steps == [(4, 4)]
-    assert (tmp_path / "00000.png").stat().st_mtime_ns == before
-    samples = load(tmp_path)
-    assert len(samples) == 4
-    for ours, theirs in zip(samples, [*scene_pictures(TINY, 0), *scene_pictures(TINY, 1)], strict=True):
-        assert torch.equal(ours.image, theirs.image)
-        assert torch.equal(ours.boxes, theirs.boxes)
-    assert json.loads((tmp_path / "labels.json").read_text())["recipe"]["count"] == 4
+def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
+    straight = Training(PLAIN, FasterRCNNTrainer())
+    straight.run_epoch(few())
+    straight.save(tmp_path)
+    straight.run_epoch(few())
+    resumed = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
+    assert resumed.epoch == 1
+    resumed.run_epoch(few())
+    for name, value in straight.model.state_dict().items():
+        assert torch.equal(value, resumed.model.state_dict()[name]), name
+    for name, value in straight.averaged.items():
+        assert torch.equal(value, resumed.averaged[name]), name
 
 
-def test_kept_pictures_are_those_that_were_made(tmp_path: Path) -> None:
-    save_pictures([drawn((10, 10, 30, 30)), drawn((20, 20, 40, 40))], tmp_path, {"made": "so"})
-    assert len(load(tmp_path)) == 2
-    second = tmp_path / "00001.png"
-    made = second.read_bytes()
-    Image.fromarray(255 - drawn((20, 20, 40, 40)).image.numpy()).save(second)
-    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got other bytes; delete the folder .* to have it made"):
-        load(tmp_path)
-    assert len(load(tmp_path, limit=1)) == 1
-    second.unlink()
-    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got No such file"):
-        load(tmp_path)
-    second.write_bytes(made)
-    assert len(load(tmp_path)) == 2
+def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
+    with pytest.raises(DetectorError, match="use the same one or another folder"):
+        Training.resume(tmp_path, replace(PLAIN, learning_rate=1.0), FasterRCNNTrainer())
 
 
-def test_a_set_without_digests_can_be_read(tmp_path: Path) -> None:
-    save_pictures([drawn((10, 10, 30, 30))], tmp_path, {"made": "so"})
-    content = json.loads((tmp_path / "labels.json").read_text())
-    del content["pictures"]["00000.png"]["sha256"]
-    (tmp_path / "labels.json").write_text(json.dumps(content))
-    assert len(load(tmp_path)) == 1
+def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
+    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
+    other = FasterRCNNTrainer()
+    other.name = "another"
+    with pytest.raises(DetectorError, match="a run of another"):
+        Training.resume(tmp_path, PLAIN, other)
 
 
-def test_a_folder_of_another_configuration_is_left_alone(tmp_path: Path) -> None:
-    make(replace(TINY, count=2), tmp_path, processes=0)
-    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
-        make(replace(TINY, seed=1), tmp_path, processes=0)
-    with pytest.raises(InvalidValueError, match=r"expected a labels\.json, got none"):
-        load(tmp_path / "nothing")
+def test_a_training_goes_on_with_the_same_pictures_and_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def epoch(self: Training, samples: object, **_: object) -> dict[str, float]:
+        self.epoch += 1
+        return {}
+
+    monkeypatch.setattr(Training, "run_epoch", epoch)
+    monkeypatch.setattr("attacks.detectors.training.train.validated", lambda *_: {"map": 0.0})
+    weights = tmp_path / "start.safetensors"
+    export_weights(Training(PLAIN, FasterRCNNTrainer()).averaged, weights, notes={})
+    empty = LabelledPicture(few()[0].image, torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
+    epochs: list[object] = []
+
+    def go_on(pictures: list[LabelledPicture], validation: list[LabelledPicture], start: Path | None = weights) -> None:
+        training = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
+
+        def heard(record: Mapping[str, object]) -> None:
+            epochs.append(record["epoch"])
+
+        train(training, pictures, validation, tmp_path, start=start, on_work=lambda *_: None, on_epoch=heard)
+
+    go_on(few(), [empty])
+    assert epochs == [1, 2]
+    go_on(few(), [empty])
+    inverted = replace(few()[0], image=255 - few()[0].image)
+    moved = replace(few()[0], boxes=few()[0].boxes + 1)
+    others = [
+        ([inverted, *few()[1:]], [empty]),
+        ([moved, *few()[1:]], [empty]),
+        (few()[:3], [empty]),
+        (few(), [inverted]),
+    ]
+    for pictures, validation in others:
+        with pytest.raises(
+            DetectorError, match="expected the pictures and the weights to begin from that it began with"
+        ):
+            go_on(pictures, validation)
+    with pytest.raises(DetectorError, match="same folder of pictures and the same start"):
+        go_on(few(), [empty], start=None)
+    assert epochs == [1, 2]
 
 
-# Augmentation
+def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
+    training = Training(PLAIN, FasterRCNNTrainer())
+    path = tmp_path / "w.safetensors"
+    export_weights(training.averaged, path, notes={"seed": "3"})
+    detector = training.snapshot()
+    assert isinstance(detector, RCNNDetector)
+    stored, model = read_weights(path), detector.model.state_dict()
+    assert path.stat().st_size < 12_000_000
+    for name, value in stored.items():
+        assert torch.equal(value.float(), model[name]), name
 
 
-def bounds(image: Tensor) -> Tensor:
-    """(4,) box around the bright red pixels of a (3, H, W) picture."""
-    rows, columns = torch.where((image[0] > 0.6) & (image[2] < 0.2))
-    return torch.stack([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]).float()
+class Noting(FasterRCNNTrainer):
+    """Notes how each epoch begins, and learns from a loss of one weight."""
+
+    def __init__(self) -> None:
+        self.begun: list[tuple[int | None, bool]] = []
+
+    def build(self) -> torch.nn.Module:
+        return torch.nn.Linear(2, 1)
+
+    def begin_epoch(self, model: torch.nn.Module, *, side: int | None, final: bool) -> None:
+        self.begun.append((side, final))
+
+    def losses(self, model: torch.nn.Module, pictures: object, targets: object, generator: object) -> dict[str, Tensor]:
+        return {"loss": 100 * model(torch.ones(1, 2)).sum()}
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_boxes_follow_the_picture_when_it_is_reframed(seed: int) -> None:
-    sample = drawn((30, 40, 60, 62))
-    image = sample.image.permute(2, 0, 1).float() / 255
-    moved, boxes, labels = reframe(image, sample.boxes, sample.labels, seeded(seed))
-    assert labels.tolist() == [1]
-    assert float((bounds(moved) - boxes[0]).abs().max()) < 1.6
+def test_epochs_begin_as_the_configuration_says() -> None:
+    config = replace(PLAIN, epochs=5, low_resolution=64, low_resolution_fraction=0.4, final_fraction=0.2)
+    trainer = Noting()
+    training = Training(config, trainer)
+    for _ in range(5):
+        training.run_epoch(few())
+    assert trainer.begun == [(64, False), (64, False), (None, False), (None, False), (None, True)]
 
 
-def test_objects_that_leave_the_frame_lose_their_box() -> None:
-    sample = drawn((0, 0, 10, 10))
-    image = sample.image.permute(2, 0, 1).float() / 255
-    kept = [len(reframe(image, sample.boxes, sample.labels, seeded(i))[1]) for i in range(40)]
-    assert 0 < sum(kept) < 40
+def test_the_learning_rate_warms_up_and_follows_a_cosine() -> None:
+    training = Training(replace(PLAIN, learning_rate=2.0, warm_up=0.1), Noting())
+
+    def rate(done: float) -> float:
+        training._set_rate(done)
+        return float(training._optimiser.param_groups[0]["lr"])
+
+    assert [rate(done) for done in (0.0, 0.05, 0.1)] == pytest.approx([0.04, 1.02, 2.0])
+    assert [rate(done) for done in (0.55, 1.0)] == pytest.approx([2 * (0.005 + 0.995 / 2), 0.01])
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_augmented_pictures_are_8_bit_and_reproducible(seed: int) -> None:
-    sample = drawn((30, 40, 60, 62))
-    image, boxes, _ = augment(sample, seeded(seed))
-    again, same, _ = augment(sample, seeded(seed))
-    assert torch.equal(image, again)
-    assert torch.equal(boxes, same)
-    assert image.shape == (3, 96, 96)
-    torch.testing.assert_close((image * 255).round() / 255, image)
-    assert float(image.min()) >= 0
-    assert float(image.max()) <= 1
+def test_only_matrices_decay() -> None:
+    groups = Training(replace(PLAIN, weight_decay=0.3), Noting())._optimiser.param_groups
+    assert [(group["weight_decay"], [p.ndim for p in group["params"]]) for group in groups] == [(0.3, [2]), (0.0, [1])]
 
 
-def test_softening_keeps_a_plain_picture_plain() -> None:
-    plain = torch.full((3, 40, 56), 0.3)
-    torch.testing.assert_close(blur(plain, 1.3), plain)
-    torch.testing.assert_close(coarsen(plain, 2.2), plain)
-    assert like_a_splat(plain, seeded()).shape == plain.shape
-    assert torch.isfinite(relight(plain, seeded())).all()
+def test_the_average_keeps_most_of_itself() -> None:
+    training = Training(replace(PLAIN, ema_decay=0.9, warm_up=0.01), Noting())
+    before = {name: value.clone() for name, value in training.averaged.items()}
+    training.run_epoch(few()[:2])
+    for name, value in training.model.state_dict().items():
+        torch.testing.assert_close(training.averaged[name], 0.9 * before[name] + 0.1 * value)
+        assert not torch.equal(value, before[name])
 
 
-def test_renders_of_other_splats_are_refused(tmp_path: Path) -> None:
-    sample = LabelledPicture(
-        torch.zeros(8, 8, 3, dtype=torch.uint8), torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
-    )
-    note: dict[str, object] = {"splats": {"views": 3, "rates": (1.0, 2.0)}}
-    save_pictures([sample], tmp_path, note)
-    check_note(tmp_path, note)
-    check_note(tmp_path, {"splats": {"views": 3, "rates": (1.0, 2.0), "a later option": None}})
-    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
-        check_note(tmp_path, {"splats": {"views": 4, "rates": (1.0, 2.0)}})
+def test_long_gradients_are_scaled_down() -> None:
+    training = Training(replace(PLAIN, max_gradient_norm=5.0), Noting())
+    training.run_epoch(few()[:2])
+    gradients = torch.cat([p.grad.flatten() for p in training.model.parameters() if p.grad is not None])
+    assert float(gradients.norm()) == pytest.approx(5.0, rel=1e-4)
+
+
+def test_pictures_change_from_epoch_to_epoch() -> None:
+    training = Training(PLAIN, Noting())
+
+    def first_epoch_s() -> Tensor:
+        torch.manual_seed(0)
+        return torch.stack(next(iter(training._batches(few())))[0])
+
+    one, again = first_epoch_s(), first_epoch_s()
+    training.epoch = 1
+    assert torch.equal(one, again)
+    assert not torch.equal(one, first_epoch_s())
 
 
 @pytest.mark.parametrize(
-    "record",
+    ("change", "words"),
     [
-        7,
-        {"boxes": [[0, 0, 1, 1]], "labels": []},
-        {"boxes": [[0, 0, 1]], "labels": [1]},
-        {"boxes": [[0, 0, 1, "x"]], "labels": [1]},
-        {"boxes": [[0, 0, 1, 1]], "labels": [99]},
-        {"boxes": [[0, 0, 1, 1]], "labels": [1], "conditions": [{"elevation": "low"}]},
+        (lambda n, t: t["model/weight"].fill_(torch.nan), "finite numbers in model/weight"),
+        (lambda n, t: t["optimiser/0/exp_avg"].fill_(torch.inf), "finite numbers in optimiser/0/exp_avg"),
+        (
+            lambda n, t: t.update({"average/weight": torch.zeros(1, 3)}),
+            r"average, weight: expected \(1, 2\) of float32",
+        ),
+        (lambda n, t: t.pop("model/bias"), "model, bias: expected .*, got none"),
+        (lambda n, t: t.pop("optimiser/0/step"), "optimiser 0, step: expected .*, got none"),
+        (lambda n, t: t.update({"optimiser/1/exp_avg": torch.zeros(7)}), "optimiser 1, exp_avg: expected"),
+        (lambda n, t: n.update(epoch=3), "epoch: expected a whole number from 0 to 2, got 3"),
+        (lambda n, t: n.update(epoch="one"), "epoch: expected a whole number"),
+        (
+            lambda n, t: n.update(history=[{"epoch": 2}]),
+            r"history\[0\]: epoch: expected a whole number from 0 to 1, got 2",
+        ),
+        (lambda n, t: n.update(history=[7]), "history: expected a list of objects"),
+        (lambda n, t: n.pop("config"), "expected .*, got None; use the same one"),
     ],
 )
-def test_broken_labels_are_refused(record: object, tmp_path: Path) -> None:
-    save_pictures([drawn((20, 30, 70, 80), label=1)], tmp_path, {"seed": 0})
-    assert len(load(tmp_path)) == 1
-    content = json.loads((tmp_path / "labels.json").read_text())
-    (tmp_path / "labels.json").write_text(json.dumps({**content, "pictures": {"00000.png": record}}))
-    with pytest.raises(
-        InvalidValueError, match=r"labels\.json: 00000\.png: .*make the data set again|a list of objects"
-    ):
-        load(tmp_path)
+def test_checkpoints_whose_parts_do_not_fit_are_refused(tmp_path: Path, change: Change, words: str) -> None:
+    training = Training(PLAIN, Noting())
+    training.run_epoch(few())
+    training.save(tmp_path)
+    assert Training.resume(tmp_path, PLAIN, Noting()).epoch == 1
+    changed(tmp_path / "checkpoint.safetensors", change)
+    with pytest.raises(DetectorError, match=words):
+        Training.resume(tmp_path, PLAIN, Noting())
+
+
+def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"something else")
+    with pytest.raises(DetectorError, match="a checkpoint of this run"):
+        Training.resume(tmp_path, PLAIN, Noting())
+
+
+CONFIG = TrainConfig(pretraining=1, epochs=2, batch=2, low_resolution=64, low_resolution_fraction=0.5)
+
+
+@pytest.mark.parametrize("name", get_args(SmallDetector))
+def test_each_trainer_takes_a_step_and_makes_a_detector(name: str) -> None:
+    if name.startswith("yolo") and importlib.util.find_spec("ultralytics") is None:
+        pytest.skip("needs the extra yolo")
+    with_object = drawn((30, 40, 70, 80), size=128, label=2)
+    empty = LabelledPicture(with_object.image, torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
+    training = Training(replace(CONFIG, learning_rate=1e-3), trainer_of(name))
+    before = {key: value.clone() for key, value in training.averaged.items()}
+    training.pretrain([with_object, empty])
+    losses = training.run_epoch([with_object, empty])
+    assert all(torch.isfinite(torch.tensor(value)) for value in losses.values())
+    assert sum(losses.values()) > 0
+    moved = [key for key, value in training.averaged.items() if not torch.equal(value, before[key])]
+    assert len(moved) > 0.7 * len(before)
+    detector = training.snapshot()
+    assert isinstance(detector, Detector)
+    assert (detector.name, detector.classes) == (name, SMALL_CLASSES)
+    (found,) = detector.candidates(with_object.image[None].float() / 255)
+    assert found.scores.shape[1] == len(SMALL_CLASSES)
+    assert bool(torch.isfinite(found.boxes).all())
+
+
+def test_the_shipped_weights_are_small() -> None:
+    assert 0 < SMALL_WEIGHTS.stat().st_size <= 10_000_000
+
+
+@pytest.mark.parametrize(("wrong", "better"), [(0, 2), (3, 1)])
+def test_the_best_epoch_has_few_false_positives_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrong: int, better: int
+) -> None:
+    """More objects are found in the second epoch, and perhaps more is reported where there is none."""
+    training = Training(TrainConfig(), FasterRCNNTrainer())
+    car, nothing = reported((HERE, 0.9, "car")), reported()
+    with_object, empty = picture((HERE, 1)), picture()
+    for epoch, (right, imagined) in enumerate([(7, 0), (8, wrong)], start=1):
+        found = measure([car] * right + [nothing] * (10 - right), [with_object] * 10, SMALL_CLASSES)
+        missed = measure([car] * imagined + [nothing] * (10 - imagined), [empty] * 10, SMALL_CLASSES)
+        measured = [found, missed]
+        monkeypatch.setattr(steps, "measure_detector", lambda *_, measured=measured: measured.pop(0))
+        training.epoch = epoch
+        training.history.append({"epoch": epoch, **steps.validated(training, [with_object, empty], tmp_path)})
+    assert [record["map"] for record in training.history] == [0.7, 0.8]
+    with safe_open(tmp_path / "best.safetensors", framework="pt") as file:
+        assert file.metadata()["epoch"] == str(better)
+
+
+@pytest.mark.slow
+def test_the_command_trains_from_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["train-detector", "--data", str(tmp_path / "data"), "--out", str(tmp_path / "out"), "--threads=1"]
+    words += ["--sets.pictures=3", "--sets.surroundings=0", "--sets.overhead=0", "--sets.splats=0", "--processes=0"]
+    words += [f"--sets.{name}=0" for name in ("streets", "street-splats", "backgrounds", "validation-backgrounds")]
+    words += ["--sets.validation=3", "--config.epochs=1", "--config.batch=2", "--config.pretraining=1"]
+    assert cli.main([*words, "--only-data"]) == 0
+    assert "3 training pictures, 3 for validation" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+    assert cli.main(words) == 0
+    captured = capsys.readouterr()
+    assert "epoch 1: loss " in captured.err
+    assert "of the cut-outs classified right" in captured.err
+    for name in ("best.safetensors", "curves.json", "checkpoint.safetensors"):
+        assert (tmp_path / "out" / name).is_file()
+    assert cli.main(words) == 0, "nothing is left to do"
+    assert "epoch" not in capsys.readouterr().err
+    curves = str(tmp_path / "out" / "curves.json")
+    assert cli.main(["plot-detector-training", curves, "--out", str(tmp_path / "curves.png")]) == 0
+    assert (tmp_path / "curves.png").stat().st_size > 1000
+
+
+def test_a_file_without_history_is_not_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.json").write_text("{}")
+    assert cli.main(["plot-detector-training", str(tmp_path / "x.json")]) == 1
+    assert "expected JSON with a history" in capsys.readouterr().err
+    (tmp_path / "x.json").write_text('{"history": [{"epoch": 1, "losses": {}}]}')
+    assert cli.main(["plot-detector-training", str(tmp_path / "x.json")]) == 1
+    assert "an epoch with a validation" in capsys.readouterr().err

@@ -44,7 +44,7 @@ from mi_splat.selection.masks import load_mask, save_mask
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
-from tests.detectors.test_training_loop import PLAIN, Noting
+from tests.detectors.test_training import PLAIN, Noting
 from tests.detectors.tfjs.graphs import files, ints, node, placeholder, string
 from tests.detectors.tfjs.packages import TOPOLOGY, toy
 from tests.detectors.tfjs.packages import WEIGHTS as TOY_WEIGHTS

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +10,9 @@ from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.evaluation.measure import Measurement, confidences_at, false_positives, measure_detector
 from attacks.detectors.registry import load_detector
-from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
-from attacks.detectors.training.dataset import fill_conditions, load, make
+from attacks.detectors.training.dataset import background_sets, load, make, splat_set
 from attacks.detectors.training.pictures import LabelledPicture
-from attacks.detectors.training.splat_pictures import splat_set
 from mi_splat.errors import message
 
 MIN_CONFIDENCE = 0.001
@@ -69,8 +65,6 @@ def held_out_sets(
 ) -> dict[str, list[LabelledPicture]]:
     """Held-out pictures by set: path traced, renders of splats, and each kind of background.
 
-    How the objects are seen is added to pictures that were made before it was recorded.
-
     Args:
         folder: Where the pictures are kept; what is missing is made.
         scenes: Scenes with objects, and how many pictures of them.
@@ -88,36 +82,12 @@ def held_out_sets(
         return lambda done, total: on_work(text, done, total)
 
     make(scenes, folder / scenes.split, processes=processes, on_step=step("path-traced pictures"))
-    sets = (
-        {PATH_TRACED: _path_traced(folder / scenes.split, scenes, step("how objects are seen"))} if scenes.count else {}
-    )
+    sets = {PATH_TRACED: load(folder / scenes.split, limit=scenes.count)} if scenes.count else {}
     if splats:
         numbers = range(_FIRST_SPLAT, _FIRST_SPLAT + splats)
-        renders = splat_set(scenes, numbers, folder / "splats", splat, on_step=step("splats"))
-        if not _all_known(renders):
-            renders = []
-            for done, number in enumerate(numbers, start=1):
-                own = folder / "splats" / f"{number}"
-                fill_conditions(own, replace(scenes, shots=splat.pictures), {number: 0})
-                renders += load(own)
-                on_work("how objects are seen", done, splats)
-        sets[SPLAT_RENDERS] = renders
+        sets[SPLAT_RENDERS] = splat_set(scenes, numbers, folder / "splats", splat, on_step=step("splats"))
     empty = background_sets(folder / "backgrounds", backgrounds, on_step=step("backgrounds"))
     return sets | {f"{BACKGROUND}{kind}": pictures for kind, pictures in empty.items() if pictures}
-
-
-def _path_traced(folder: Path, scenes: PictureSetConfig, on_step: Callable[[int, int], None]) -> list[LabelledPicture]:
-    pictures = load(folder, limit=scenes.count)
-    if _all_known(pictures):
-        return pictures
-    firsts = {number: number * scenes.shots for number in range(math.ceil(scenes.count / scenes.shots))}
-    fill_conditions(folder, scenes, firsts, on_step=on_step)
-    return load(folder, limit=scenes.count)
-
-
-def _all_known(pictures: Sequence[LabelledPicture]) -> bool:
-    """Whether it is known of every object how it is seen."""
-    return all(len(picture.conditions) == len(picture.labels) for picture in pictures)
 
 
 def measure_sets(

@@ -9,8 +9,9 @@ import contextlib
 import json
 import math
 import multiprocessing
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,73 +19,37 @@ import numpy as np
 import torch
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.training.conditions import ViewingConditions
-from attacks.detectors.training.config import PictureSetConfig
-from attacks.detectors.training.pictures import LabelledPicture, scene_labels, scene_pictures
+from attacks.detectors.training.config import BACKGROUNDS, BackgroundConfig, PictureSetConfig, SplatConfig
+from attacks.detectors.training.pictures import (
+    LabelledPicture,
+    ViewingConditions,
+    background_pictures,
+    scene_pictures,
+    splat_pictures,
+)
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_png, save_text, sha256
 from mi_splat.io.fields import Fields
 from mi_splat.io.noted_tensors import read_line
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.io.picture_files import load_picture
+from mi_splat.rendering import Renderer
 
 OnStep = Callable[[int, int], None]
+"""Called with the number of pictures, or of scenes, that are there and the number wanted."""
 Record = dict[str, Any]
-
-
-def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
-    config, number, folder = job
-    return {
-        i: _save(one, folder, i) for i, one in enumerate(scene_pictures(config, number), start=number * config.shots)
-    }
-
-
-def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
-    path = folder / f"{number:05d}.png"
-    save_png(picture.image.numpy(), path)
-    return {
-        "sha256": sha256(path),
-        "boxes": picture.boxes.tolist(),
-        "labels": picture.labels.tolist(),
-        "conditions": [asdict(one) for one in picture.conditions],
-    }
-
-
-def save_pictures(pictures: Sequence[LabelledPicture], folder: Path, note: dict[str, object]) -> None:
-    """Write a whole data set; `note` says how it was made."""
-    folder.mkdir(parents=True, exist_ok=True)
-    _write(folder, note, {i: _save(picture, folder, i) for i, picture in enumerate(pictures)})
-
-
-def check_note(folder: Path, note: dict[str, object]) -> None:
-    """Raise unless a data set was made as `note` says; what is None is as good as absent, as in older sets.
-
-    Raises:
-        InvalidValueError: It was made otherwise.
-    """
-    noted = _labels(folder)["recipe"]
-    if _without_none(noted) != _without_none(json.loads(json.dumps(note))):
-        do = "choose an empty folder or the same configuration"
-        raise InvalidValueError(message(f"folder {folder}", note, noted, do))
-
-
-def _without_none(note: dict[str, Any]) -> dict[str, Any]:
-    pairs = ((key, _without_none(value) if isinstance(value, dict) else value) for key, value in note.items())
-    return {key: value for key, value in pairs if value is not None}
-
-
-def _single_thread() -> None:
-    torch.set_num_threads(1)
+"""What labels.json says of one picture."""
+_LABELS = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28)
 
 
 def make(config: PictureSetConfig, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
-    """Make the pictures of a configuration that `folder` does not hold yet.
+    """Make the path-traced pictures of a configuration that `folder` does not hold yet.
 
     Args:
         config: What to make.
         folder: Where; it is made if need be.
         processes: How many processes share the work; 0 does it in this one.
-        on_step: Called with the number of pictures there are and the number wanted.
+        on_step: Called as scenes are done, with numbers of pictures.
 
     Raises:
         InvalidValueError: the folder holds pictures of another configuration.
@@ -105,48 +70,71 @@ def make(config: PictureSetConfig, folder: Path, *, processes: int = 2, on_step:
     _write(folder, asdict(config), records)
 
 
-@contextlib.contextmanager
-def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]]]]:
-    """A `map` over fresh processes, or over this one if `processes` is 0."""
-    if processes == 0:
-        yield map
-        return
-    with multiprocessing.get_context("spawn").Pool(processes, initializer=_single_thread) as pool:
-        yield pool.imap_unordered
+def splat_set(
+    scenes: PictureSetConfig, numbers: Sequence[int], folder: Path, config: SplatConfig, *, on_step: OnStep | None
+) -> list[LabelledPicture]:
+    """Labelled renders of splats of many scenes; what is missing is made.
+
+    Args:
+        scenes: What the scenes are made of.
+        numbers: Which of these scenes.
+        folder: Where the pictures are kept, each scene in a folder of its own.
+        config: How splats are made.
+        on_step: Called with numbers of scenes.
+
+    Raises:
+        InvalidValueError: The folder holds renders of other scenes, or of splats that were made otherwise.
+    """
+    render, pictures = Renderer(), []
+    note = {"scenes": asdict(replace(scenes, count=1)), "splats": asdict(config)}
+    for done, number in enumerate(numbers, start=1):
+        pictures += kept_set(folder / f"{number}", note, partial(splat_pictures, scenes, number, config, render=render))
+        if on_step is not None:
+            on_step(done, len(numbers))
+    return pictures
 
 
-def _write(folder: Path, note: dict[str, object], records: dict[int, Record]) -> None:
-    names = {f"{i:05d}.png": records[i] for i in sorted(records)}
-    _replace_labels(folder, {"recipe": note, "classes": list(SMALL_CLASSES), "pictures": names})
+def background_sets(
+    folder: Path,
+    config: BackgroundConfig,
+    *,
+    kinds: Sequence[str] = BACKGROUNDS,
+    on_step: OnStep | None = None,
+) -> dict[str, list[LabelledPicture]]:
+    """Pictures of kinds of background by kind; what is missing is made.
+
+    Args:
+        folder: Where the pictures are kept, each scene in a folder of its own.
+        config: Their number, size and seeds.
+        kinds: Which of `BACKGROUNDS`.
+        on_step: Called with numbers of scenes.
+
+    Raises:
+        InvalidValueError: The folder holds pictures that were made otherwise.
+    """
+    note = {"backgrounds": asdict(replace(config, scenes=1))}
+    sets: dict[str, list[LabelledPicture]] = {kind: [] for kind in kinds}
+    jobs = [(kind, number) for kind in kinds for number in range(config.scenes)]
+    for done, (kind, number) in enumerate(jobs, start=1):
+        sets[kind] += kept_set(folder / f"{kind}-{number}", note, partial(background_pictures, kind, number, config))
+        if on_step is not None:
+            on_step(done, len(jobs))
+    return sets
 
 
-def _replace_labels(folder: Path, content: dict[str, Any]) -> None:
-    save_text(json.dumps(content), folder / "labels.json")
+def kept_set(
+    folder: Path, note: dict[str, Any], make: Callable[[], Sequence[LabelledPicture]]
+) -> list[LabelledPicture]:
+    """The set in a folder, which is made there if there is none.
 
-
-def _labels(folder: Path) -> dict[str, Any]:
-    """What a data set says of its pictures."""
-    found = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28).read_json(
-        folder / "labels.json"
-    )
-    if not isinstance(found.get("recipe"), dict) or not isinstance(found.get("pictures"), dict):
-        raise InvalidValueError(message(f"folder {folder}", "a recipe and pictures", "others", "make it again"))
-    return found
-
-
-def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
+    Raises:
+        InvalidValueError: It was made otherwise than `note` says.
+    """
     if not (folder / "labels.json").is_file():
-        return {}
-    content = _labels(folder)
-    noted: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in content["recipe"].items()
-    }
-    unknown = noted.keys() - {field.name for field in fields(PictureSetConfig)}
-    if unknown or replace(PictureSetConfig(**noted), count=config.count) != config:
-        raise InvalidValueError(
-            message(f"folder {folder}", config, content["recipe"], "choose an empty folder or the same configuration")
-        )
-    return {int(Path(name).stem): record for name, record in content["pictures"].items() if Path(name).stem.isdecimal()}
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(folder, note, {i: _save(picture, folder, i) for i, picture in enumerate(make())})
+    _check_recipe(folder, _labels(folder)["recipe"], note)
+    return load(folder)
 
 
 def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
@@ -157,8 +145,7 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
         limit: Read so many pictures only, in the order of their numbers.
 
     Raises:
-        InvalidValueError: there is no data set in the folder, or a picture is missing or not the one that was made;
-            that cannot be told of older sets, which have no digests.
+        InvalidValueError: there is no data set in the folder, or a picture is missing or not the one that was made.
     """
     path = folder / "labels.json"
     if not path.is_file():
@@ -167,7 +154,7 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     records = Fields(_labels(folder)["pictures"], str(path), InvalidValueError, "make the data set again")
     for name in list(records.values)[:limit]:
         record = records.object(name)
-        _check_bytes(folder / name, dict(record.values))
+        _check_bytes(folder / name, record.text("sha256"))
         image = torch.from_numpy(np.array(load_picture(folder / name)))
         labels = record.wholes("labels", 1, len(SMALL_CLASSES))
         boxes = torch.tensor(record.rows("boxes", len(labels), 4), dtype=torch.float32).reshape(-1, 4)
@@ -176,53 +163,69 @@ def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
     return pictures
 
 
-def _check_bytes(path: Path, record: Record) -> None:
-    """Raise unless a picture is the one that was made, as far as its record knows that."""
-    try:
-        digest = sha256(path)
-        found = None if digest == record.get("sha256", digest) else "other bytes"
-    except OSError as error:
-        found = error.strerror or str(error)
-    if found:
-        expected, do = "the picture that labels.json lists", f"delete the folder {path.parent} to have it made again"
-        raise InvalidValueError(message(str(path), expected, found, do))
+@contextlib.contextmanager
+def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]]]]:
+    """A `map` over fresh processes, or over this one if `processes` is 0."""
+    if processes == 0:
+        yield map
+        return
+    with multiprocessing.get_context("spawn").Pool(processes, torch.set_num_threads, (1,)) as pool:
+        yield pool.imap_unordered
 
 
-def fill_conditions(
-    folder: Path, scenes: PictureSetConfig, firsts: Mapping[int, int], *, on_step: OnStep | None = None
-) -> None:
-    """Record how objects are seen in pictures that were made before that was recorded, without rendering them again.
+def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
+    config, number, folder = job
+    pictures = enumerate(scene_pictures(config, number), start=number * config.shots)
+    return {i: _save(picture, folder, i) for i, picture in pictures}
 
-    Args:
-        folder: A data set; its labels.json is replaced if something was missing.
-        scenes: What the pictures show; `shots` is the number of pictures of each scene.
-        firsts: Number of a scene to the number of its first picture.
-        on_step: Called with the number of scenes done and the number wanted.
 
-    Raises:
-        InvalidValueError: The pictures show something else.
-    """
+def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
+    path = folder / f"{number:05d}.png"
+    save_png(picture.image.numpy(), path)
+    return {
+        "sha256": sha256(path),
+        "boxes": picture.boxes.tolist(),
+        "labels": picture.labels.tolist(),
+        "conditions": [asdict(seen) for seen in picture.conditions],
+    }
+
+
+def _write(folder: Path, recipe: dict[str, Any], records: dict[int, Record]) -> None:
+    names = {f"{i:05d}.png": records[i] for i in sorted(records)}
+    content = {"recipe": recipe, "classes": list(SMALL_CLASSES), "pictures": names}
+    save_text(json.dumps(content), folder / "labels.json")
+
+
+def _labels(folder: Path) -> dict[str, Any]:
+    """What a data set says of its pictures."""
+    content = _LABELS.read_json(folder / "labels.json")
+    if not isinstance(content.get("recipe"), dict) or not isinstance(content.get("pictures"), dict):
+        raise InvalidValueError(message(f"folder {folder}", "a recipe and pictures", "others", "make it again"))
+    return content
+
+
+def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
+    """What there is by number of the picture; how many were asked for is no part of how they are made."""
+    if not (folder / "labels.json").is_file():
+        return {}
     content = _labels(folder)
-    changed = False
-    for done, (number, first) in enumerate(firsts.items(), start=1):
-        records = [content["pictures"][f"{i:05d}.png"] for i in range(first, first + scenes.shots)]
-        if any(len(record.get("conditions", ())) < len(record["labels"]) for record in records):
-            for record, picture in zip(records, scene_labels(scenes, number), strict=True):
-                _check_labels(folder, number, record, picture)
-                record["conditions"] = [asdict(one) for one in picture.conditions]
-            changed = True
-        if on_step is not None:
-            on_step(done, len(firsts))
-    if changed:
-        _replace_labels(folder, content)
+    _check_recipe(folder, {**content["recipe"], "count": config.count}, asdict(config))
+    return {int(Path(name).stem): record for name, record in content["pictures"].items() if Path(name).stem.isdecimal()}
 
 
-def _check_labels(folder: Path, number: int, record: Record, picture: LabelledPicture) -> None:
-    """Raise unless what was recorded of a picture is what its scene gives now, boxes to a pixel or two."""
-    boxes = torch.tensor(record["boxes"], dtype=torch.float32).reshape(-1, 4)
-    same = record["labels"] == picture.labels.tolist() and torch.allclose(boxes, picture.boxes, rtol=0, atol=2)
-    if not same:
-        got = f"labels {picture.labels.tolist()} at {picture.boxes.tolist()}"
-        expected = f"labels {record['labels']} at {record['boxes']}, as recorded"
-        do = "it was made by another version; choose an empty folder to make the pictures again"
-        raise InvalidValueError(message(f"folder {folder}, scene {number}", expected, got, do))
+def _check_recipe(folder: Path, noted: dict[str, Any], recipe: dict[str, Any]) -> None:
+    """Raise unless a data set was made as `recipe` says."""
+    if noted != json.loads(json.dumps(recipe)):
+        do = "choose an empty folder or the same configuration"
+        raise InvalidValueError(message(f"folder {folder}", recipe, noted, do))
+
+
+def _check_bytes(path: Path, digest: str) -> None:
+    """Raise unless a picture is the one that was made."""
+    try:
+        flaw = None if sha256(path) == digest else "other bytes"
+    except OSError as error:
+        flaw = error.strerror or str(error)
+    if flaw:
+        expected, do = "the picture that labels.json lists", f"delete the folder {path.parent} to have it made again"
+        raise InvalidValueError(message(str(path), expected, flaw, do))

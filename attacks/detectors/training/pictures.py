@@ -1,11 +1,13 @@
 """Labelled pictures for the small detectors: which objects, seen from where, in what light, in front of what.
 
-Scene n of a split, with all its pictures, is a pure function of (configuration, n): nothing depends on the order or the
-process in which pictures are made.
+They are path traced, or renders of splats, or show no object at all, so that whatever is reported there is a false
+positive. All pictures of scene n of a split are a pure function of (configuration, n): nothing depends on the order or
+the process in which they are made.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +19,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.training.conditions import ViewingConditions, viewing_conditions
-from attacks.detectors.training.config import SPLITS, PictureSetConfig
+from attacks.detectors.training.config import (
+    BACKGROUNDS,
+    SPLITS,
+    BackgroundConfig,
+    PictureSetConfig,
+    SplatConfig,
+)
 from attacks.detectors.training.surroundings import backdrop, of_kind, scatter
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
-from mi_splat.cameras import Camera, View, orbit_pose, project_points
+from mi_splat.assets.primitives import ellipsoid
+from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
+from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, refine
 from mi_splat.capture.path_tracer import (
     Light,
     capture,
@@ -33,6 +42,11 @@ from mi_splat.capture.path_tracer import (
     scene_dict,
     shapes,
 )
+from mi_splat.capture.surface_sampling import nearness, surface_samples
+from mi_splat.directions import direction_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import check_choice
+from mi_splat.scene import GaussianScene, merge
 
 Mask = NDArray[np.bool_]
 _TRIES, _WELL_VISIBLE = 4, 0.5
@@ -40,6 +54,48 @@ _LEAST_SOLID = 0.12
 """Fraction of a square around the object that its outline fills; below it, a flat thing is seen from its edge."""
 _LEAST_PIXELS = 12
 _COARSE = 4
+_DISTANCE = (4.0, 7.0)
+"""Metres from a camera to what it looks at, about those of the shipped scenes."""
+_OBJECT_RADIUS = 2.2
+"""Metres; random surroundings are made to fit an object of this size, here that of a car."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewingConditions:
+    """How one object in one picture is seen.
+
+    Attributes:
+        elevation: Degrees above the horizontal plane, of the camera as seen from the centre of the object's box.
+        distance: World units from the camera to that centre.
+        extent: World units, diagonal of the object's box.
+        sun_elevation: Degrees above the horizon; None where the light is not known.
+        sun_strength: Irradiance of the sun on a surface that faces it; None where the light is not known.
+    """
+
+    elevation: float
+    distance: float
+    extent: float
+    sun_elevation: float | None = None
+    sun_strength: float | None = None
+
+
+def viewing_conditions(points: Floats, camera: Camera, light: Light | None = None) -> ViewingConditions:
+    """How an object is seen from a camera, rounded to six digits after the point.
+
+    Args:
+        points: (N, 3) of the object, world units.
+        camera: Takes the picture.
+        light: What it stands in; None where that is not known.
+    """
+    low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
+    centre: list[float] = ((low + high) / 2).tolist()
+    return ViewingConditions(
+        elevation=round(direction_of(camera, centre).elevation, 6),
+        distance=round(math.dist(camera.position.tolist(), centre), 6),
+        extent=round(float(np.linalg.norm(high - low)), 6),
+        sun_elevation=None if light is None else round(light.sun_elevation, 6),
+        sun_strength=None if light is None else round(light.sun_strength, 6),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +115,7 @@ class LabelledPicture:
         image: (H, W, 3) uint8 sRGB.
         boxes: (B, 4) float32 pixels, tight around visible pixels.
         labels: (B,) int64, 1 + position in SMALL_CLASSES.
-        conditions: How each of the B objects is seen; empty where that is not known.
+        conditions: How each of the B objects is seen; empty where nobody asks.
     """
 
     image: Tensor
@@ -185,7 +241,7 @@ class SceneRenderer:
                 labels.append(1 + SMALL_CLASSES.index(asset.name))
                 conditions.append(viewing_conditions(asset.body.vertices, camera, self.contents.light))
         return LabelledPicture(
-            (image.clamp(0, 1) * 255).round().to(torch.uint8),
+            _in_bytes(image),
             torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
             torch.tensor(labels, dtype=torch.int64),
             tuple(conditions),
@@ -225,6 +281,10 @@ class SceneRenderer:
         return fractions
 
 
+def _in_bytes(image: Tensor) -> Tensor:
+    return (image.clamp(0, 1) * 255).round().to(torch.uint8)
+
+
 def _solid(outline: Mask) -> bool:
     rows, columns = np.nonzero(outline)
     side = max(np.ptp(rows), np.ptp(columns)) + 1 if len(rows) else 1
@@ -239,8 +299,88 @@ def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPictur
         return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
 
 
-def scene_labels(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
-    """As in `scene_pictures`, with black pictures: what is seen how, at the cost of some rays a pixel."""
-    renderer = SceneRenderer(config, number)
-    black = torch.zeros(config.size, config.size, 3)
-    return [renderer.label(camera, black) for camera in [renderer.choose_camera() for _ in range(config.shots)]]
+def background_pictures(kind: str, number: int, config: BackgroundConfig) -> list[LabelledPicture]:
+    """The pictures of background `number` of a kind, a pure function of its arguments; none has a label.
+
+    Cameras look at a point near the origin from 4 to 7 metres, from elevations of 0 to 90 degrees and all azimuths,
+    with a field of view of 22 to 60 degrees, as in the pictures with objects.
+
+    Args:
+        kind: One of `BACKGROUNDS`.
+        number: Which of the kind.
+        config: Size and seeds of the set.
+
+    Raises:
+        InvalidValueError: There is no such kind.
+    """
+    check_choice("kind", kind, BACKGROUNDS)
+    low, high = SPLITS[config.split]
+    rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
+    around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
+    scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
+    cameras = [_background_camera(rng, config.size) for _ in range(config.shots)]
+    with scalar_variant():
+        views = capture(scene, cameras, samples=config.samples, seed=int(rng.integers(1 << 28)))
+    nothing = torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
+    return [LabelledPicture(_in_bytes(view.image), *nothing) for view in views]
+
+
+def _background_camera(rng: Generator, size: int) -> Camera:
+    target = (float(rng.normal(0, 0.5)), float(rng.normal(0, 0.5)), float(rng.uniform(0.5, 1.2)))
+    focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
+    pose = orbit_pose(
+        target,
+        azimuth=float(rng.uniform(0, 360)),
+        elevation=float(rng.uniform(0, 90)),
+        distance=float(rng.uniform(*_DISTANCE)),
+    )
+    return Camera(to_world=pose, focal=focal, width=size, height=size)
+
+
+def splat_pictures(
+    scenes: PictureSetConfig, number: int, config: SplatConfig, *, render: RenderFn
+) -> list[LabelledPicture]:
+    """Labelled renders of a splat of one scene; the labels are those of the meshes it was made from.
+
+    Args:
+        scenes: What the scenes are made of.
+        number: Which of these scenes.
+        config: How the splat is made, and how many renders of it.
+        render: Renders the splat.
+    """
+    renderer = SceneRenderer(replace(scenes, samples=config.samples), number)
+    with scalar_variant():
+        tests = [renderer.choose_camera() for _ in range(config.pictures)]
+        views = [renderer.render(renderer.choose_camera()) for _ in range(config.views)]
+    splat = splat_of(renderer, views, config, render)
+    with torch.no_grad():
+        pictures = [render(splat, camera) for camera in tests]
+    with scalar_variant():
+        return [renderer.label(camera, picture) for camera, picture in zip(tests, pictures, strict=True)]
+
+
+def splat_of(renderer: SceneRenderer, views: Sequence[View], config: SplatConfig, render: RenderFn) -> GaussianScene:
+    """A splat of a path-traced scene: objects, surroundings and sky.
+
+    Args:
+        renderer: The scene, and what is in it.
+        views: Path-traced pictures of it, from which the colours come.
+        config: How many Gaussians and steps of refinement.
+        render: What the refinement differentiates.
+    """
+    cameras = [view.camera for view in views]
+    depths = depth_maps(renderer.scene, cameras)
+    contents = renderer.contents
+    dome = Asset("sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),))
+    wanted = [(asset, config.objects, 0.62) for asset in contents.assets]
+    wanted += [(contents.surroundings, config.surroundings, 0.62), (dome, config.sky, 0.9)]
+    parts = []
+    for asset, count, overlap in wanted:
+        density = nearness(cameras, closest=0.3) if asset is contents.surroundings else None
+        samples = surface_samples(asset, count, density=density)
+        with contextlib.suppress(InvalidValueError):  # a part that no picture shows is left out
+            parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+    whole = merge(*parts)
+    if config.steps == 0:
+        return whole
+    return refine(whole, views, render=render, config=RefineConfig(steps=config.steps))

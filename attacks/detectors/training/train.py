@@ -14,7 +14,6 @@ from typing import Protocol
 
 from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.evaluation.measure import false_positives, measure_detector
-from attacks.detectors.training.backgrounds import background_sets
 from attacks.detectors.training.config import (
     BACKGROUNDS,
     BackgroundConfig,
@@ -22,10 +21,9 @@ from attacks.detectors.training.config import (
     SplatConfig,
     TrainingSetConfig,
 )
-from attacks.detectors.training.dataset import load, make
+from attacks.detectors.training.dataset import background_sets, load, make, splat_set
 from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
-from attacks.detectors.training.splat_pictures import splat_set
 from attacks.detectors.weights import fingerprint, read_weights
 
 OnWork = Callable[[str, int, int], None]
@@ -50,18 +48,18 @@ def trainer_of(name: str) -> DetectorTrainer:
         DetectorError: It needs a package that is not there.
     """
     module, trainer = _TRAINERS[name]
-    found: DetectorTrainer = getattr(import_module(f"attacks.detectors.training.{module}"), trainer)()
-    return found
+    made: DetectorTrainer = getattr(import_module(f"attacks.detectors.training.{module}"), trainer)()
+    return made
 
 
 def training_pictures(
-    folder: Path, sets: TrainingSetConfig, *, processes: int, on_work: OnWork
+    folder: Path, counts: TrainingSetConfig, *, processes: int, on_work: OnWork
 ) -> tuple[list[LabelledPicture], list[LabelledPicture]]:
     """Pictures for training and for validation; what `folder` does not hold yet is made.
 
     Args:
         folder: Where the pictures are kept.
-        sets: How many of each kind.
+        counts: How many of each kind.
         processes: How many processes make pictures; 0 makes them in this one.
         on_work: Hears of the progress.
 
@@ -69,32 +67,30 @@ def training_pictures(
         InvalidValueError: The folder holds pictures that were made otherwise.
     """
     overhead_focus = ("car", "train", *SMALL_CLASSES)
-    wanted = {
-        "validation": PictureSetConfig(split="validation", count=sets.validation),
-        "train": PictureSetConfig(split="train", count=sets.pictures),
-        "surroundings": PictureSetConfig(split="train", seed=1, count=sets.surroundings, empty=0.4, street=1.0),
+    configs = {
+        "validation": PictureSetConfig(split="validation", count=counts.validation),
+        "train": PictureSetConfig(split="train", count=counts.pictures),
+        "surroundings": PictureSetConfig(split="train", seed=1, count=counts.surroundings, empty=0.4, street=1.0),
         "overhead": PictureSetConfig(
-            split="train", seed=3, count=sets.overhead, elevation=(50, 90), focus=overhead_focus, street=0.7
+            split="train", seed=3, count=counts.overhead, elevation=(50, 90), focus=overhead_focus, street=0.7
         ),
-        "streets": replace(IN_STREETS, count=sets.streets),
+        "streets": replace(IN_STREETS, count=counts.streets),
     }
-    found: dict[str, list[LabelledPicture]] = {}
-    for name, config in wanted.items():
-        if not config.count:
-            found[name] = []
-            continue
-        make(config, folder / name, processes=processes, on_step=_named(f"{name} pictures", on_work))
-        found[name] = load(folder / name, limit=config.count)
-    validation = found.pop("validation") + _backgrounds(
-        BackgroundConfig(split="validation", scenes=sets.validation_backgrounds, samples=6), folder, on_work
+    sets: dict[str, list[LabelledPicture]] = {}
+    for name, config in configs.items():
+        if config.count:
+            make(config, folder / name, processes=processes, on_step=_named(f"{name} pictures", on_work))
+            sets[name] = load(folder / name, limit=config.count)
+    validation = sets.pop("validation", []) + _backgrounds(
+        BackgroundConfig(split="validation", scenes=counts.validation_backgrounds, samples=6), folder, on_work
     )
-    parts = _splats(PictureSetConfig(split="train", seed=2), sets.splats, folder / "train-splats", on_work)
-    parts += _splats(replace(IN_STREETS, seed=5), sets.street_splats, folder / "street-splats", on_work)
-    empty = BackgroundConfig(split="train", scenes=sets.backgrounds, samples=6, shots=6)
+    parts = _splats(PictureSetConfig(split="train", seed=2), counts.splats, folder / "train-splats", on_work)
+    parts += _splats(replace(IN_STREETS, seed=5), counts.street_splats, folder / "street-splats", on_work)
+    empty = BackgroundConfig(split="train", scenes=counts.backgrounds, samples=6, shots=6)
     parts += _backgrounds(empty, folder, on_work)
-    for more in (replace(empty, scenes=2 * sets.backgrounds, seed=1), replace(empty, samples=16, shots=3, seed=2)):
+    for more in (replace(empty, scenes=2 * counts.backgrounds, seed=1), replace(empty, samples=16, shots=3, seed=2)):
         parts += _backgrounds(more, folder, on_work, kinds=("street",))
-    return [*(picture for some in found.values() for picture in some), *parts], validation
+    return [*(picture for pictures in sets.values() for picture in pictures), *parts], validation
 
 
 def _splats(scenes: PictureSetConfig, count: int, folder: Path, on_work: OnWork) -> list[LabelledPicture]:
@@ -104,9 +100,9 @@ def _splats(scenes: PictureSetConfig, count: int, folder: Path, on_work: OnWork)
 def _backgrounds(
     config: BackgroundConfig, folder: Path, on_work: OnWork, *, kinds: Sequence[str] = BACKGROUNDS
 ) -> list[LabelledPicture]:
-    own = folder / f"{config.split}-backgrounds-{config.seed}"
-    found = background_sets(own, config, kinds=kinds, on_step=_named(own.name, on_work))
-    return [picture for some in found.values() for picture in some]
+    name = f"{config.split}-backgrounds-{config.seed}"
+    sets = background_sets(folder / name, config, kinds=kinds, on_step=_named(name, on_work))
+    return [picture for pictures in sets.values() for picture in pictures]
 
 
 def train(

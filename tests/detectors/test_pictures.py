@@ -1,0 +1,323 @@
+"""Labelled pictures: functions of their configuration, kept whole on disk, changed at random for training."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Tensor
+
+from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.detectors.evaluation.held_out import held_out_sets
+from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
+from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig, PictureSetConfig, SplatConfig
+from attacks.detectors.training.dataset import background_sets, kept_set, load, make, splat_set
+from attacks.detectors.training.pictures import (
+    SceneRenderer,
+    ViewingConditions,
+    background_pictures,
+    random_scene,
+    scene_pictures,
+    viewing_conditions,
+)
+from mi_splat.assets.daylight import Light
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.errors import InvalidValueError
+from tests.detectors.made import drawn
+
+pytestmark = pytest.mark.usefixtures("scalar")
+
+TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def seeded(number: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(number)
+
+
+# Pictures and data sets
+
+
+def test_a_scene_is_a_function_of_the_configuration_and_its_number() -> None:
+    first, second = random_scene(TINY, 5), random_scene(TINY, 5)
+    assert [a.name for a in first.assets] == [a.name for a in second.assets]
+    for one, other in zip((*first.assets, first.surroundings), (*second.assets, second.surroundings), strict=True):
+        assert np.array_equal(one.vertices, other.vertices)
+    assert (first.light.seed, first.light.sun_azimuth) == (second.light.seed, second.light.sun_azimuth)
+
+
+def test_pictures_are_reproduced_to_the_bit() -> None:
+    for one, other in zip(scene_pictures(TINY, 0), scene_pictures(TINY, 0), strict=True):
+        assert torch.equal(one.image, other.image)
+        assert torch.equal(one.boxes, other.boxes)
+        assert torch.equal(one.labels, other.labels)
+
+
+def test_splits_use_other_objects_and_lights() -> None:
+    ranges = sorted(SPLITS.values())
+    assert all(low < high for low, high in ranges)
+    assert all(ours[1] <= theirs[0] for ours, theirs in itertools.pairwise(ranges))
+    train, held_out = random_scene(TINY, 0), random_scene(replace(TINY, split="held-out"), 0)
+    assert train.light.seed != held_out.light.seed
+
+
+def test_an_unknown_split_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="split: expected one of train, validation, held-out, got test"):
+        PictureSetConfig(split="test")
+
+
+@pytest.mark.slow
+def test_cameras_reach_from_the_street_to_straight_down() -> None:
+    renderer = SceneRenderer(replace(TINY, empty=1.0), 0)
+    cameras = [renderer.choose_camera() for _ in range(120)]
+    elevations = torch.tensor([math.degrees(math.asin(-float(c.to_world[2, 2]))) for c in cameras])
+    counts = torch.histc(elevations, 6, 0, 90)
+    assert float(counts.min()) > 9
+    assert all(float(c.position[2]) > 0 for c in cameras)
+
+
+def test_streets_have_objects_that_cameras_stand_near() -> None:
+    renderer = SceneRenderer(replace(TINY, around="street", farthest=9.0, empty=0.0), 0)
+    assert renderer.contents.surroundings.name == "street"
+    centre = torch.from_numpy(renderer.contents.assets[0].body.vertices.mean(0))
+    cameras = [renderer.choose_camera() for _ in range(6)]
+    assert all(float((camera.position - centre).norm()) < 11 for camera in cameras)
+    with pytest.raises(InvalidValueError, match=r"one of street, park, .*got beach"):
+        replace(TINY, around="beach")
+
+
+def test_boxes_are_tight_and_inside_the_picture() -> None:
+    for sample in scene_pictures(replace(TINY, size=64, empty=0.0, street=0.0), 3):
+        assert SMALL_CLASSES[int(sample.labels[0]) - 1] == SMALL_CLASSES[3]
+        low, high = sample.boxes[:, :2], sample.boxes[:, 2:]
+        assert bool(((low >= 0) & (high <= 64) & (high > low)).all())
+
+
+@pytest.mark.slow
+def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
+    make(replace(TINY, count=2), tmp_path, processes=0)
+    before = (tmp_path / "00000.png").stat().st_mtime_ns
+    steps: list[tuple[int, int]] = []
+    make(TINY, tmp_path, processes=0, on_step=lambda done, wanted: steps.append((done, wanted)))
+    assert steps == [(4, 4)]
+    assert (tmp_path / "00000.png").stat().st_mtime_ns == before
+    samples = load(tmp_path)
+    assert len(samples) == 4
+    for ours, theirs in zip(samples, [*scene_pictures(TINY, 0), *scene_pictures(TINY, 1)], strict=True):
+        assert torch.equal(ours.image, theirs.image)
+        assert torch.equal(ours.boxes, theirs.boxes)
+    assert json.loads((tmp_path / "labels.json").read_text())["recipe"]["count"] == 4
+
+
+def test_kept_pictures_are_those_that_were_made(tmp_path: Path) -> None:
+    kept_set(tmp_path, {"made": "so"}, lambda: [drawn((10, 10, 30, 30)), drawn((20, 20, 40, 40))])
+    assert len(load(tmp_path)) == 2
+    second = tmp_path / "00001.png"
+    made = second.read_bytes()
+    Image.fromarray(255 - drawn((20, 20, 40, 40)).image.numpy()).save(second)
+    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got other bytes; delete the folder .* to have it made"):
+        load(tmp_path)
+    assert len(load(tmp_path, limit=1)) == 1
+    second.unlink()
+    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got No such file"):
+        load(tmp_path)
+    second.write_bytes(made)
+    assert len(load(tmp_path)) == 2
+
+
+def test_a_folder_of_another_configuration_is_left_alone(tmp_path: Path) -> None:
+    make(replace(TINY, count=2), tmp_path, processes=0)
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
+        make(replace(TINY, seed=1), tmp_path, processes=0)
+    with pytest.raises(InvalidValueError, match=r"expected a labels\.json, got none"):
+        load(tmp_path / "nothing")
+
+
+NOTHING = BackgroundConfig(scenes=1, shots=2, samples=1, size=32)
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        7,
+        {"boxes": [[0, 0, 1, 1]], "labels": []},
+        {"boxes": [[0, 0, 1]], "labels": [1]},
+        {"boxes": [[0, 0, 1, "x"]], "labels": [1]},
+        {"boxes": [[0, 0, 1, 1]], "labels": [99]},
+        {"boxes": [[0, 0, 1, 1]], "labels": [1], "conditions": [{"elevation": "low"}]},
+        {"sha256": 7},
+    ],
+)
+def test_broken_labels_are_refused(record: object, tmp_path: Path) -> None:
+    kept_set(tmp_path, {"seed": 0}, lambda: [drawn((20, 30, 70, 80), label=1)])
+    assert len(load(tmp_path)) == 1
+    content = json.loads((tmp_path / "labels.json").read_text())
+    if isinstance(record, dict):
+        record = {**content["pictures"]["00000.png"], **record}
+    (tmp_path / "labels.json").write_text(json.dumps({**content, "pictures": {"00000.png": record}}))
+    with pytest.raises(
+        InvalidValueError, match=r"labels\.json: 00000\.png: .*make the data set again|a list of objects"
+    ):
+        load(tmp_path)
+
+
+# Pictures without objects
+
+
+@pytest.mark.parametrize("kind", BACKGROUNDS)
+def test_backgrounds_have_no_object_and_are_reproduced(kind: str) -> None:
+    first, again = (background_pictures(kind, 0, NOTHING) for _ in range(2))
+    assert len(first) == 2
+    assert all(len(one.labels) == len(one.boxes) == 0 for one in first)
+    assert all(torch.equal(one.image, other.image) for one, other in zip(first, again, strict=True))
+    assert float(first[0].image.float().std()) > 1
+    assert not torch.equal(first[0].image, background_pictures(kind, 1, NOTHING)[0].image)
+
+
+def test_a_kind_that_there_is_not_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match=r"one of street, park, .*got beach"):
+        background_pictures("beach", 0, NOTHING)
+
+
+def test_kinds_of_backgrounds_can_be_chosen(tmp_path: Path) -> None:
+    made = background_sets(tmp_path, replace(NOTHING, shots=1), kinds=("ground",))
+    assert {kind: len(some) for kind, some in made.items()} == {"ground": 1}
+
+
+def test_background_sets_are_kept(tmp_path: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    made = background_sets(tmp_path, NOTHING, on_step=lambda done, total: steps.append((done, total)))
+    assert {kind: len(some) for kind, some in made.items()} == dict.fromkeys(BACKGROUNDS, 2)
+    assert steps[-1] == (5, 5)
+    times = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*.png"))]
+    kept = background_sets(tmp_path, NOTHING)
+    assert times == [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*.png"))]
+    assert torch.equal(kept["park"][1].image, made["park"][1].image)
+    with pytest.raises(InvalidValueError, match="the same configuration"):
+        background_sets(tmp_path, replace(NOTHING, samples=2))
+
+
+# How objects are seen
+
+
+ONE_OBJECT = PictureSetConfig(split="held-out", size=48, samples=1, shots=2, count=2, empty=0.0, pair=0.0, street=0.0)
+FEW = SplatConfig(views=2, samples=1, objects=300, surroundings=300, sky=50, steps=0, pictures=2)
+CORNERS = np.array([[-1.0, -2.0, 0.0], [1.0, 2.0, 4.0], [0.0, 0.0, 1.0]], np.float32)
+
+
+def from_elevation(degrees: float) -> Camera:
+    pose = orbit_pose((0.0, 0.0, 2.0), azimuth=70.0, elevation=degrees, distance=9.0)
+    return Camera(to_world=pose, focal=50.0, width=64, height=64)
+
+
+@pytest.mark.parametrize("elevation", [0.0, 33.0, 90.0])
+def test_a_case_done_by_hand(elevation: float) -> None:
+    light = Light(sun_elevation=31.0, sun_strength=1.5)
+    seen = viewing_conditions(CORNERS, from_elevation(elevation), light)
+    assert seen.elevation == pytest.approx(elevation, abs=1e-4)
+    assert seen.distance == pytest.approx(9.0, abs=1e-5)
+    assert seen.extent == pytest.approx(math.sqrt(4 + 16 + 16), abs=1e-5)
+    assert (seen.sun_elevation, seen.sun_strength) == (31.0, 1.5)
+    assert viewing_conditions(CORNERS, from_elevation(0.0)).sun_elevation is None
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("set")
+    make(ONE_OBJECT, folder, processes=0)
+    return folder
+
+
+def test_they_are_recorded_with_the_pictures(pictures: Path) -> None:
+    samples = load(pictures)
+    assert all(len(one.conditions) == len(one.labels) > 0 for one in samples)
+    renderer = SceneRenderer(ONE_OBJECT, 0)
+    light, cameras = renderer.contents.light, [renderer.choose_camera() for _ in range(ONE_OBJECT.shots)]
+    for sample, camera in zip(samples, cameras, strict=True):
+        assert {seen.sun_elevation for seen in sample.conditions} == {round(light.sun_elevation, 6)}
+        down = math.degrees(math.asin(-float(camera.to_world[2, 2])))  # it looks at the one object there is
+        assert [seen.elevation for seen in sample.conditions] == pytest.approx([down], abs=1e-4)
+
+
+def test_values_of_other_kinds_are_not_lost() -> None:
+    seen = ViewingConditions(elevation=1.0, distance=2.0, extent=3.0)
+    assert ViewingConditions(**json.loads(json.dumps(asdict(seen)))) == seen
+
+
+@pytest.mark.slow
+def test_held_out_sets_say_how_objects_are_seen(tmp_path: Path) -> None:
+    few = SplatConfig(views=2, samples=1, objects=300, surroundings=300, sky=50, steps=0, pictures=2)
+    work: list[str] = []
+    sets = held_out_sets(
+        tmp_path,
+        ONE_OBJECT,
+        splats=1,
+        splat=few,
+        backgrounds=BackgroundConfig(scenes=0),
+        processes=0,
+        on_work=lambda text, done, total: work.append(text),
+    )
+    assert {name: len(pictures) for name, pictures in sets.items()} == {"path traced": 2, "splat renders": 2}
+    for pictures in sets.values():
+        assert all(len(sample.conditions) == len(sample.labels) for sample in pictures)
+        assert any(sample.conditions for sample in pictures)
+    assert set(work) == {"path-traced pictures", "splats"}
+    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
+        splat_set(ONE_OBJECT, [10_000], tmp_path / "splats", replace(few, views=3), on_step=None)
+
+
+# Augmentation
+
+
+def bounds(image: Tensor) -> Tensor:
+    """(4,) box around the bright red pixels of a (3, H, W) picture."""
+    rows, columns = torch.where((image[0] > 0.6) & (image[2] < 0.2))
+    return torch.stack([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]).float()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_boxes_follow_the_picture_when_it_is_reframed(seed: int) -> None:
+    sample = drawn((30, 40, 60, 62))
+    image = sample.image.permute(2, 0, 1).float() / 255
+    moved, boxes, labels = reframe(image, sample.boxes, sample.labels, seeded(seed))
+    assert labels.tolist() == [1]
+    assert float((bounds(moved) - boxes[0]).abs().max()) < 1.6
+
+
+def test_objects_that_leave_the_frame_lose_their_box() -> None:
+    sample = drawn((0, 0, 10, 10))
+    image = sample.image.permute(2, 0, 1).float() / 255
+    kept = [len(reframe(image, sample.boxes, sample.labels, seeded(i))[1]) for i in range(40)]
+    assert 0 < sum(kept) < 40
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_augmented_pictures_are_8_bit_and_reproducible(seed: int) -> None:
+    sample = drawn((30, 40, 60, 62))
+    image, boxes, _ = augment(sample, seeded(seed))
+    again, same, _ = augment(sample, seeded(seed))
+    assert torch.equal(image, again)
+    assert torch.equal(boxes, same)
+    assert image.shape == (3, 96, 96)
+    torch.testing.assert_close((image * 255).round() / 255, image)
+    assert float(image.min()) >= 0
+    assert float(image.max()) <= 1
+
+
+def test_softening_keeps_a_plain_picture_plain() -> None:
+    plain = torch.full((3, 40, 56), 0.3)
+    torch.testing.assert_close(blur(plain, 1.3), plain)
+    torch.testing.assert_close(coarsen(plain, 2.2), plain)
+    assert like_a_splat(plain, seeded()).shape == plain.shape
+    assert torch.isfinite(relight(plain, seeded())).all()
