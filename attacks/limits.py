@@ -14,9 +14,6 @@ NORM_NAMES: tuple[NormName, ...] = get_args(NormName)
 Schedule = Literal["constant", "linear", "cosine"]
 """How the steps of a search become shorter: not at all, along a line to 0, or along half a cosine to 0."""
 
-SearchName = Literal["paper", "strong"]
-"""How the six pairs are searched (`attacks.dagger.pairs.SEARCHES`)."""
-
 OptimiserName = Literal["momentum", "adam"]
 """What makes a step of the gradients (`attacks.optimisers`)."""
 

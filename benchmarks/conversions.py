@@ -24,12 +24,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.jobs import jittered
-from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
 from attacks.objectives import REPORTED, relabel
 from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, detect_views, object_boxes
+from attacks.studies.scenes import jittered
 from mi_splat.io import load_splat
 from mi_splat.io.formats.table import FORMATS
 from mi_splat.io.splat_files import write_splat_file
@@ -37,6 +36,15 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
+PAIRS = (
+    ("car_street", "car", "person"),
+    ("car_street", "car", "elephant"),
+    ("car_street", "car", "stop sign"),
+    ("stop_sign", "stop_sign", "tv"),
+    ("stop_sign", "stop_sign", "train"),
+    ("stop_sign", "stop_sign", "bird"),
+)
+"""The paper's six: scene, object, wanted class."""
 CONFIG = DaggerConfig(noise_draws=0, sh_degree=None)
 SUFFIXES = [entry.suffix for entry in FORMATS if entry.writes]
 

@@ -6,15 +6,15 @@ import os
 from typing import Any
 
 from attacks.cli.aims import chosen_object
-from attacks.cli.dagger_transfer import loadable
-from attacks.cli.transfer_options import DaggerSanityOptions
+from attacks.cli.loading import loadable
+from attacks.cli.sanity_options import DaggerSanityOptions
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.jobs import jittered
 from attacks.dagger.sanity.checks import CHECKS, Finding, run_checks, write_findings
 from attacks.dagger.sanity.runs import Case, Runs
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.objectives import relabel
+from attacks.studies.scenes import jittered
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose
 from mi_splat.errors import InvalidValueError, message

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from attacks.cli.options import ClassName, Confidence, Detectors, Groups
+from attacks.cli.options import ClassName, Confidence, Detectors
 from attacks.dagger.config import EotConfig
-from attacks.limits import SearchName
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.fields import Called, Folder, between
+from mi_splat.fields import Folder
 from mi_splat.selection.config import Selection
 
 
@@ -56,34 +55,3 @@ class DaggerEotOptions:
     """Replace an older result in --out."""
     json: bool = False
     """Print the result as one JSON document on stdout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DaggerEotStudyOptions:
-    """Run many attacks on all cameras of a region: the paper's pairs, smallest radii, curves; make tables.
-
-    A study that was interrupted goes on where it stopped when the same command is given again. Writes jobs/, results/
-    (pictures and splats), table.md and table.json into --out. The tables show all that is in jobs/, so a second command
-    adds another detector to them. Curves are made for the first of the pairs.
-    """
-
-    groups: Groups = ()
-    """Tables to make, all if none is named: pairs, smallest, curve, psnr, pool, degree, changes, attributes."""
-    pairs: tuple[Annotated[int, between(0, 5, "whole"), Called("NUMBER")], ...] = ()
-    """Numbers of the paper's six pairs, all if none is named."""
-    scenes: Folder = Path("scenes")
-    """Folder with the scene files."""
-    detectors: Detectors = ("fasterrcnn_small",)
-    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
-    confidence: Confidence | None = None
-    """Confidence of the target class that counts as success; 0.7 if None."""
-    search: SearchName = "paper"
-    """What is pushed: the three best boxes and their overlap with the object, or one box and the old class down."""
-    region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
-    """Where the objects are looked at from."""
-    config: Unprefixed[EotConfig] = field(default_factory=EotConfig)
-    """How to attack."""
-    out: Folder = Path("out/studies/dagger-eot")
-    """Folder for the results: a new one, or that of the same study."""
-    json: bool = False
-    """Print the names of the files as one JSON document on stdout."""

@@ -8,7 +8,12 @@ from pathlib import Path
 from attacks.cli.names import check_detectors
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
+from attacks.detectors.registry import DETECTORS
+from mi_splat.cli.console import warn
 from mi_splat.errors import InvalidValueError, message
+
+OWN = ("_small", "_coco")
+"""Endings of the names of the project's own detectors, and of those that `mi-splat detectors --get` fetches."""
 
 
 def load_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> list[Detector]:
@@ -36,3 +41,19 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
         raise InvalidValueError(message("--detectors", "one name or more", "none", "see `mi-splat detectors`"))
     check_detectors(names, weights)
     return dict(zip(names, weights, strict=True)) if weights else {}
+
+
+def loadable() -> list[str]:
+    """Names of the project's own detectors, and of those that others trained, that can be loaded here.
+
+    Says which cannot, and why.
+    """
+    names = []
+    for name in DETECTORS:
+        if name.endswith(OWN):
+            missing = DETECTORS[name].missing()
+            if missing:
+                warn(f"{name} is left out: {missing}")
+            else:
+                names.append(name)
+    return names

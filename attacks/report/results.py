@@ -16,13 +16,10 @@ from attacks.report.section import Section
 from attacks.report.stories import (
     attack,
     cloak,
-    eot_study,
     evaluation,
     renderers,
-    rendering_study,
     sanity,
     studies,
-    transfer,
     variations,
 )
 from attacks.report.stories.detectors import comparison, held_out, pictures
@@ -103,10 +100,6 @@ STORIES = (
     Story(name="dagger-sanity", read=sanity.read),
     Story(name="cloak", record="summary.json", is_it=lambda one: "study" in one, read=cloak.read),
     Story(name="cloak --vary", record="variations.json", is_it=_always, read=variations.read, made=variations.first),
-    Story(name="dagger-eot-study", record="table.json", is_it=_always, read=eot_study.read),
-    Story(name="dagger-transfer", record="transfer.json", is_it=_always, read=transfer.read),
-    Story(name="dagger-transfer --eot-study", record="held_out.json", is_it=_always, read=transfer.read_held_out),
-    Story(name="rendering-study", record="study.json", is_it=_always, read=rendering_study.read),
     Story(
         name="cloak-experiment detection-curve", record="detection-curve.json", is_it=_always, read=detection_curve.read
     ),

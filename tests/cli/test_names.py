@@ -24,8 +24,6 @@ ROOT = Path(__file__).resolve().parents[2]
         ("dagger-eot --objective untargeted --target car", "none beside --objective untargeted, got car"),
         ("dagger --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
         ("dagger-sanity --detectors fasterrcnn", "detector: expected"),
-        ("dagger-eot-study --detectors nanodet", "did you mean nanodet_coco?"),
-        ("dagger-transfer --judges yolo8n", "did you mean yolov8n?"),
         ("view a.ply --detectors yolo8n", "did you mean yolov8n?"),
         ("evaluate a.ply b.ply --original car --target car", "another class than the object's, car"),
         ("evaluate a.ply b.ply --detectors yolov8n_small yolov8n_small", "--detectors: expected different names"),

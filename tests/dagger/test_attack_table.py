@@ -9,13 +9,21 @@ import torch
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.study import PAIRS
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.objectives import hide, relabel
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import SplatScene, read_scene
 
+PAIRS = (
+    ("car_street", "car", "person"),
+    ("car_street", "car", "elephant"),
+    ("car_street", "car", "stop sign"),
+    ("stop_sign", "stop_sign", "tv"),
+    ("stop_sign", "stop_sign", "train"),
+    ("stop_sign", "stop_sign", "bird"),
+)
+"""The paper's six: scene, object, wanted class."""
 SCENES = Path(__file__).parents[2] / "scenes"
 
 

@@ -17,16 +17,21 @@ from attacks.cli import dagger_sanity
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
+from attacks.dagger.sanity import checks
 from attacks.dagger.sanity.checks import CHECKS, Finding, run_checks
 from attacks.dagger.sanity.runs import Attack, Case, Runs
+from attacks.detectors import load_detector
 from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
 from mi_splat.cameras import Camera
 from mi_splat.cli import selecting
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import recorded_cameras
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import read_scene
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
+from tests.project.layers import ROOT
 
 
 class Reversed(torch.autograd.Function):
@@ -236,5 +241,23 @@ class TestCommand:
         values = json.loads(capsys.readouterr().out)
         assert values["passed"] is False
         assert "gradient" in {one["check"] for one in values["checks"] if one["colour"] == "red"}
-        assert self.call("--seeds", "0", "--force") == 1
-        assert "--seeds: expected at least one" in capsys.readouterr().err
+        assert self.call("--seeds", "0", "--force") == 2
+        assert "--seeds: expected a number >= 1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:
+    loaded = read_scene(ROOT / "scenes" / "car_street.xml")
+    shipped = Case(
+        scene=loaded.scene,
+        mask=loaded.objects["car"],
+        cameras=tuple(loaded.cameras.values())[:1],
+        detector=load_detector("fasterrcnn_small"),
+        objective=relabel("person"),
+        render=Renderer(loaded.settings),
+        config=DaggerConfig(),
+    )
+    renderer, chain = (check(Runs(shipped)) for check in (checks.renderer_gradient, checks.gradient))
+    assert renderer.passed, renderer.figures
+    assert renderer.values["cosine"] > 0.9999
+    assert chain.passed, chain.figures

@@ -28,7 +28,6 @@ from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
-from attacks.rendering_studies.config import read_rendering_study
 from attacks.report.checking import check_detections, check_figures, check_files, read_result
 from attacks.report.results import STORIES, read_section, story_of
 from mi_splat.capture.gltf import gltf_notes
@@ -301,7 +300,6 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     for name in ("rows.csv", "rows.csv.gz"):
         yield f"rows {name}", Kind(make=partial(_rows, name), read=read_rows)
     yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
-    yield "rendering study", Kind(make=_copied("scenes/studies/files.toml"), read=read_rendering_study)
     gltf = _written("a.gltf", lambda: GLB.get(valid("a.glb")))
     yield "mesh a.gltf", Kind(make=gltf, read=gltf_notes, document=PLAIN_JSON)
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))

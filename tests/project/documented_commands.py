@@ -42,8 +42,8 @@ FAST = {
 }
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
-    *("cloak", "cloak-experiment", "dagger-eot-study", "doctor", "evaluate-detector", "view", "python"),
-    *("compare-detectors", "dagger-sanity", "dagger-transfer", "rendering-study"),
+    *("cloak", "cloak-experiment", "doctor", "evaluate-detector", "view", "python"),
+    *("compare-detectors", "dagger-sanity"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {
@@ -176,17 +176,7 @@ TINY: dict[str, dict[str, Change]] = {
     },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
-    "dagger-transfer": {"--seeds": to("1"), "--steps": to("1"), "--detectors": to("fasterrcnn_small")},
-    "rendering-study": {"--seeds": to("1"), "--detectors": to("fasterrcnn_small")},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
-    "dagger-eot-study": {
-        "--groups": to("pairs"),
-        "--pairs": to("0"),
-        "--steps": to("2"),
-        "--pool": to("2"),
-        "--validation": to("1"),
-        "--held-out": to("2"),
-    },
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
     "cloak": {"--vary": if_there("cleaning"), "--values": if_there("nothing")},  # trains no splat but the study's
     "cloak-experiment": {"--every": to("60"), "--detectors": if_there("fasterrcnn_small")},

@@ -160,29 +160,3 @@ def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
     section = read_section(folders["dagger-sanity"])
     assert section.headline.value == "1 of 2"
     assert len(section.warnings) == 2
-
-
-def test_transfer_counts_detectors_that_were_not_attacked(folders: dict[str, Path]) -> None:
-    section = read_section(folders["dagger-transfer --eot-study"])
-    assert section.headline.rate == Rate(successes=8, total=40)
-    assert not any("hides the object" in text for text in section.warnings)
-    assert any(
-        "fake_blind finds the clean object in 0 of" in text
-        for text in read_section(folders["dagger-transfer"]).warnings
-    )
-
-
-def test_a_rendering_study_says_under_what_an_attack_fails(folders: dict[str, Path]) -> None:
-    section = read_section(folders["rendering-study"])
-    assert section.headline.rate == Rate(successes=11, total=12)
-    assert section.control is not None
-    assert section.control.rate == Rate(successes=0, total=12)
-    assert "fewest under 07:00 (0 of 4)" in section.conclusion
-    assert any("Under 07:00 a finds the clean object in 4 of 12 runs" in text for text in section.warnings)
-    assert section.file == ("toy.toml", "name = 'toy'\n")
-
-
-def test_where_settings_vary_attacks_are_counted(folders: dict[str, Path]) -> None:
-    section = read_section(folders["dagger-eot-study"])
-    assert section.headline.label.startswith("attacks that hold")
-    assert any(chart.title.startswith("Success over the radius") for chart in section.charts)

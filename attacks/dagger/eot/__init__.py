@@ -1,1 +1,0 @@
-"""DAGGER for cameras that move: expectation over transformation (Athalye et al. 2018)."""

@@ -1,1 +1,0 @@
-"""Transfer of DAGGER: attacks on some detectors, judged by others."""
