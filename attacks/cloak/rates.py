@@ -15,7 +15,7 @@ import polars as pl
 from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.transition import Transition, fit_transition
-from attacks.observe.measures import CLUSTERS, Measures, cloak_measures, of, reported, with_control
+from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
 from attacks.observe.rates import Measure, count
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH
 from attacks.rate import Rate
@@ -119,12 +119,13 @@ class StudyRows:
     gaussians: Mapping[str, Sequence[int]]
 
 
-def measures(study: StudyConfig, attack: str | None = None) -> Measures:
+def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confidence | None = None) -> Measures:
     """What the rates of a study count: those of `attacks.observe.measures.cloak_measures`.
 
     Args:
         study: The study.
         attack: Name of the attack that is meant; None is the first that hides and the first that has a target class.
+        confidence: From which a detection counts; None is the study's.
     """
     chosen = [one for one in study.attack if attack in (None, one.name)]
     hiding = next((one.name for one in chosen if one.target_class is None), None)
@@ -135,7 +136,7 @@ def measures(study: StudyConfig, attack: str | None = None) -> Measures:
         hiding=hiding,
         showing=showing,
         well_inside=evaluation.well_inside,
-        confidence=evaluation.confidence,
+        confidence=evaluation.confidence if confidence is None else confidence,
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.rates import CLOAKED, NAMES, StudyRows
+from attacks.cloak.rates import CLOAKED, NAMES, StudyRows, measures
 from attacks.cloak.rates import ROWS as RATES
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
@@ -21,7 +21,8 @@ from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate
 from attacks.report.checking import Tables
 from attacks.report.rescoring import Rescoring
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of, shown
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of, shown
+from attacks.report.stories.thresholds import threshold_charts
 from attacks.report.study_toml import study_toml
 from attacks.report.wording import (
     counted,
@@ -40,6 +41,13 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import decode
 
 KIND = "CLOAK, a study"
+_CURVES: dict[str, tuple[str, Role]] = {
+    "trigger_miss_rate": ("missed well inside the trigger, where the control is found", "attack"),
+    "control_recall": ("control found inside the trigger", "control"),
+    "target_rate": ("target class reported inside the trigger", "attack"),
+    "control_target_rate": ("the same on the control", "control"),
+}
+"""Rates that are drawn over the confidence."""
 
 
 def read(folder: Path, summary: Mapping[str, Any]) -> Section:
@@ -52,6 +60,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
     study = summary["study"]
     headline, control = headline_of(summary)
     rate = headline.rate or Rate(successes=0, total=0)
+    curves, at = threshold_charts(folder, lambda confidence: measures(study_of(study), confidence=confidence), _CURVES)
     return Section(
         kind=KIND,
         title=str(study["name"]),
@@ -69,8 +78,8 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
             )
         ),
         pictures=_pictures(folder, study, summary["files"]),
-        charts=tuple(_elevation(summary, name) for name in summary["by_detector"]),
-        tables=tuple(_tables(summary)),
+        charts=(*(_elevation(summary, name) for name in summary["by_detector"]), *curves),
+        tables=(*_tables(summary), *at),
         configuration=settings({**study, "weights": summary["detectors"]}),
         file=(f"{study['name']}.toml", study_toml(study)),
     )

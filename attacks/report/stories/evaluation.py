@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from attacks.observe.comparison import compare
+from attacks.observe.measures import comparison_measures
 from attacks.observe.rows import ROWS
 from attacks.report.checking import Tables
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of
+from attacks.report.stories.thresholds import threshold_charts
 from attacks.report.wording import counted, known, listed, number, plural, rate_of, settings
 
 KIND = "a clean and an attacked splat, judged"
@@ -24,6 +27,12 @@ _RATES = {
     "target_clean": "taken for the target, clean",
     "target_attacked": "taken for the target, attacked",
 }
+_CURVES: dict[str, tuple[str, Role]] = {
+    "missed": ("missed attacked", "attack"),
+    "target_attacked": ("taken for the target, attacked", "attack"),
+    "target_clean": ("taken for the target, clean", "control"),
+}
+"""Rates that are drawn over the confidence."""
 
 
 def read(folder: Path, found: Mapping[str, Any]) -> Section:
@@ -36,6 +45,8 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
     detectors = found["detectors"]
     name, first = next(iter(detectors.items()))
     headline, control = _headline(name, first)
+    measures = partial(comparison_measures, targeted=first["target"] is not None)
+    curves, at = threshold_charts(folder, measures, _CURVES)
     assert headline.rate is not None
     pictures = [
         Picture(
@@ -67,8 +78,8 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             *doubts_of(headline.rate, control.rate if control else None, what="views"),
         ),
         pictures=tuple(pictures),
-        charts=_charts(detectors),
-        tables=(_table(detectors),),
+        charts=(*_charts(detectors), *curves),
+        tables=(_table(detectors), *at),
         configuration=settings(
             {
                 **{key: found[key] for key in _CONDITIONS if key in found},

@@ -1,0 +1,71 @@
+"""Rates over the confidence from which a detection counts, as charts of any story whose folder holds rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from attacks.observe.measures import (
+    CLUSTERS,
+    DEFAULT_OF_YOLO,
+    REPORTED,
+    Confidence,
+    Measures,
+    rates_at,
+    threshold_curve,
+    with_control,
+)
+from attacks.observe.rows import ROWS, SUFFIX, read_rows
+from attacks.report.section import Chart, Line, Point, Role, Table
+from attacks.report.wording import counted
+
+AT = {f"{one:g}": one for one in (REPORTED, DEFAULT_OF_YOLO)}
+"""Confidences of the table."""
+
+
+def threshold_charts(
+    folder: Path, measures: Callable[[Confidence], Measures], names: Mapping[str, tuple[str, Role]]
+) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
+    """A chart for each detector with some rates over the confidence, and a table of them at two confidences.
+
+    Args:
+        folder: Of the result.
+        measures: Of a confidence.
+        names: Measures that are drawn: what their line is called, and what it stands for.
+
+    Returns:
+        Nothing where the result has no rows, or none of these measures.
+    """
+    path = folder / f"{ROWS}{SUFFIX}"
+    drawn = {name: names[name] for name in measures(REPORTED) if name in names}
+    if not path.is_file() or not drawn:
+        return (), ()
+    rows = with_control(read_rows(path))
+    clusters = CLUSTERS if set(CLUSTERS) <= set(rows.columns) else None
+    curves = {name: threshold_curve(rows, measures, name, by=("detector",), clusters=clusters) for name in drawn}
+    detectors = list(dict.fromkeys(detector for (detector,) in next(iter(curves.values()))))
+    charts = tuple(
+        Chart(
+            title=f"{detector}, by the confidence that counts",
+            caption=f"Figures of this page count from {REPORTED:g}. Bands are 95 % intervals.",
+            x_label="confidence from which a detection counts",
+            y_label="views",
+            lines=tuple(
+                Line(
+                    name=words,
+                    role=role,
+                    points=tuple(Point.of(at, rate) for at, rate in curves[name][detector,] if rate.total),
+                )
+                for name, (words, role) in drawn.items()
+            ),
+        )
+        for detector in detectors
+    )
+    at = rates_at(rows, measures, AT, ("detector",), clusters=clusters)
+    lines = tuple(
+        (detector, words, *(counted(at[confidence][detector,][name]) for confidence in AT))
+        for detector in detectors
+        for name, (words, _) in drawn.items()
+    )
+    head = ("detector", "rate", *(f"from {confidence}" for confidence in AT))
+    return charts, (Table(caption="By the confidence from which a detection counts", head=head, rows=lines),)
