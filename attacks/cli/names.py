@@ -1,4 +1,4 @@
-"""Names of detectors and classes among the options of a command, checked before torch or any weights are loaded.
+"""What the options of a command say together, checked before torch or any weights are loaded: detectors, classes, aims.
 
 As the table of ranges, one set of rules for every command, by the name of the option.
 """
@@ -28,8 +28,11 @@ def check_names(options: object) -> None:
         DetectorError: There is no such detector.
         InvalidValueError: A detector is named twice, files of weights are too many or too few, a detector does not know
             a class, or the class wanted is what the object is.
-        UsageError: A class is wanted beside an objective that wants none.
+        UsageError: A class is wanted beside an objective that wants none, or nothing may change.
     """
+    radii = getattr(getattr(options, "config", None), "eps", ())
+    if 0 in radii:  # which an attack from Python may have, as a control
+        raise UsageError(message("--eps", "a number > 0", 0, "5 is the paper's"))
     objective, target = getattr(options, "objective", "relabel"), getattr(options, "target", None)
     if objective != "relabel" and target is not None:
         do = "leave one out"
@@ -94,7 +97,7 @@ def _detectors(options: object) -> tuple[str, ...]:
 def _others(options: object) -> tuple[str, ...]:
     """Names of detectors that are used beside these."""
     surrogate = getattr(options, "surrogate", "none")
-    return (*getattr(options, "judges", ()), *((surrogate,) if surrogate not in ("none", "auto") else ()))
+    return (surrogate,) if surrogate not in ("none", "auto") else ()
 
 
 def _check_new(options: object, target: str | None) -> None:

@@ -13,9 +13,9 @@ from mi_splat.fields import Folder
 class ReportOptions:
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
-    Takes folders that mi-splat dagger, dagger-eot, study, dagger-eot-study, dagger-transfer,
-    dagger-sanity, evaluate, compare, detect and cloak have written, and the JSON files of evaluate-detector,
-    compare-detectors and cloak-experiment. The page is one file without a script, and asks nothing of any network.
+    Takes folders that mi-splat dagger, dagger-eot, study, dagger-sanity, evaluate, compare, detect and cloak have
+    written, and the JSON files of evaluate-detector, compare-detectors and cloak-experiment. The page is one file
+    without a script, and asks nothing of any network.
     """
 
     results: Positional[tuple[Folder, ...]] = ()

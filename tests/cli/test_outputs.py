@@ -37,7 +37,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.plan.Work",)),
     "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity.run_checks",)),
     "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_eot.attack_views",)),
-    "artifact": (["artifact", "set"], "{}", ("attacks.cli.artifact.pack_artifact",)),
+    "artifact": (["artifact", "set"], "{}", ("attacks.cli.artifact.pack",)),
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.cloak.run_study",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.detect.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.evaluate.load_detectors",)),
