@@ -10,7 +10,6 @@ from typing import Any
 from attacks.cloak.rates import markdown as cloak_markdown
 from attacks.dagger.figures import figures as attack_figures
 from attacks.report.checking import Figures, Result
-from attacks.report.markdown import markdown
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Section
 from attacks.report.stories import (
@@ -19,12 +18,14 @@ from attacks.report.stories import (
     evaluation,
     renderers,
     sanity,
-    studies,
+    study,
     variations,
 )
 from attacks.report.stories.detectors import comparison, held_out, pictures
 from attacks.report.stories.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.report.wording import sentence, versions_of
+from attacks.studies.result import figures as study_figures
+from attacks.studies.table import sections
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.folders import RECORD
 from mi_splat.io.manifest import MANIFEST, read_manifest
@@ -90,9 +91,9 @@ STORIES = (
     ),
     Story(
         name="study",
-        read=studies.read,
-        figures=studies.figures,
-        markdown=lambda record: markdown(studies.tables(record)),
+        read=study.read,
+        figures=study_figures,
+        markdown=sections,
     ),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),

@@ -128,7 +128,6 @@ def _fixed(
 def _drawn(
     config: DrawnAttack, place: AttackScene, inputs: Mapping[str, Path], out: Out, follow: Callable[[Step], None]
 ) -> Result:
-    out.partial.mkdir(parents=True, exist_ok=True)
     return attack_views(
         distribution(place, config.object, config.transformations),
         detectors_of(config.detectors, inputs),

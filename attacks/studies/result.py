@@ -32,6 +32,15 @@ _STATED = (
 """What an attack says of itself that does not follow from rows."""
 _NAME_DIGITS = 12
 
+RATES = {
+    "rate": "success",
+    "strict_rate": "strict",
+    "unambiguous_rate": "unambiguous",
+    "clean_rate": "clean_success",
+    "noise_rate": "noise_success",
+}
+"""Rates over the views of a region, and the measures that they are."""
+
 Record = Mapping[str, Any]
 Tables = Mapping[str, pl.DataFrame]
 
@@ -55,6 +64,7 @@ def write_result(work: Work, results: Mapping[str, Result], out: Path) -> list[P
         "name": work.study.name,
         "question": work.study.question,
         "attacks": {_name(result): _attack(attempt, result) for attempt, result in done},
+        "seeds": sorted({attempt.settings.seed for attempt, _ in done}),
         "detectors": _detectors(done),
         **provenance.origin(),
     }
@@ -96,12 +106,11 @@ def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
         "part": attempt.point.part,
         "labels": dict(attempt.point.labels),
         "bisected": attempt.bisected,
-        "object": settings.object,
-        "target": settings.target,
         "sources": list(settings.detectors),
+        "target": settings.target,
         "confidence": confidence,
         "seed": settings.seed,
-        "config": dataclasses.asdict(attempt.job.config.attack),
+        "settings": {"scene": settings.scene, **dataclasses.asdict(attempt.job.config)},
         "key": result.key,
         **{name: record[name] for name in _STATED if name in record},
     }
@@ -117,7 +126,7 @@ def _detectors(done: Sequence[tuple[Attempt, Done]]) -> dict[str, str]:
 
 def merged_figures(record: Record, derived: Record) -> dict[str, Any]:
     """A record with figures at their places."""
-    attacks = {name: {**one, **derived["attacks"][name]} for name, one in record["attacks"].items()}
+    attacks = {name: {**one, **derived["attacks"].get(name, {})} for name, one in record["attacks"].items()}
     return {**record, **derived, "attacks": attacks}
 
 
@@ -132,9 +141,8 @@ def figures(record: Record, tables: Tables) -> dict[str, Any]:
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
     own, looks = rows.filter(~looked), rows.filter(looked)
     each = _of_attacks(attacks, own)
-    groups = [
-        _group(part, labels, members, each, attacks, own) for part, labels, members in _grouped(attacks, ("seed",))
-    ]
+    grouped = _grouped({name: attacks[name] for name in each}, ("seed",))
+    groups = [_group(part, labels, members, each, attacks, own) for part, labels, members in grouped]
     return {"attacks": each, "groups": groups, "smallest": _smallest(attacks, each), "looks": _looks(attacks, looks)}
 
 
@@ -142,12 +150,12 @@ def _of_attacks(attacks: Record, own: pl.DataFrame) -> dict[str, dict[str, Any]]
     """Whether each attack has its aim: in enough fixed views, or in enough of the views of a region."""
     each: dict[str, dict[str, Any]] = {}
     for name, rows in _by_attack(own).items():
-        config = attacks[name]["config"]
+        config = attacks[name]["settings"]["attack"]
         attacked = rows.filter(splat=ATTACKED)
         if "held_out" in config:
-            rates = {key: rate.as_dict() for key, rate in count(joint_views(rows), AIMS)[()].items()}
-            needed = config["required_views"] - 1e-9
-            each[name] = {"success": rates["success"]["rate"] >= needed, "rates": rates}
+            rates = count(joint_views(rows), AIMS)[()]
+            held = rates["success"].fraction >= config["required_views"] - 1e-9
+            each[name] = {"success": held, **{key: rates[name].as_dict() for key, name in RATES.items()}}
         else:
             reached = attacks_of(
                 rows,
@@ -197,9 +205,9 @@ def _group(
         values = [value for one in members if (value := _stated(attacks[one], name)) is not None]
         group[name] = statistics.median(values) if values else None
     group["original_after"] = statistics.median(one["original_after"] for one in known)
-    if "rates" in known[0]:
+    if "rate" in known[0]:
         rates = _pooled(own.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
-        return {**group, **{key: rate.as_dict() for key, rate in rates.items()}}
+        return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}
     aims = ("success", "strict", "unambiguous")
     frame = pl.DataFrame([{"splat": ATTACKED, **{key: one[key] for key in aims}} for one in known])
     rates = count(frame, {key: AIMS[key] for key in aims})[()]
@@ -226,7 +234,7 @@ def _pooled(rows: pl.DataFrame, *, several: bool) -> dict[str, Rate]:
 
 
 def _stated(attack: Record, name: str) -> Any:
-    return attack["image"]["psnr_object"] if name == "psnr_object" else attack.get(name)
+    return attack.get("image", {}).get("psnr_object") if name == "psnr_object" else attack.get(name)
 
 
 def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any]]:

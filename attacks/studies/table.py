@@ -2,41 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 Record = Mapping[str, Any]
 Cell = Callable[[Record], str]
 
 
+class Table(NamedTuple):
+    """A table.
+
+    Attributes:
+        caption: What stands above it.
+        head: Titles of the columns.
+        rows: The cells.
+    """
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
 def markdown(record: Record) -> str:
-    """All tables of a study.
+    """All tables of a study as a page.
 
     Args:
         record: Its result.json.
     """
-    lines = [f"# {record['question'] or record['name']}", "", *_introduction(record)]
-    for title, groups in _by_part(record["groups"]).items():
-        columns = {**_axes(groups), **(_OF_VIEWS if "clean_success" in groups[0] else _OF_ATTACKS)}
-        lines += ["", f"## {title or 'The attacks'}", "", *table(columns, groups)]
-    for title, searched in _by_part(record["smallest"]).items():
-        lines += ["", f"## The smallest that suffices{f': {title}' if title else ''}", ""]
-        lines += table({**_axes(searched), **_OF_SEARCHES}, searched)
-    for title, looks in _by_part(record["looks"]).items():
-        for kind, meaning in _KINDS.items() if "targeted" in looks[0] else [("untargeted", _KINDS["untargeted"])]:
-            lines += ["", f"## {meaning}{f': {title}' if title else ''}", "", *_matrix(looks, kind)]
-    return "\n".join(lines) + "\n"
+    head = [f"# {record.get('question') or record['name']}", "", *_introduction(record), ""]
+    return "\n".join(head) + f"\n{sections(record)}"
 
 
-def table(columns: Mapping[str, Cell], lines: Sequence[Record]) -> list[str]:
-    """The lines of a Markdown table.
+def sections(record: Record) -> str:
+    """All tables of a study as Markdown under headings of their captions; see `markdown`."""
+    blocks = []
+    for table in tables(record):
+        rows = (table.head, ("---",) * len(table.head), *table.rows)
+        lines = [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+        blocks.append("\n".join([f"## {table.caption}", "", *lines]))
+    return "\n\n".join(blocks) + "\n"
+
+
+def tables(record: Record) -> Iterator[Table]:
+    """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see.
 
     Args:
-        columns: By the title of each, what makes a cell of a line.
-        lines: Of the table.
+        record: Its result.json.
     """
-    body = [[cell(line) for cell in columns.values()] for line in lines]
-    return [f"| {' | '.join(row)} |" for row in (list(columns), ["---"] * len(columns), *body)]
+    for title, groups in by_part(record["groups"]).items():
+        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
+        yield _table(title or "The attacks", columns, groups)
+    for title, searched in by_part(record["smallest"]).items():
+        caption = f"The smallest that suffices{f': {title}' if title else ''}"
+        yield _table(caption, {**_axes(searched), **_OF_SEARCHES}, searched)
+    for title, looks in by_part(record["looks"]).items():
+        for kind, meaning in KINDS.items():
+            if kind in looks[0]:
+                yield _matrix(f"{meaning}{f': {title}' if title else ''}", looks, kind)
+
+
+def _table(caption: str, columns: Mapping[str, Cell], lines: Sequence[Record]) -> Table:
+    """A table whose cells are made of lines, column by column."""
+    return Table(caption, tuple(columns), tuple(tuple(cell(line) for cell in columns.values()) for line in lines))
 
 
 def number(value: Any, form: str = "g") -> str:
@@ -71,10 +98,10 @@ _OF_ATTACKS: dict[str, Cell] = {
     "noise best": _number("noise_best", ".2f"),
 }
 _OF_VIEWS: dict[str, Cell] = {
-    "views": _rate("success", interval=True),
-    "strictly": _rate("strict"),
-    "noise": _rate("noise_success"),
-    "clean": _rate("clean_success"),
+    "views": _rate("rate", interval=True),
+    "strictly": _rate("strict_rate"),
+    "noise": _rate("noise_rate"),
+    "clean": _rate("clean_rate"),
     "PSNR, dB": _number("image_psnr", ".1f"),
     "on the object": _number("psnr_object", ".1f"),
     "steps": _number("steps"),
@@ -84,7 +111,7 @@ _OF_SEARCHES: dict[str, Cell] = {
     "smallest": _number("smallest"),
     "largest that does not": _number("not_enough"),
 }
-_KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's class is no longer reported"}
+KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's class is no longer reported"}
 
 
 def _introduction(record: Record) -> list[str]:
@@ -92,7 +119,7 @@ def _introduction(record: Record) -> list[str]:
     seeds = ", ".join(str(seed) for seed in sorted({one["seed"] for one in attacks}))
     weights = "; ".join(f"{name} {mark}" for name, mark in record["detectors"].items())
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
-    variants = ", ".join(dict.fromkeys(str(one["variant"]) for one in attacks))
+    variants = ", ".join(dict.fromkeys(str(one.get("variant")) for one in attacks))
     return [
         f"{len(attacks)} attacks, seeds {seeds}. Every attack is judged on the saved file, in pictures of 8 bits. "
         "Strictly: the object's own class is gone, too (below 0.5). Medians are over seeds; noise is random noise of "
@@ -102,7 +129,8 @@ def _introduction(record: Record) -> list[str]:
     ]
 
 
-def _by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
+def by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
+    """Lines by the part of the study that they are of."""
     parts: dict[str, list[Record]] = {}
     for line in lines:
         parts.setdefault(line["part"], []).append(line)
@@ -120,7 +148,7 @@ def title_of(axis: str) -> str:
     return axis.removeprefix("attack.").replace("_", " ")
 
 
-def _matrix(looks: Sequence[Record], kind: str) -> list[str]:
+def _matrix(caption: str, looks: Sequence[Record], kind: str) -> Table:
     """Who judges, and how, against what was attacked; the longer of the two downwards, and the noise of all of it."""
     judges = _names(looks, ("condition", "detector"))
     attacks = _names(looks, ("labels",))
@@ -146,8 +174,8 @@ def _matrix(looks: Sequence[Record], kind: str) -> list[str]:
     columns: dict[str, Cell] = {head: lambda line: line["row"] or "all"}
     columns |= {name or "all": lambda line, name=name: cell(line["row"], name) for name in across}  # type: ignore[misc]
     columns["random noise"] = lambda line: noise(line["row"])
-    note = ["", "A star: the detector that judges was attacked itself."] if marked else []
-    return [*table(columns, [{"row": row} for row in down]), *note]
+    note = " (a star: the detector that judges was attacked)" if marked else ""
+    return _table(f"{caption}{note}", columns, [{"row": row} for row in down])
 
 
 def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:

@@ -182,7 +182,7 @@ def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert (found["field"], found["smallest"], found["not_enough"]) == ("attack.eps", 2.0, 0.01)
     assert len(record["attacks"]) == 2  # 0.001 was never looked at
     group = record["groups"][-1]
-    assert (group["success"]["successes"], group["success"]["total"]) == (4, 4)
+    assert (group["rate"]["successes"], group["rate"]["total"]) == (4, 4)
     assert record["looks"][-1]["untargeted"]["total"] <= 3
     page = (folder / "eot" / "table.md").read_text()
     assert "## The smallest that suffices" in page

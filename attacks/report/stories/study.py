@@ -1,0 +1,170 @@
+"""What `mi-splat study run` leaves behind: many attacks, and how others see what came of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.rate import Rate
+from attacks.report import section
+from attacks.report.section import Chart, Figure, Line, Point, Role, Section, doubts_of
+from attacks.report.wording import capital, counted, counts, known, listed, plural, pooled, sentence, shared
+from attacks.studies.table import KINDS, by_part, tables, title_of
+
+Record = Mapping[str, Any]
+_NOISE = "random noise of the same size"
+
+
+def read(folder: Path, record: Record) -> Section:
+    """The section of a study.
+
+    Args:
+        folder: Where it lies.
+        record: Its result.json.
+    """
+    attacks, groups = list(record["attacks"].values()), record["groups"]
+    headline, control, what = _of_groups(groups) if groups else _of_looks(record["looks"])
+    noise = None if control is None else control.rate
+    assert headline.rate is not None
+    names = sorted({name for one in attacks for name in one["sources"]})
+    return Section(
+        kind="DAGGER, a study",
+        title=f"{record['name']}, {plural(len(attacks), 'attack')}",
+        folder=str(folder),
+        done=(
+            f"{record.get('question', '')} {plural(len(attacks), 'attack')} on {listed(names)}. Each is judged on the "
+            "saved file, in 8-bit pictures, beside random noise of its size."
+        ).strip(),
+        conclusion=(
+            f"{capital(headline.label)}: {headline.counts}{f'; {control.label}: {control.counts}' if control else ''}. "
+            "Views of one attack are not independent. This says nothing of other detectors, objects or budgets."
+        ),
+        headline=headline,
+        control=control,
+        figures=tuple(_more(record)),
+        warnings=tuple(
+            map(sentence, [*doubts_of(headline.rate, noise, what=what), *_warnings(attacks), *_unseen(record)])
+        ),
+        charts=tuple(_charts(record)),
+        tables=tuple(section.Table(caption=caption, head=head, rows=rows) for caption, head, rows in tables(record)),
+        configuration=shared([*(one["settings"] for one in attacks), {"weights": record["detectors"]}]),
+    )
+
+
+def _of_groups(groups: Sequence[Record]) -> tuple[Figure, Figure | None, str]:
+    """The figure of the attacks that matters, its control, and what they count: those of the first part."""
+    part = groups[0]["part"]
+    members = [group for group in groups if group["part"] == part]
+    of = f" ({part})" if part else ""
+    if "rate" in members[0]:
+        rate, noise = (pooled(known(group[name]) for group in members) for name in ("rate", "noise_rate"))
+        label, what = f"held-out views with success{of}", "held-out views"
+    else:
+        rate, noise = pooled(known(group["success"]) for group in members), _noise_of(members)
+        label, what = f"attacks with the aim reached{of}", "attacks"
+    return Figure(label=label, rate=rate), Figure(label=_NOISE, rate=noise) if noise.total else None, what
+
+
+def _noise_of(groups: Sequence[Record]) -> Rate:
+    counts = [(group["noise_successes"], group["noise_draws"]) for group in groups]
+    return Rate(successes=sum(one for one, _ in counts), total=sum(draws for _, draws in counts))
+
+
+def _of_looks(looks: Sequence[Record]) -> tuple[Figure, Figure | None, str]:
+    """The figure of looks that matters: of detectors that were not attacked, if there are such."""
+    others = [look for look in looks if not look["white_box"]] or list(looks)
+    kind = "targeted" if "targeted" in others[0] else "untargeted"
+    rate, noise = (pooled(known(look[name]) for look in others) for name in (kind, f"noise_{kind}"))
+    who = "attacked detectors" if others[0]["white_box"] else "detectors that were not attacked"
+    figure = Figure(label=f"{who}: {KINDS[kind].lower()}", rate=rate)
+    return figure, Figure(label=_NOISE, rate=noise) if noise.total else None, "looks"
+
+
+def _more(record: Record) -> Iterator[Figure]:
+    """Further figures: every aim of the attacks, and who else is deceived."""
+    groups, looks = record["groups"], record["looks"]
+    if groups:
+        held = [one["success"] for one in record["attacks"].values() if "success" in one]
+        yield Figure(label="attacks with the aim reached", rate=Rate(successes=sum(held), total=len(held)))
+        strict = "strict_rate" if "rate" in groups[0] else "strict"
+        label = "with the object's own class gone, too"
+        yield Figure(label=label, rate=pooled(known(group[strict]) for group in groups))
+    for white_box, who in ((True, "attacked detectors"), (False, "detectors that were not attacked")):
+        for kind, meaning in KINDS.items():
+            for name, what in ((kind, meaning.lower()), (f"noise_{kind}", f"{meaning.lower()}, with noise alone")):
+                rates = [known(look[name]) for look in looks if look["white_box"] is white_box and name in look]
+                if rates:
+                    yield Figure(label=f"{who}: {what}", rate=pooled(rates))
+
+
+def _warnings(attacks: Sequence[Record]) -> Iterator[str]:
+    """The warnings of the attacks, each once."""
+    for text, times in Counter(text for one in attacks for text in one.get("warnings", ())).items():
+        yield f"{times} of {plural(len(attacks), 'attack')}: {text}"
+
+
+def _unseen(record: Record) -> Iterator[str]:
+    """Judges that do not see the clean object, and figures that noise reaches, so that they say nothing."""
+    looks = record["looks"]
+    others = [look for look in looks if not look["white_box"]]
+    gone, noise = (pooled(known(look[name]) for look in others) for name in ("untargeted", "noise_untargeted"))
+    if gone.successes and noise.total and noise.fraction >= gone.fraction:
+        yield (
+            f"to detectors that were not attacked, random noise hides the object as often ({counts(noise)}) as the "
+            f"attacks do ({counts(gone)})"
+        )
+    for look in looks:
+        found = known(look["found"])
+        if found.fraction < 0.5:
+            yield f"{look['detector']} finds the clean object in {counted(found)} of its looks only ({_place(look)})"
+
+
+def _place(look: Record) -> str:
+    words = [f"{title_of(axis)} {label}" for axis, label in look["labels"].items()]
+    return ", ".join([*words, str(look["condition"])])
+
+
+def _charts(record: Record) -> Iterator[Chart]:
+    """The success of every line of a table, and what each judge reports, with noise beside it."""
+    for title, groups in by_part(record["groups"]).items():
+        drawn = "rate" in groups[0]
+        noise = [known(group["noise_rate"]) if drawn else _noise_of([group]) for group in groups]
+        rates = [known(group["rate" if drawn else "success"]) for group in groups]
+        what = "views with success" if drawn else "attacks with the aim reached"
+        yield _chart(title or "The attacks", "line of the table", what, rates, noise)
+    for title, looks in by_part(record["looks"]).items():
+        for kind, meaning in KINDS.items():
+            if kind in looks[0]:
+                rates, noise = ([known(look[name]) for look in looks] for name in (kind, f"noise_{kind}"))
+                ticks = tuple(f"{look['detector']}, {_place(look)}" for look in looks)
+                yield _chart(f"{meaning}{f': {title}' if title else ''}", "look", "rate", rates, noise, ticks)
+
+
+def _chart(
+    title: str, x_label: str, y_label: str, rates: Sequence[Rate], noise: Sequence[Rate], ticks: tuple[str, ...] = ()
+) -> Chart:
+    """Rates beside each other, and those of noise.
+
+    Args:
+        title: Heading.
+        x_label: What each place is.
+        y_label: What is counted.
+        rates: Of the attacks.
+        noise: Of the noise.
+        ticks: Names of the places; empty for their numbers.
+    """
+    return Chart(
+        title=title,
+        caption="Bars are 95 % intervals.",
+        x_label=x_label,
+        y_label=y_label,
+        lines=(_line("attack", "attack", rates), _line("random noise", "control", noise)),
+        ticks=ticks or tuple(map(str, range(1, len(rates) + 1))),
+        connected=False,
+    )
+
+
+def _line(name: str, role: Role, rates: Sequence[Rate]) -> Line:
+    return Line(name=name, role=role, points=tuple(Point.of(x, rate) for x, rate in enumerate(rates) if rate.total))
