@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -11,10 +10,7 @@ from attacks.cli.options import CloakOptions
 from attacks.cloak.config import StudyConfig, read_study
 from attacks.cloak.rates import ROWS, words_of
 from attacks.cloak.study import check, detectors_of, forecast, run_study
-from attacks.cloak.variations import check_variations, vary
-from attacks.detectors import Detector
 from mi_splat.cli.console import follow, limit_threads, progress, show, show_json, show_table, warn
-from mi_splat.errors import InvalidValueError, message
 
 _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 
@@ -25,33 +21,17 @@ def run(options: CloakOptions) -> int:
     study = _asked(options)
     with progress("loading the detectors"):
         weights = weights_of(study.evaluation.detectors, options.weights)
-        detectors = detectors_of(study, weights)
-        studies = _checked(study, detectors, options)
-    forecasts = {name: forecast(one) for name, one in studies.items()}
-    for name, takes in forecasts.items():
-        warn(f"{name}: {takes}")
+        check(study, detectors_of(study, weights), options.out, options.stages or options.out / "stages")
+    takes = forecast(study)
+    warn(f"{study.name}: {takes}")
     if options.forecast:
         if options.json:
-            show_json({name: asdict(takes) for name, takes in forecasts.items()})
+            show_json({study.name: asdict(takes)})
         return 0
     with progress("starting", total=None) as advance:
-        if options.vary:
-            found = vary(
-                study,
-                options.vary,
-                options.out,
-                weights=weights,
-                values=options.values,
-                stages=options.stages,
-                on_step=follow(advance),
-            )
-        else:
-            summary = run_study(study, options.out, weights=weights, stages=options.stages, on_step=follow(advance))
+        summary = run_study(study, options.out, weights=weights, stages=options.stages, on_step=follow(advance))
     if options.json:
-        show_json(found if options.vary else {**summary, "out": str(options.out)})
-    elif options.vary:
-        plots = ", ".join(f"{group}.png" for group in options.vary)
-        show(f"{options.out}: variations.md, variations.json, {plots}")
+        show_json({**summary, "out": str(options.out)})
     else:
         _tell(summary, options)
     return 0
@@ -59,24 +39,11 @@ def run(options: CloakOptions) -> int:
 
 def _asked(options: CloakOptions) -> StudyConfig:
     """The study of the file, with the seeds and detectors of the command."""
-    if options.values and not options.vary:
-        do = "add --vary with the group that they are of, or leave --values out"
-        raise InvalidValueError(message("--values", "values of a group", f"{' '.join(options.values)} alone", do))
     study = read_study(options.study)
     study = replace(study, seeds=options.seeds or study.seeds)
     if not options.detectors:
         return study
     return replace(study, evaluation=replace(study.evaluation, detectors=options.detectors))
-
-
-def _checked(study: StudyConfig, detectors: Sequence[Detector], options: CloakOptions) -> dict[str, StudyConfig]:
-    """Every study that the command asks for, by what it is called, once it is known that each can be done."""
-    stages = options.stages or options.out / "stages"
-    if not options.vary:
-        check(study, detectors, options.out, stages)
-        return {study.name: study}
-    plans = check_variations(study, options.vary, detectors, options.out, stages, values=options.values)
-    return {f"{study.name}, {group} {name}": one for group, some in plans.items() for name, one in some.items()}
 
 
 def _tell(summary: dict[str, Any], options: CloakOptions) -> None:

@@ -25,23 +25,6 @@ Processes = Annotated[int, between(0, 1024)]
 Threads = Annotated[int, between(1, 1024)]
 
 
-AblationGroup = Literal[
-    "sh_degree",
-    "poison_fraction",
-    "appearance",
-    "strategy",
-    "emphasis",
-    "iterations",
-    "max_gaussians",
-    "outliers",
-    "points",
-    "cameras",
-    "cleaning",
-    "object",
-]
-"""See `attacks.cloak.variations.varied`."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerOptions:
     """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
@@ -159,10 +142,6 @@ class CloakOptions:
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    vary: tuple[AblationGroup, ...] = ()
-    """Do the study once for each value of these instead, with all its seeds, and write tables of what comes of it."""
-    values: tuple[str, ...] = ()
-    """Those values of --vary that are to be done, for instance 90%; none is all. Tables keep what was done before."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
     json: bool = False

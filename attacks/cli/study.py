@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
@@ -14,10 +14,12 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Folder, at_least, between
 
 if TYPE_CHECKING:
+    from attacks.studies.cloak import CloakWork
     from attacks.studies.plan import Work
     from attacks.studies.study_file import Study
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
+    from mi_splat.ledger.plans import Result
 
 _FAILED = 1
 
@@ -74,8 +76,12 @@ def _out(options: StudyOptions, study: Study) -> Path:
     return options.out or Path("out/studies") / study.name
 
 
-def _work(study: Study) -> Work:
+def _work(study: Study) -> Work | CloakWork:
     limit_threads(1)
+    if study.kind == "cloak":
+        from attacks.studies.cloak import CloakWork
+
+        return CloakWork(study)
     from attacks.studies.plan import Work
 
     return Work(study)
@@ -121,7 +127,7 @@ def _words(seconds: float) -> str:
 
 def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
-    from attacks.studies.result import STUDY_FILE, write_result
+    from attacks.studies.result import STUDY_FILE
     from mi_splat.io.folders import own_folder
     from mi_splat.io.manifest import write_manifest
     from mi_splat.ledger.plans import Driver
@@ -134,7 +140,7 @@ def _run(options: StudyOptions, study: Study) -> int:
             driver = Driver(options.store, engine, name=work.study.name, on_event=_follow(advance))
             results = driver.run(work.plans())
         failed = {label: result for label, result in results.items() if isinstance(result, str)}
-        paths = [] if len(failed) == len(results) else write_result(work, results, out)
+        paths = [] if len(failed) == len(results) else _written(work, results, out)
         if paths:
             write_manifest(out)
     if options.json:
@@ -142,6 +148,15 @@ def _run(options: StudyOptions, study: Study) -> int:
     else:
         _tell(failed, paths, options.study)
     return _FAILED if failed else 0
+
+
+def _written(work: Work | CloakWork, results: Mapping[str, Result], out: Path) -> list[Path]:
+    """Write the result; returns its files."""
+    if work.study.kind == "cloak":
+        return cast("CloakWork", work).write(results, out)
+    from attacks.studies.result import write_result
+
+    return write_result(cast("Work", work), results, out)
 
 
 def _tell(failed: Mapping[str, str], paths: list[Path], study: Path) -> None:

@@ -7,7 +7,7 @@ then looked at. Every step is a kind (`attacks.cloak.kinds`) that a ledger does 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -77,6 +77,7 @@ class StudySteps:
         folder: Of the ledger; several studies may share it.
         weights: Files of detectors whose weights are not the usual ones, by their names.
         on_step: Told of the progress.
+        results: Of jobs that somebody else has done, by their identity.
         begun: When, in seconds of `time.monotonic`.
     """
 
@@ -84,6 +85,7 @@ class StudySteps:
     folder: Path
     weights: Mapping[str, Path] = field(default_factory=dict)
     on_step: OnStep = lambda text, done, total: None
+    results: Mapping[str, Done] = field(default_factory=dict)
     begun: float = field(default_factory=time.monotonic)
     _labels: list[str] = field(default_factory=list)
     _surrogates: dict[tuple[int, int], Job] = field(default_factory=dict)
@@ -208,7 +210,7 @@ class StudySteps:
             label: What is told of it while it runs.
         """
         self._labels[:] = [label]
-        return self._ledger.do(job)
+        return self.results[job.identity] if job.identity in self.results else self._ledger.do(job)
 
     def finished(self, job: Job) -> Done | None:
         """The result of a job, if it and all before it are there."""
@@ -224,24 +226,38 @@ class StudySteps:
 
         return find(job)
 
+    def made(self) -> Iterator[tuple[str, Job]]:
+        """Every job up to the splats, in the order of the study, and what is told of it while it runs."""
+        yield "taking the victim's pictures", self.pictures()
+        for attack in self.study.attack:
+            yield f"taking pictures of {attack.name}", self.look(attack)
+        for seed in self.study.seeds:
+            for number in range(1, (self.study.surrogate.rounds if self.study.surrogate else 0) + 1):
+                yield f"poisoning for surrogate {number}, seed {seed}", self.poisoned(seed, number - 1)
+                yield f"training surrogate {number}, seed {seed}", self.surrogate(seed, number)
+            yield f"poisoning, seed {seed}", self.poisoned(seed)
+        for splat, seed in self.names():
+            yield f"training the {splat} splat, seed {seed}", self.trained(splat, seed)
+            if self.study.cleaning is not None:
+                yield f"cleaning the {splat} splat, seed {seed}", self.splat(splat, seed)
+
+    def looked(self, detectors: Sequence[Detector]) -> Iterator[tuple[str, Job]]:
+        """The jobs of those who look at the splats."""
+        for splat, seed in self.names():
+            job, what = self.splat(splat, seed), f"the {splat} splat, seed {seed}"
+            for detector in detectors:
+                yield f"{detector.name} looks at {what}", self.seen(job, detector)
+            yield f"comparing {what}", self.compared(job)
+
+    def names(self) -> list[tuple[str, int]]:
+        """Name and seed of every splat."""
+        return [(splat, seed) for seed in self.study.seeds for splat in (CLEAN, CLOAKED)]
+
     def splats(self) -> list[TrainedSplat]:
         """For each seed the clean and the cloaked splat; what is missing is done."""
-        seeds = self.study.seeds
-        self.do(self.pictures(), "taking the victim's pictures")
-        for seed in seeds:
-            for attack in self.study.attack:
-                self.do(self.look(attack), f"taking pictures of {attack.name}")
-            for number in range(1, (self.study.surrogate.rounds if self.study.surrogate else 0) + 1):
-                self.do(self.poisoned(seed, number - 1), "poisoning")
-                self.do(self.surrogate(seed, number), f"training surrogate {number}, seed {seed}")
-            self.do(self.poisoned(seed), "poisoning")
-        found = []
-        for seed in seeds:
-            for splat in (CLEAN, CLOAKED):
-                self.do(self.trained(splat, seed), f"training the {splat} splat, seed {seed}")
-                done = self.do(self.splat(splat, seed), f"cleaning the {splat} splat, seed {seed}")
-                found.append(trained_splat(splat, seed, done))
-        return found
+        for label, job in self.made():
+            self.do(job, label)
+        return [trained_splat(splat, seed, self.do(self.splat(splat, seed), "")) for splat, seed in self.names()]
 
     def finished_splats(self) -> list[TrainedSplat]:
         """The same of a study that is finished.
@@ -250,14 +266,13 @@ class StudySteps:
             InvalidValueError: One is not there.
         """
         found = []
-        for seed in self.study.seeds:
-            for splat in (CLEAN, CLOAKED):
-                done = self.finished(self.splat(splat, seed))
-                if done is None:
-                    got, do = f"no {splat} splat of seed {seed}", "pass the folder that the study was done with"
-                    expected = "every splat of the study, made by this version"
-                    raise InvalidValueError(message(f"stages {self.folder}", expected, got, do)).hinted("--stages")
-                found.append(trained_splat(splat, seed, done))
+        for splat, seed in self.names():
+            done = self.finished(self.splat(splat, seed))
+            if done is None:
+                got, do = f"no {splat} splat of seed {seed}", "pass the folder that the study was done with"
+                expected = "every splat of the study, made by this version"
+                raise InvalidValueError(message(f"stages {self.folder}", expected, got, do)).hinted("--stages")
+            found.append(trained_splat(splat, seed, done))
         return found
 
     @cached_property

@@ -111,7 +111,7 @@ def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detecto
     summary = {
         **figures(study, seen.rows),
         "files": [*(f"{splat.splat}.ply" for splat in splats), POISON, *written, *pictures, TABLE],
-        "splats": [_listed(splat) for splat in seen.splats],
+        "splats": [listed(splat) for splat in seen.splats],
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
         "study": asdict(study),
@@ -124,7 +124,7 @@ def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detecto
     return summary
 
 
-def _listed(trained: TrainedSplat) -> dict[str, Any]:
+def listed(trained: TrainedSplat) -> dict[str, Any]:
     """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
     values = asdict(trained)
     del values["file"]
@@ -191,9 +191,20 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
         stages: For the stages.
 
     Raises:
+        InvalidValueError: As `check_study`; or the folder is in use, or the disk is too small.
+    """
+    check_study(study, detectors)
+    check_folder(study, folder)
+    check_disk(forecast(study).megabytes, stages)
+
+
+def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
+    """Refuse a study that cannot be done.
+
+    Raises:
         InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a
-            class, the trainer's settings are out of range, layers have a margin of poison, matplotlib is not
-            installed, the folder is in use, or the disk is too small.
+            class, the trainer's settings are out of range, layers have a margin of poison, or matplotlib is not
+            installed.
     """
     mesh_scene = setup.mesh_scene_of(study)
     cameras = setup.training_cameras(study, mesh_scene.target)
@@ -210,8 +221,6 @@ def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stage
     ]
     for label, detector in itertools.product(wanted, detectors):
         check_choice(f"class for {detector.name}", label, detector.classes)
-    check_folder(study, folder)
-    check_disk(forecast(study).megabytes, stages)
 
 
 def _check_count(study: StudyConfig) -> None:
@@ -326,15 +335,12 @@ def observe(steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequen
         detectors: Those that look.
     """
     tables: dict[str, list[pl.DataFrame]] = {name: [] for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
-    for splat in splats:
-        job, label = steps.splat(splat.splat, splat.seed), f"observing the {splat.splat} splat, seed {splat.seed}"
-        looks = [steps.do(steps.seen(job, detector), label) for detector in detectors]
-        for names, done in (
-            *(((ROWS, DETECTIONS), look) for look in looks),
-            (_COMPARED, steps.do(steps.compared(job), label)),
-        ):
-            for name in names:
-                tables[name].append(whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat))
+    jobs = list(steps.looked(detectors))
+    for splat, number in zip(splats, range(0, len(jobs), len(detectors) + 1), strict=True):
+        *looks, compared = (steps.do(job, label) for label, job in jobs[number : number + len(detectors) + 1])
+        for name, parts in tables.items():
+            for done in [compared] if name in _COMPARED else looks:
+                parts.append(whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat))
     rows, detections, fidelity, transition = (pl.concat(parts, how="diagonal") for parts in tables.values())
     gaussians = {name: [one.gaussians for one in splats if one.splat == name] for name in NAMES.values()}
     seen = StudyRows(rows=rows, fidelity=fidelity, transition=transition, gaussians=gaussians)

@@ -24,6 +24,7 @@ from attacks.report.stories import (
 from attacks.report.stories.detectors import comparison, held_out, pictures
 from attacks.report.stories.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.report.wording import sentence, versions_of
+from attacks.studies.cloak import markdown as cloak_study_markdown
 from attacks.studies.result import figures as study_figures
 from attacks.studies.table import sections
 from mi_splat.errors import InvalidValueError, MiSplatError, message
@@ -95,12 +96,12 @@ STORIES = (
         figures=study_figures,
         markdown=sections,
     ),
+    Story(name="cloak-study", read=variations.read, figures=variations.figures, markdown=cloak_study_markdown),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),
     Story(name="dagger-sanity", read=sanity.read),
     Story(name="cloak", record="summary.json", is_it=lambda one: "study" in one, read=cloak.read),
-    Story(name="cloak --vary", record="variations.json", is_it=_always, read=variations.read, made=variations.first),
     Story(
         name="cloak-experiment detection-curve", record="detection-curve.json", is_it=_always, read=detection_curve.read
     ),

@@ -40,7 +40,11 @@ from typing import Any
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.parsing import DocumentReader
 
-KINDS: dict[str, str] = {"dagger": "attacks.studies.dagger", "dagger-eot": "attacks.studies.dagger_eot"}
+KINDS: dict[str, str] = {
+    "dagger": "attacks.studies.dagger",
+    "dagger-eot": "attacks.studies.dagger",
+    "cloak": "attacks.studies.cloak",
+}
 """Kinds of studies, and the modules that know their settings and jobs."""
 
 PARTS = ("study", "question", "matrix", "case", "ablation", "bisect", "judge")

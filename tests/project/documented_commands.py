@@ -178,7 +178,6 @@ TINY: dict[str, dict[str, Change]] = {
     "view": {"--views": to("2", "1"), "--no-open": to()},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
-    "cloak": {"--vary": if_there("cleaning"), "--values": if_there("nothing")},  # trains no splat but the study's
     "cloak-experiment": {"--every": to("60"), "--detectors": if_there("fasterrcnn_small")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""

@@ -57,7 +57,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger": write_dagger,
     "dagger-eot": write_eot,
     "cloak": write_cloak,
-    "cloak --vary": write_variations,
+    "cloak-study": write_variations,
     "dagger-sanity": write_sanity,
     "evaluate": write_evaluation,
     "compare": write_comparison,

@@ -11,8 +11,7 @@ import numpy as np
 
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
 from attacks.cloak.rates import ROWS
-from attacks.cloak.study import STUDY, SUMMARY
-from attacks.cloak.variations import VARIATIONS
+from attacks.cloak.study import SUMMARY
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
@@ -111,8 +110,11 @@ def write_cloak(folder: Path, study: StudyConfig = STUDIED, **values: Any) -> Pa
 
 def write_variations(folder: Path) -> Path:
     folder.mkdir(parents=True)
-    save_json(asdict(STUDIED), folder / STUDY)
-    save_json({"sh_degree": {str(i): cloak_summary(missed=8 * i + 4) for i in range(4)}}, folder / VARIATIONS)
+    points = {
+        f"sh_degree: {i}": {"part": "sh_degree", "value": str(i), **cloak_summary(missed=8 * i + 4)} for i in range(4)
+    }
+    record = {"story": "cloak-study", "study": "cloak", "name": "tiny", "question": "", "points": points}
+    save_json({**record, **provenance.origin()}, folder / "result.json")
     return folder
 
 

@@ -1,4 +1,4 @@
-"""What `mi-splat cloak --vary` leaves behind: the same study with one thing changed at a time."""
+"""What `mi-splat study run` leaves of a study of CLOAK: the same study with one thing changed at a time."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
+from attacks.report.checking import Tables
 from attacks.report.section import FEW, Chart, Figure, Line, Point, Role, Section, Table
+from attacks.report.stories.cloak import figures as cloak_figures
 from attacks.report.stories.cloak import headline_of, spread
-from attacks.report.study_toml import study_toml
 from attacks.report.wording import (
     capital,
     counted,
@@ -18,10 +19,9 @@ from attacks.report.wording import (
     plural,
     rate_of,
     sentence,
-    settings,
     shared,
 )
-from mi_splat.io.parsing import read_json
+from attacks.studies.cloak import by_part
 
 KIND = "CLOAK, one thing varied at a time"
 _LINES: tuple[tuple[str, str, Role], ...] = (
@@ -36,14 +36,14 @@ _COLUMNS = {
 }
 
 
-def read(folder: Path, found: Mapping[str, Any]) -> Section:
-    """The section of a folder of variations.
+def read(folder: Path, record: Mapping[str, Any]) -> Section:
+    """The section of a study with one thing varied at a time.
 
     Args:
-        folder: Where it lies; study.json in it is what was varied.
-        found: Its variations.json: for each group and value the summary of a study.
+        folder: Where it lies.
+        record: Its result.json.
     """
-    study = read_json(folder / "study.json")
+    found = by_part(record)
     studies = [(group, name, one) for group, values in found.items() for name, one in values.items()]
     figures = [(group, name, headline_of(one)[0]) for group, name, one in studies]
     rates = [figure.rate for _, _, figure in figures if figure.rate is not None and figure.rate.total]
@@ -64,11 +64,11 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         warnings.append(f"The rate of some values counts few views: {few}")
     return Section(
         kind=KIND,
-        title=f"{study['name']}, varied",
+        title=f"{record['name']}, varied",
         folder=str(folder),
         done=(
-            f"The study {study['name']} was done {plural(len(studies), 'time')}, each with one setting changed and the "
-            f"rest as it is: {listed([group.replace('_', ' ') for group in found])}. Each has a clean splat as its "
+            f"The study {record['name']} was done {plural(len(studies), 'time')}, each with one setting changed and "
+            f"the rest as it is: {listed([group.replace('_', ' ') for group in found])}. Each has a clean splat as its "
             "control."
         ),
         conclusion=(
@@ -88,15 +88,28 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
             for detector in first(found)["by_detector"]
         ),
         tables=tuple(_table(group, values) for group, values in found.items()),
-        configuration=(*settings(study), *shared([{"weights": one["detectors"]} for _, _, one in studies])),
-        file=(f"{study['name']}.toml", study_toml(study)),
+        configuration=shared([{**one["study"], "weights": one["detectors"]} for _, _, one in studies]),
     )
 
 
-def first(found: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The summary of the first study."""
-    summary: Mapping[str, Any] = next(iter(next(iter(found.values())).values()))
-    return summary
+def first(found: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
+    """What was found at the first point."""
+    point: Mapping[str, Any] = next(iter(next(iter(found.values())).values()))
+    return point
+
+
+def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
+    """Every figure of each point, of its rows.
+
+    Args:
+        record: result.json.
+        tables: Its rows.
+    """
+    points = {}
+    for title, point in record["points"].items():
+        own = {name: table.filter(attack=title).drop("attack") for name, table in tables.items()}
+        points[title] = cloak_figures(point, own)
+    return {"points": points}
 
 
 def _range(rates: list[Rate]) -> str:

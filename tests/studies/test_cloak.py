@@ -1,0 +1,133 @@
+"""`study = "cloak"`: what a point is, that points share what they can, and the tables and plots of what they find."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from PIL import Image
+
+from attacks import cli
+from attacks.cloak.config import StudyConfig, read_study
+from attacks.detectors import registry
+from attacks.observe.rows import read_rows
+from attacks.report.results import read_section
+from attacks.report.stories import variations
+from attacks.report.study_toml import study_toml
+from attacks.studies.cloak import CloakWork, config_of, tables, write_variation
+from attacks.studies.study_file import read_study as read_file
+from attacks.studies.study_file import study_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.ledger import Store
+from tests.cloak.tiny_study import KNOWN, STUDY
+from tests.project.layers import ROOT
+from tests.report.results import STUDIED, cloak_summary, rate
+
+SHIPPED = ROOT / "scenes" / "studies"
+
+
+def configs(name: str) -> dict[str, dict[str, StudyConfig]]:
+    """The studies of a shipped file, by part and value."""
+    groups: dict[str, dict[str, StudyConfig]] = {}
+    for point in read_file(SHIPPED / f"{name}.toml").points():
+        (value,) = point.labels.values()  # type: ignore[union-attr]
+        groups.setdefault(point.part, {})[str(value)] = config_of(point.settings, "base")  # type: ignore[union-attr]
+    return groups
+
+
+def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    groups = configs("cloak")
+    base = asdict(read_study(ROOT / "scenes" / "cloak_car_stealthy_short.toml"))
+    counts = {"poison_fraction": 6, "cameras": 4, "cleaning": 12, "points": 2, "appearance": 8, "emphasis": 5}
+    counts |= {"sh_degree": 4, "strategy": 2, "iterations": 3, "max_gaussians": 3, "outliers": 3, "object": 4}
+    assert {part: len(values) for part, values in groups.items()} == counts
+    for part, values in groups.items():
+        changed = {
+            key for one in values.values() for key, value in asdict(one).items() if value != base[key] and key != "name"
+        }
+        expected = {"cleaning": {"cleaning"}, "cameras": {"cameras"}, "object": {"scene", "cameras"}}
+        attacks = {"poison_fraction", "appearance", "emphasis"}
+        assert changed == expected.get(part, {"attack"} if part in attacks else {"training"}), part
+        assert len(set(map(str, map(asdict, values.values())))) == len(values)
+    appearances = groups["appearance"].values()
+    assert [one.attack[0].reach for one in appearances] == [None, 2, 2, 2, 2, 2, 2, 2]
+    assert len({one.attack[1] for one in appearances}) == 1
+    objects = groups["object"]
+    assert objects["bird"].scene.ground_size < 0.2 * objects["car"].scene.ground_size  # 0.45 m across and not 5.4 m
+    assert 2 < objects["train"].cameras.height < 3  # half of 5.1 m, as the car's is half of 1.5 m
+    assert [list(values) for values in configs("cloak_bird").values()] == [["road", "grass", "clock", "football"]]
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"base": "nowhere.toml"}, "base of x: expected a TOML file, got no file nowhere.toml"),
+        ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
+        ({"attack": [{"name": "a", "elevation": [50, 90]}], "judge": {}}, "neither judge nor bisect"),
+        ({"attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
+    ],
+)
+def test_what_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
+    with pytest.raises(InvalidValueError, match=said):
+        CloakWork(study_of({"study": "cloak", **table}, "x"))
+
+
+@pytest.mark.slow
+def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
+    """A cleaning needs no training of its own, so that two points have the trainings of one."""
+    (tmp_path / "base.toml").write_text(study_toml(asdict(STUDY)))
+    file = tmp_path / "tiny.toml"
+    file.write_text(
+        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\ntraining = {{ iterations = 12 }}\n'
+        '[[case]]\nname = "cleaning"\n[case.matrix]\n'
+        'cleaning = [{ name = "nothing", cleaning = "none" }, { name = "SH degree 0", cleaning = { sh_degree = 0 } }]\n'
+    )
+    out, store = tmp_path / "out", tmp_path / "store"
+    words = ["study", "run", str(file), "--store", str(store), "--out", str(out), "--workers", "0"]
+    with patch.dict(registry._REGISTRY._specs, KNOWN):
+        assert cli.main(words) == 0
+    records = map(Store(store).record, Store(store).keys())
+    assert sum(record["kind"].endswith(".trained") for record in records) == 4
+    record = json.loads((out / "result.json").read_text())
+    assert list(record["points"]) == ["cleaning: nothing", "cleaning: SH degree 0"]
+    point = record["points"]["cleaning: SH degree 0"]
+    seeds = [seed["redness"]["benign_recall"] for seed in point["by_seed"].values()]
+    assert len(seeds) == 2
+    for key in ("successes", "total"):
+        assert point["by_detector"]["redness"]["benign_recall"][key] == sum(seed[key] for seed in seeds)
+    rows = {name: read_rows(out / f"{name}.csv.gz") for name in ("rows", "fidelity", "transition")}
+    derived = json.loads(json.dumps(variations.figures(record, rows)))
+    for title, figures in derived["points"].items():
+        assert figures == {key: record["points"][title][key] for key in figures}
+    assert sum("| nothing | " in line for line in (out / "table.md").read_text().splitlines()) == 2
+    assert read_section(out).title == "tiny, varied"
+    with Image.open(out / "cleaning.png") as plot:
+        assert plot.size[0] > 500
+
+
+def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
+    several = {**cloak_summary(), "seeds": [0, 1, 2], "gaussians": {"clean": [1000, 1100, 1200], "cloaked": [9] * 3}}
+    names = STUDIED.evaluation.detectors
+    seeds = {str(seed): {name: {"trigger_miss_rate": rate(seed, 10)} for name in names} for seed in range(3)}
+    quiet = {**cloak_summary(), "stealth": {"surroundings_psnr_drop": 0.284, "stealthy": True}, "by_seed": seeds}
+    unseen = {**cloak_summary(), "stealth": None, "transition_degrees": None, "benign_psnr_drop": None}
+    unseen["benign_psnr"] = {"clean": None, "cloaked": None}
+    found = {"cleaning": {"nothing": several, "SH degree 0": quiet, "SH 5 bits": unseen}}
+    rates, costs = ([line.split(" | ") for line in text.splitlines()] for text in tables(found).split("\n\n"))
+    assert len(rates) == 2 + 3 * len(names)
+    assert {len(row) for row in rates if len(row) > 1} == {7}
+    assert "nothing of any class reported" in rates[0]
+    assert rates[2][3].startswith("18/20 = 90.0% (69.9% to 97.2%)")
+    assert rates[2 + len(names)][3].endswith("; by seed 0.0% to 20.0%")
+    assert [" | ".join(row) for row in costs[2:]] == [
+        "| nothing | 3 | 9.7 | 34.00 | 1.00 | 4.40 | no | 1,100 | 9 |",
+        "| SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200 |",
+        "| SH 5 bits | 2 | - | - | - | - | - | 1,000 | 1,200 |",
+    ]
+    write_variation("cleaning", {f"value {i}": quiet for i in range(8)}, tmp_path / "plot.png")
+    with Image.open(tmp_path / "plot.png") as plot:
+        assert plot.size[0] > 500
