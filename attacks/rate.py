@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, TypeVar
-
-T = TypeVar("T")
+from typing import Any
 
 _Z = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % on each side."""
@@ -36,12 +33,6 @@ class Rate:
     successes: int
     total: int
     resampled: tuple[float, float] | None = None
-
-    @classmethod
-    def of(cls, items: Iterable[T], holds: Callable[[T], bool], *, given: Callable[[T], bool] | None = None) -> Rate:
-        """Of how many items something holds; if `given` is there, only of those that it holds of."""
-        counted = [holds(item) for item in items if given is None or given(item)]
-        return cls(successes=sum(counted), total=len(counted))
 
     @property
     def fraction(self) -> float:

@@ -5,10 +5,11 @@ A new renderer, format or place is a new condition, and no new experiment.
 
 from __future__ import annotations
 
+import re
 import tempfile
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,17 +21,16 @@ from torch import Tensor
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
-from mi_splat.comparison.methods import load_method
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import at_least, between, check
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
-from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 from mi_splat.sun import clock, sun_direction
 
+_CHANGE = re.compile(r"(?P<kind>noise|blur) (?P<size>[0-9]{1,2}(\.[0-9]{1,4})?)|JPEG (?P<jpeg>[1-9][0-9]?)")
 Shown = tuple[GaussianScene, RenderFn]
 """What becomes of a splat, and what renders it."""
 
@@ -58,15 +58,6 @@ class Condition:
 def rendered(name: str, render: RenderFn, change: Callable[[GaussianScene], GaussianScene] | None = None) -> Condition:
     """A splat in a renderer, after a change (as it is, if None)."""
     return Condition(name=name, show=lambda scene: (scene if change is None else change(scene), render))
-
-
-def renderers(names: Iterable[str], settings: RenderSettings) -> list[Condition]:
-    """Renderers by the names of `mi-splat compare`.
-
-    Raises:
-        InvalidValueError: There is no such renderer.
-    """
-    return [rendered(name, load_method(name, settings).render) for name in names]
 
 
 def on_background(render: RenderFn, background: tuple[float, float, float]) -> RenderFn:
@@ -127,17 +118,25 @@ def _moved(camera: Camera, *, factor: float, centre: Point) -> Camera:
     return replace(camera, to_world=pose)
 
 
-def picture_changes(render: RenderFn, changes: Mapping[str, PictureChange]) -> list[Condition]:
-    """Pictures with noise, blur or JPEG in them, by the name of the condition; noise is another one for each camera."""
+def picture_change(name: str) -> PictureChange | None:
+    """What happens to a picture that is called "noise 0.05", "blur 1.5" (pixels) or "JPEG 60"; None for other names."""
+    called = _CHANGE.fullmatch(name)
+    if called is None:
+        return None
+    if called["jpeg"] is not None:
+        return PictureChange(jpeg=int(called["jpeg"]))
+    size = float(called["size"])
+    return PictureChange(noise=size) if called["kind"] == "noise" else PictureChange(blur=size)
 
-    def through(change: PictureChange) -> RenderFn:
-        def picture(scene: GaussianScene, camera: Camera) -> Tensor:
-            seed = change.noise_seed + zlib.crc32(camera.to_world.numpy().tobytes())
-            return change_picture(render(scene, camera), replace(change, noise_seed=seed))
 
-        return picture
+def changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
+    """Pictures with noise, blur or JPEG in them; noise is another one for each camera."""
 
-    return [rendered(name, through(change)) for name, change in changes.items()]
+    def picture(scene: GaussianScene, camera: Camera) -> Tensor:
+        seed = change.noise_seed + zlib.crc32(camera.to_world.numpy().tobytes())
+        return change_picture(render(scene, camera), replace(change, noise_seed=seed))
+
+    return rendered(name, picture)
 
 
 FORMATS = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".splat")

@@ -1,11 +1,10 @@
-"""Boxes on pictures and in lists, what differs between pictures, and figures, as a report can save them."""
+"""Boxes on pictures and in lists, and what differs between pictures, as a report can save them."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,12 +13,8 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from attacks.detectors.base import Detections
-from mi_splat.io.atomic import atomic_write
 from mi_splat.io.images import to_bytes
 from mi_splat.labels import Plate, free_plate, plate_of, write_label
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _LINE = 22
 """Pixels from one label to the next below it."""
@@ -139,27 +134,3 @@ def _enlarged(pixels: NDArray[np.uint8], width: int = 512) -> Image.Image:
     factor = max(1, -(-width // pixels.shape[1]))
     picture = Image.fromarray(pixels)
     return picture.resize((picture.width * factor, picture.height * factor), Image.Resampling.NEAREST)
-
-
-def draw_figure(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> bool:
-    """Write a figure.
-
-    Args:
-        path: PNG file to write.
-        size: Width and height, inches.
-        draw: Fills an empty figure.
-
-    Returns:
-        False, and nothing is written, where matplotlib (the `figures` extra) is not installed.
-    """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return False
-    figure = Figure(figsize=size, layout="constrained")
-    draw(figure)
-    canvas = FigureCanvasAgg(figure)
-    with atomic_write(path) as file:
-        canvas.print_png(file)  # type: ignore[no-untyped-call]
-    return True

@@ -18,7 +18,7 @@ from torch import Tensor
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import Verdict, confidence, overlap
 from attacks.observe.conditions import Condition
-from attacks.observe.rows import BOX, DETECTION_BOX, DETECTIONS, NOISE, ROWS, SUFFIX, Cell, Row, frame_of, write_rows
+from attacks.observe.rows import BOX, DETECTION_BOX, DETECTIONS, ROWS, SUFFIX, Cell, Row, frame_of, write_rows
 from attacks.observe.views import BATCH, ViewDetections, detect_views
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, direction_of
@@ -89,16 +89,6 @@ def verdict_cells(verdict: Verdict) -> dict[str, Cell]:
     return {"success": verdict.success, "unambiguous": verdict.unambiguous, "aim": verdict.score}
 
 
-def look_rows(ids: Mapping[str, Cell], look: Mapping[str, Mapping[str, Cell]]) -> list[Row]:
-    """A row for each splat that was looked at in one view.
-
-    Args:
-        ids: Of the view: attack, detector, view.
-        look: What is reported there, by the name of the splat, see `report_cells`.
-    """
-    return [{**ids, "splat": name, "draw": 0 if name == NOISE else None, **cells} for name, cells in look.items()]
-
-
 def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor | None) -> list[Row]:
     """Every detection of a picture.
 
@@ -109,12 +99,6 @@ def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor 
     """
     shared = [None] * len(detections) if box is None or not len(detections) else overlap(detections.boxes, box).tolist()
     return [{**ids, **_detection_cells(detections, number, iou)} for number, iou in enumerate(shared)]
-
-
-def detections_of(rows: pl.DataFrame) -> Detections:
-    """The detections of one picture, of its rows of the table of detections."""
-    boxes = torch.tensor(rows.select(DETECTION_BOX).rows(), dtype=torch.float32).reshape(-1, 4)
-    return Detections(boxes, torch.tensor(rows["score"].to_list(), dtype=torch.float32), tuple(rows["label"]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -157,7 +157,7 @@ def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
         "success": aims["success"].as_dict(),
         "noise": aims["noise_success"].as_dict(),
         "clean": aims["clean_success"].as_dict(),
-        **as_json(count(rows, FOUND)[()]),
+        **{name: rate.as_dict() for name, rate in count(rows, FOUND)[()].items()},
     }
 
 
@@ -313,8 +313,3 @@ def threshold_curve(
         for group, rates in counted.items():
             lines.setdefault(group, []).append((confidence, rates[name]))
     return lines
-
-
-def as_json(rates: Mapping[str, Rate]) -> dict[str, Any]:
-    """Rates as JSON can hold them."""
-    return {name: rate.as_dict() for name, rate in rates.items()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,10 +15,9 @@ from attacks.observe.views import BATCH, ViewDetections, detect_views
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat
 from mi_splat.io.camera_records import camera_of
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.scene import GaussianScene
 
 CAMERAS = "cameras.json"
 _UNITS = "world units; pixels; poses are camera to world, x right, y down, z forward; colours are sRGB"
@@ -98,24 +96,6 @@ def places_of(values: Mapping[str, Any], where: str) -> Places:
         expected, do = "cameras, boxes, background and near", "get the result again"
         raise InvalidValueError(message(where, expected, repr(error)[:200], do)) from error
     return Places(cameras=cameras, boxes=boxes, settings=settings, changes=changes)
-
-
-def checked_splat(path: Path, entry: Mapping[str, Any]) -> GaussianScene:
-    """A splat from its file.
-
-    Args:
-        path: The file.
-        entry: What the result says of the splat.
-
-    Raises:
-        InvalidValueError: It is another splat.
-    """
-    scene = load_splat(path)
-    if scene_hash(scene) != entry["hash"]:
-        expected = f"the {entry['splat']} splat, seed {entry['seed']} (hash {str(entry['hash'])[:16]})"
-        got = f"another (hash {scene_hash(scene)[:16]})"
-        raise InvalidValueError(message(str(path), expected, got, "pass the splat of this result"))
-    return scene
 
 
 def _box(value: Any) -> Tensor | None:

@@ -159,28 +159,3 @@ def banded(
         {"from": low + part * width, "to": low + (part + 1) * width, **found.get((part,), none)["rate"].as_dict()}
         for part in range(parts)
     ]
-
-
-def paired(rows: pl.DataFrame, scenes: Sequence[str], *, scene: str, on: Sequence[str]) -> pl.DataFrame:
-    """One line for each view, with what was seen there of every scene.
-
-    Args:
-        rows: One for each scene and view.
-        scenes: Names of the scenes that are put beside each other, the control first.
-        scene: Column that holds them.
-        on: Columns that are the same in all scenes of one view.
-
-    Returns:
-        The columns `on`, and for each scene its other columns with its name and a point before theirs. Views in the
-        order of the first scene's, those apart that a scene lacks.
-    """
-    sides = [
-        rows.filter(pl.col(scene) == name)
-        .drop(scene)
-        .rename({column: f"{name}.{column}" for column in rows.columns if column not in (*on, scene)})
-        for name in scenes
-    ]
-    table = sides[0]
-    for side in sides[1:]:
-        table = table.join(side, on=list(on), how="inner", maintain_order="left")
-    return table

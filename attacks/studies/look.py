@@ -14,7 +14,16 @@ from torch import Generator, Tensor
 from attacks.budgets import Budget
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
-from attacks.observe.conditions import FORMATS, Condition, SunTable, file_forms, rendered, street_at
+from attacks.observe.conditions import (
+    FORMATS,
+    Condition,
+    SunTable,
+    changed,
+    file_forms,
+    picture_change,
+    rendered,
+    street_at,
+)
 from attacks.observe.look import look, report_cells, seen_from
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections, object_boxes
@@ -204,7 +213,8 @@ def condition_of(name: str, place: AttackScene, object_name: str, sun: SunTable 
 
     Args:
         name: "" for the scene's own renderer; a renderer as in `mi-splat compare`; a format, as .spz, that the whole
-            scene goes through; "SH in float16"; "SH of degree 1"; or an hour, as 09:30, on a street of meshes.
+            scene goes through; "SH in float16"; "SH of degree 1"; "noise 0.05", "blur 1.5" or "JPEG 60", in the
+            pictures; or an hour, as 09:30, on a street of meshes.
         place: The scene.
         object_name: Id of the object, which stands alone on the street.
         sun: The street.
@@ -217,6 +227,9 @@ def condition_of(name: str, place: AttackScene, object_name: str, sun: SunTable 
         return _on_street(place, object_name, sun)
     if name == "" or name in method_names():
         return rendered(name, place.renderer(name))
+    change = picture_change(name)
+    if change is not None:
+        return changed(name, place.renderer(""), change)
     return next(form for form in _forms(place.renderer("")) if form.name == name)
 
 
@@ -228,7 +241,8 @@ def check_condition(name: str, sun: SunTable | None) -> None:
         sun: The street, which hours need.
     """
     known = (*method_names(), *(form.name for form in _forms(lambda scene, camera: scene.means)))
-    if name and name not in known and not (_HOUR.fullmatch(name) and sun is not None):
+    is_known = name in ("", *known) or picture_change(name) is not None
+    if not is_known and not (_HOUR.fullmatch(name) and sun is not None):
         do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
         raise InvalidValueError(message("condition", ", ".join(known), name, do))
 

@@ -83,9 +83,7 @@ def test_a_miss_counts_where_the_clean_object_is_found() -> None:
     assert lower.rates["target_attacked"] == Rate(successes=3, total=3)
 
 
-def test_the_rate_of_anything() -> None:
-    assert Rate.of(range(10), lambda n: n > 6) == Rate(successes=3, total=10)
-    assert Rate.of(range(10), lambda n: n > 6, given=lambda n: n % 2 == 0) == Rate(successes=1, total=5)
+def test_a_rate_says_what_it_is_of() -> None:
     assert Rate(successes=1, total=2).as_dict() == {
         "rate": 0.5,
         "successes": 1,

@@ -7,12 +7,18 @@ import torch
 
 from attacks.observe.conditions import (
     SunTable,
+    changed,
+    distances,
     fewer_bands,
     file_forms,
     half_precision,
+    picture_change,
+    rendered,
     street_hours,
     through_file,
 )
+from attacks.observe.look import look, report_cells
+from attacks.observe.views import object_boxes
 from mi_splat.cameras import Camera, look_at
 from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError
@@ -20,7 +26,7 @@ from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import read_scene
-from tests.fakes import camera, toy_scene
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
 from tests.gaussians import random_scene
 from tests.project.layers import ROOT
 
@@ -79,5 +85,54 @@ def test_the_car_stands_in_the_street_by_the_hour() -> None:
 def test_stored_splats_are_rendered_as_the_scene_is() -> None:
     scene, _ = toy_scene()
     (condition,) = file_forms(Renderer(SETTINGS), files=(".ply",))
-    changed, render = condition.show(scene)
-    torch.testing.assert_close(render(changed, camera()), Renderer(SETTINGS)(scene, camera()))
+    saved, render = condition.show(scene)
+    torch.testing.assert_close(render(saved, camera()), Renderer(SETTINGS)(scene, camera()))
+
+
+def test_a_picture_can_have_noise_blur_and_jpeg_in_it() -> None:
+    scene, _ = toy_scene()
+    plain, pictures = blobs(scene, camera()), {}
+    for name in ("noise 0.05", "blur 1.5", "JPEG 20"):
+        change = picture_change(name)
+        assert change is not None
+        pictures[name] = changed(name, blobs, change)
+        assert not torch.equal(pictures[name](scene, camera()), plain)
+    noisy = pictures["noise 0.05"]
+    assert torch.equal(noisy(scene, camera()), noisy(scene, camera()))
+    other = camera(offset=0.1)
+    grain = noisy(scene, camera()) - plain
+    assert not torch.allclose(noisy(scene, other) - blobs(scene, other), grain, atol=1e-3)
+    assert [picture_change(name) for name in ("tile", "noise", "JPEG 0", "JPEG 101", "blur -1")] == [None] * 5
+
+
+def test_cameras_move_along_the_line_to_the_centre() -> None:
+    near, far = distances(blobs, (0.5, 2.0), (0.0, 0.0, 0.0))
+    assert (near.name, far.name) == ("0.5 x distance", "2 x distance")
+    assert torch.allclose(near.move(camera()).position, 0.5 * camera().position)
+    scene, _ = toy_scene()
+    assert torch.equal(far(scene, camera()), blobs(scene, far.move(camera())))
+
+
+def test_every_detector_looks_at_every_splat_under_every_condition() -> None:
+    scene, mask = toy_scene()
+    cameras = [camera(), camera(offset=0.2)]
+    boxes = dict(zip(cameras, object_boxes(scene, mask, cameras, render=blobs), strict=True))
+    dark = rendered("dark", lambda scene, camera: 0.05 * blobs(scene, camera))
+    seen = look(
+        [rendered("plain", blobs), dark],
+        {"clean": scene, "attacked": scene.replace(sh=-scene.sh)},
+        cameras,
+        [ColourDetector()],
+        boxes=boxes.__getitem__,
+        cells=lambda view: report_cells(view.detections, view.box, original="car"),
+    )
+    assert seen.rows.select("condition", "splat", "view").rows() == [
+        (condition, splat, view)
+        for condition in ("plain", "dark")
+        for splat in ("clean", "attacked")
+        for view in (0, 1)
+    ]
+    assert (seen.rows.filter(condition="plain", splat="clean")["original_score"] > 0.5).all()
+    assert (seen.rows.filter(condition="dark")["score"] == 0).all()
+    best = seen.detections.filter(condition="plain", splat="clean", view=0).sort("score", descending=True)
+    assert best["score"][0] == seen.rows["score"][0]

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from attacks.observe.rates import Measure, banded, blocks_of, count, jointly, paired
+from attacks.observe.rates import Measure, banded, blocks_of, count, jointly
 from attacks.rate import Rate
 
 ROWS = pl.DataFrame(
@@ -42,12 +42,6 @@ def test_groups_come_in_the_order_of_their_first_rows() -> None:
         (("cloaked", "a"), (0, 1)),
         (("cloaked", "b"), (0, 1)),
     ]
-
-
-def test_pairs_have_both_scenes_side_by_side() -> None:
-    pairs = paired(ROWS, ("clean", "cloaked"), scene="splat", on=("detector", "view"))
-    assert pairs.columns == ["detector", "view", "clean.score", "cloaked.score"]
-    assert pairs.rows() == [("a", 0, 0.9, 0.1), ("b", 0, 0.5, None)]  # nobody saw the cloaked splat from view 1
 
 
 def test_together_holds_what_holds_for_every_detector() -> None:

@@ -150,13 +150,11 @@ class Measurement:
         rows = [row for row in self.objects if condition in row.seen and label in (None, row.label)]
         edges = CONDITIONS[condition].edges
         last = edges[-1]
-        return [
-            Rate.of(
-                (row for row in rows if low <= row.seen[condition] < high or row.seen[condition] == high == last),
-                lambda row: row.found,
-            )
+        bins = [
+            [row.found for row in rows if low <= row.seen[condition] < high or row.seen[condition] == high == last]
             for low, high in pairwise(edges)
         ]
+        return [Rate(successes=sum(found), total=len(found)) for found in bins]
 
     @property
     def reported_as(self) -> dict[str, dict[str, int]]:
