@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
-from attacks.cloak import setup, variations
+from attacks.cloak import setup
 from attacks.cloak.appearances import name_of
 from attacks.cloak.config import (
     AttackConfig,
@@ -252,15 +252,6 @@ def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
 def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) -> None:
     with pytest.raises(InvalidValueError, match=says):
         make()
-
-
-def test_variations_are_checked_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[float] = []
-    monkeypatch.setattr(variations, "check_disk", lambda megabytes, stages: asked.append(megabytes))
-    plans = variations.check_variations(SMALL, ["sh_degree", "strategy"], [], tmp_path / "out", tmp_path / "stages")
-    assert [len(studies) for studies in plans.values()] == [4, 2]
-    assert asked[0] > 4 * forecast(replace(SMALL, seeds=(0,))).megabytes
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
