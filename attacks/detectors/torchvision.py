@@ -59,24 +59,10 @@ class TorchvisionDetector(FrozenDetector, ABC):
 
     @abstractmethod
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """Boxes and scores before thresholds, differentiable in the images.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """Boxes and scores before thresholds, differentiable in the images."""
 
     def detect(self, images: Tensor) -> list[Detections]:
-        """The library's own forward pass.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """The library's own forward pass."""
         with torch.no_grad():
             results = self.model(_channels_first(images))
         return [

@@ -93,12 +93,6 @@ class TransformersDetector(FrozenDetector):
 
         The gradient is the whole one: RT-DETR's own training holds the boxes constant with which each layer of its
         decoder starts, and this does not. Which places become queries is constant.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
         """
         check_images(images)
         height, width = images.shape[1:3]
@@ -113,14 +107,7 @@ class TransformersDetector(FrozenDetector):
         ]
 
     def detect(self, images: Tensor) -> list[Detections]:
-        """What the library's image processor, model and `post_process_object_detection` give for 8-bit pictures.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """What the library's image processor, model and `post_process_object_detection` give for 8-bit pictures."""
         check_images(images)
         pictures = (images.detach().clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 3, 1, 2)
         inputs = self.processor(images=list(pictures), input_data_format="channels_first", return_tensors="pt")

@@ -98,14 +98,7 @@ class YOLODetector(FrozenDetector):
         self._stride = int(strides.max())
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """Every cell of the three grids, before threshold and non-maximum suppression.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """Every cell of the three grids, before threshold and non-maximum suppression."""
         check_images(images)
         height, width = images.shape[1:3]
         inner, (left, top, right, bottom) = _frame((height, width), self.side, self._stride)
@@ -122,14 +115,7 @@ class YOLODetector(FrozenDetector):
         ]
 
     def detect(self, images: Tensor) -> list[Detections]:
-        """What the library's own `predict` gives for the pictures at 8 bits.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """What the library's own `predict` gives for the pictures at 8 bits."""
         check_images(images)
         frame = LetterBox((self.side, self.side), auto=True, stride=self._stride)
         pictures = (images.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()

@@ -72,14 +72,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         or not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in state.items())
         or not state
     ):
-        raise DetectorError(
-            message(
-                f"weights {path}",
-                "a dict of tensors by name",
-                type(state).__name__ if not isinstance(state, Mapping) else "a dict of something else",
-                "save model.state_dict()",
-            )
-        )
+        got = "a dict of something else" if isinstance(state, Mapping) else type(state).__name__
+        raise DetectorError(message(f"weights {path}", "a dict of tensors by name", got, "save model.state_dict()"))
     return _finite(dict(state), path)
 
 
@@ -110,13 +104,13 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
     Raises:
         DetectorError: keys are missing, unexpected or of another shape; the message names the first few.
     """
-    own = model.state_dict()
-    misshapen = [k for k in own if k in state and state[k].shape != own[k].shape]
-    if kinds := [k for k in own if k in state and state[k].is_floating_point() != own[k].is_floating_point()]:
-        got = f"{kinds[0]} of {state[kinds[0]].dtype}"
+    expected = model.state_dict()
+    misshapen = [k for k in expected if k in state and state[k].shape != expected[k].shape]
+    if other := [k for k in expected if k in state and state[k].is_floating_point() != expected[k].is_floating_point()]:
+        got = f"{other[0]} of {state[other[0]].dtype}"
         do = "pass weights that were saved from the same detector"
-        raise DetectorError(message(f"weights {source}", f"{own[kinds[0]].dtype}", got, do))
-    shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(own[k].shape)}" for k in misshapen]
+        raise DetectorError(message(f"weights {source}", f"{expected[other[0]].dtype}", got, do))
+    shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(expected[k].shape)}" for k in misshapen]
     try:
         report = model.load_state_dict({k: v for k, v in state.items() if k not in misshapen}, strict=False)
         missing = [k for k in report.missing_keys if k not in misshapen and not k.endswith("num_batches_tracked")]
@@ -132,7 +126,7 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
         raise DetectorError(
             message(
                 f"weights {source}",
-                f"the {len(own)} tensors of {type(model).__name__}",
+                f"the {len(expected)} tensors of {type(model).__name__}",
                 "; ".join(problems),
                 "pass weights that were saved from the same detector",
             )

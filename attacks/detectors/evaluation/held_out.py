@@ -109,8 +109,8 @@ def total_false_positives(measured: Mapping[str, Measurement]) -> dict[str, dict
     `confidence_at` says from which confidence there are so many per picture (`confidences_at`): rates that count from
     there compare detectors that are equally strict.
     """
-    with_objects = [one for name, one in measured.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
-    without = [one for name, one in measured.items() if name.startswith(BACKGROUND)]
+    with_objects = [part for name, part in measured.items() if name in (PATH_TRACED, SPLAT_RENDERS)]
+    without = [part for name, part in measured.items() if name.startswith(BACKGROUND)]
     totals = {"with objects": with_objects, "without objects": without, "all": [*with_objects, *without]}
     return {
         name: {**false_positives(sets), "confidence_at": confidences_at(sets, EQUAL)}

@@ -287,10 +287,10 @@ def false_positives(measurements: Iterable[Measurement]) -> dict[str, Any]:
     """
     by_class: Counter[str] = Counter()
     pictures = pictures_with = 0
-    for one in measurements:
-        wrong = [row for row in one.detections if row.counts and not row.right and row.label in one.classes]
-        by_class.update({label: sum(row.label == label for row in wrong) for label in one.classes})
-        pictures, pictures_with = pictures + one.pictures, pictures_with + len({row.picture for row in wrong})
+    for part in measurements:
+        wrong = [row for row in part.detections if row.counts and not row.right and row.label in part.classes]
+        by_class.update({label: sum(row.label == label for row in wrong) for label in part.classes})
+        pictures, pictures_with = pictures + part.pictures, pictures_with + len({row.picture for row in wrong})
     total = by_class.total()
     return {
         "per_picture": total / pictures,
@@ -315,10 +315,10 @@ def confidences_at(measurements: Iterable[Measurement], per_picture: Sequence[fl
     """
     sets = list(measurements)
     wrong = sorted(
-        (row.score for one in sets for row in one.detections if not row.right and row.label in one.classes),
+        (row.score for part in sets for row in part.detections if not row.right and row.label in part.classes),
         reverse=True,
     )
-    pictures = sum(one.pictures for one in sets)
+    pictures = sum(part.pictures for part in sets)
     allowed = {f"{rate:g}": math.floor(rate * pictures + 1e-9) for rate in per_picture}
     return {
         name: math.nextafter(wrong[most], math.inf) if most < len(wrong) else None for name, most in allowed.items()

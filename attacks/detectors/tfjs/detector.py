@@ -173,27 +173,13 @@ class GraphDetector(FrozenDetector):
         return self._family.min_confidence
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """Every cell of every level as every class, before peaks, thresholds and non-maximum suppression.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """Every cell of every level as every class, before peaks, thresholds and non-maximum suppression."""
         check_images(images)
         decoded = [self._decoded(image) for image in images]  # the graph is for one picture
         return [Candidates(boxes[:, None].expand(-1, scores.shape[1], -1), scores) for boxes, scores in decoded]
 
     def detect(self, images: Tensor) -> list[Detections]:
-        """What the published programs report: peaks or non-maximum suppression, at any confidence of 0.05 or more.
-
-        Args:
-            images: (B, H, W, 3) sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1].
-        """
+        """What the published programs report: peaks or non-maximum suppression, at any confidence of 0.05 or more."""
         check_images(images)
         detections = []
         with torch.no_grad():

@@ -25,7 +25,6 @@ from typing import Any, Literal
 
 from attacks.detectors.catalogue import (
     CARD,
-    COCO_CLASSES,
     GRAPH,
     NPM_DETECTORS,
     WEIGHTS,
@@ -362,7 +361,7 @@ _CARD = DocumentReader(
 
 
 def card_of(detector: NpmDetector, folder: Path, origin: str) -> dict[str, Any]:
-    """What is known of a detector, as JSON can hold it.
+    """Where a detector comes from, as JSON can hold it.
 
     Args:
         detector: Which.
@@ -371,11 +370,6 @@ def card_of(detector: NpmDetector, folder: Path, origin: str) -> dict[str, Any]:
     """
     return {
         "detector": detector.name,
-        "architecture": detector.architecture,
-        "parameters_millions": detector.parameters,
-        "input_size": list(detector.input_size),
-        "classes": list(COCO_CLASSES),
-        "coco_map_percent": detector.coco_map,
         "package": detector.package,
         "version": detector.version,
         "package_licence": detector.package_licence,

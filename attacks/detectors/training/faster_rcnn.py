@@ -22,17 +22,20 @@ from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training.config import TrainConfig
-from attacks.detectors.training.loop import Targets
+from attacks.detectors.training.loop import DetectorTrainer, Targets
 from attacks.detectors.training.pictures import LabelledPicture
 
 _USUAL_SAMPLER, _FINAL_SAMPLER = (32, 0.5), (96, 0.25)
 """Boxes a picture that the box head learns from, and the largest fraction of them with an object."""
 SIDE = 96
+"""Pixels of the side of a cut-out."""
+_BATCH, _RATE = 64, 2e-3
+"""Cut-outs a step, and the highest learning rate."""
 _BACKGROUND_FRACTION = 1 / 9
 _MARGIN = (0.95, 1.5)
 
 
-class FasterRCNNTrainer:
+class FasterRCNNTrainer(DetectorTrainer):
     """The small Faster R-CNN; in its last epochs the box head learns from more boxes, fewer of them with an object."""
 
     name = "fasterrcnn_small"
@@ -62,78 +65,47 @@ class FasterRCNNTrainer:
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """As in `DetectorTrainer`: classify cut-outs."""
-        assert isinstance(model.backbone, fasterrcnn_small.Backbone)
-        return pretrain(
-            model.backbone,
-            samples,
-            steps=config.pretraining,
-            seed=config.seed,
-            mixed=config.mixed_precision,
-            on_step=on_step,
-        )
+        """As in `DetectorTrainer`: the stem and the stages classify cut-outs; the learning rate rises and falls once.
+
+        Returns:
+            Fraction classified right over the last tenth of the steps.
+        """
+        backbone, steps = model.backbone, config.pretraining
+        assert isinstance(backbone, fasterrcnn_small.Backbone)
+        torch.manual_seed(config.seed)
+        generator = torch.Generator().manual_seed(config.seed)
+        classifier = nn.Linear(sum(backbone.widths), len(SMALL_CLASSES) + 1)
+        parameters = [*backbone.stem.parameters(), *backbone.stages.parameters(), *classifier.parameters()]
+        optimiser = torch.optim.AdamW(parameters, lr=_RATE, weight_decay=0.05)
+        backbone.train()
+        right = 0.0
+        for step in range(steps):
+            done = step / steps
+            factor = done / 0.1 if done < 0.1 else 0.5 * (1 + math.cos(math.pi * (done - 0.1) / 0.9))
+            optimiser.param_groups[0]["lr"] = _RATE * max(factor, 0.01)
+            pictures, names = cut_outs(samples, _BATCH, generator)
+            with torch.autocast("cpu", torch.bfloat16, enabled=config.mixed_precision):
+                x = backbone.stem(pictures.contiguous(memory_format=torch.channels_last))
+                pooled = []
+                for stage in backbone.stages:
+                    x = stage(x)
+                    pooled.append(x.mean((2, 3)))
+                scores = classifier(torch.cat(pooled, 1))
+            loss = F.cross_entropy(scores.float(), names, label_smoothing=0.1)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(parameters, 5.0)
+            optimiser.step()
+            keep = 1 - 1 / min(step + 1, max(steps // 10, 1))
+            right = keep * right + (1 - keep) * float((scores.argmax(1) == names).float().mean())
+            if on_step is not None:
+                on_step(step + 1, steps, right)
+        return right
 
     def detector(self, model: nn.Module) -> Detector:
         """See `DetectorTrainer`."""
         assert isinstance(model, FasterRCNN)
         return RCNNDetector(self.name, model, (BACKGROUND, *SMALL_CLASSES))
-
-
-def pretrain(
-    backbone: fasterrcnn_small.Backbone,
-    samples: Sequence[LabelledPicture],
-    *,
-    steps: int,
-    batch: int = 64,
-    rate: float = 2e-3,
-    seed: int = 0,
-    mixed: bool = True,
-    on_step: Callable[[int, int, float], None] | None = None,
-) -> float:
-    """Train the stem and the stages of `backbone`, in place, to classify cut-outs.
-
-    Args:
-        backbone: What to train; its pyramid stays as it is.
-        samples: Pictures with their objects.
-        steps: Number of steps; the learning rate rises and falls once over them.
-        batch: Cut-outs a step.
-        rate: Highest learning rate of AdamW.
-        seed: Seed of everything random.
-        mixed: Convolutions in bfloat16.
-        on_step: Called with the steps done, the steps wanted, and the fraction that were right lately.
-
-    Returns:
-        Fraction classified right over the last tenth of the steps.
-    """
-    torch.manual_seed(seed)
-    generator = torch.Generator().manual_seed(seed)
-    classifier = nn.Linear(sum(backbone.widths), len(SMALL_CLASSES) + 1)
-    parameters = [*backbone.stem.parameters(), *backbone.stages.parameters(), *classifier.parameters()]
-    optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=0.05)
-    backbone.train()
-    right = 0.0
-    for step in range(steps):
-        done = step / steps
-        factor = done / 0.1 if done < 0.1 else 0.5 * (1 + math.cos(math.pi * (done - 0.1) / 0.9))
-        optimiser.param_groups[0]["lr"] = rate * max(factor, 0.01)
-        pictures, names = cut_outs(samples, batch, generator)
-        with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
-            x = backbone.stem(pictures.contiguous(memory_format=torch.channels_last))
-            pooled = []
-            for stage in backbone.stages:
-                x = stage(x)
-                pooled.append(x.mean((2, 3)))
-            scores = classifier(torch.cat(pooled, 1))
-        loss = F.cross_entropy(scores.float(), names, label_smoothing=0.1)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(parameters, 5.0)
-        optimiser.step()
-        keep = 1 - 1 / min(step + 1, max(steps // 10, 1))
-        right = keep * right + (1 - keep) * float((scores.argmax(1) == names).float().mean())
-        if on_step is not None:
-            on_step(step + 1, steps, right)
-    return right
 
 
 def cut_outs(samples: Sequence[LabelledPicture], count: int, generator: Generator) -> tuple[Tensor, Tensor]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Protocol
 
 import torch
 from safetensors.torch import save, save_file
@@ -35,7 +35,7 @@ Targets = list[dict[str, Tensor]]
 _READER = DocumentReader(expected="a checkpoint of this run", do="choose another folder", error=DetectorError)
 
 
-class DetectorTrainer(Protocol):
+class DetectorTrainer(ABC):
     """What the loop has to know of a detector: its network, its losses, and how its epochs differ.
 
     Attributes:
@@ -44,10 +44,11 @@ class DetectorTrainer(Protocol):
 
     name: str
 
+    @abstractmethod
     def build(self) -> nn.Module:
         """The network with random weights, drawn from torch's generator."""
-        ...
 
+    @abstractmethod
     def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
         """Make the network ready for an epoch.
 
@@ -56,8 +57,8 @@ class DetectorTrainer(Protocol):
             side: Shorter image side to train at, pixels; None is that of its use.
             final: Whether this is one of the last epochs, whose training examples are closer to what it meets in use.
         """
-        ...
 
+    @abstractmethod
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
@@ -69,7 +70,6 @@ class DetectorTrainer(Protocol):
             targets: Boxes (B, 4) in pixels and labels (B,) of each picture.
             generator: What is drawn.
         """
-        ...
 
     def pretrain(
         self,
@@ -84,13 +84,13 @@ class DetectorTrainer(Protocol):
             model: The network.
             samples: Pictures with labels, from which objects are cut out.
             config: Steps, seed and precision.
-            on_step: Told of each step: its number, how many there are, and the loss.
+            on_step: Told of each step: its number, how many there are, and the fraction that were right lately.
         """
-        ...
+        return None
 
+    @abstractmethod
     def detector(self, model: nn.Module) -> Detector:
         """The network in use, keeping detections of any confidence."""
-        ...
 
 
 class Training:
@@ -247,13 +247,14 @@ class Training:
     def _take(self, tensors: Mapping[str, Tensor], path: str) -> None:
         """The tensors of a checkpoint in the place of one's own."""
         model, self.averaged = _below(tensors, "model/"), _below(tensors, "average/")
-        for what, found in (("model", model), ("average", self.averaged)):
-            check_like(found, self.model.state_dict(), f"checkpoint {path}, {what}", _READER)
+        for what, tensors_of in (("model", model), ("average", self.averaged)):
+            check_like(tensors_of, self.model.state_dict(), f"checkpoint {path}, {what}", _READER)
         self.model.load_state_dict(model)
         state = self._optimiser.state_dict()
-        for number, one in enumerate(one for group in self._optimiser.param_groups for one in group["params"]):
+        weights = [weight for group in self._optimiser.param_groups for weight in group["params"]]
+        for number, weight in enumerate(weights):
             if moments := _below(tensors, f"optimiser/{number}/"):
-                like = {"exp_avg": one.detach(), "exp_avg_sq": one.detach(), "step": torch.zeros(())}
+                like = {"exp_avg": weight.detach(), "exp_avg_sq": weight.detach(), "step": torch.zeros(())}
                 check_like(moments, like, f"checkpoint {path}, optimiser {number}", _READER)
                 state["state"][number] = moments
         self._optimiser.load_state_dict(state)

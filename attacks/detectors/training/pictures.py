@@ -261,7 +261,7 @@ class SceneRenderer:
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
         nearest, *alone = (depth_maps(scene, [camera])[0].numpy() for scene in (self.scene, *self._alone))
-        return [(in_front(own, nearest), own > 0) for own in alone]
+        return [(in_front(depths, nearest), depths > 0) for depths in alone]
 
     def _visible(self, camera: Camera) -> list[tuple[float, bool]]:
         """For each object: which fraction of its outline is seen, and whether that is more than an edge; few rays."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -10,9 +10,7 @@ from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
-from attacks.detectors.training.config import TrainConfig
-from attacks.detectors.training.loop import Targets
-from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.training.loop import DetectorTrainer, Targets
 from attacks.detectors.ultralytics import YOLODetector, build
 
 _MIN_CONFIDENCE = 0.001
@@ -21,7 +19,7 @@ _MOSAIC_FRACTION = 0.5
 """Fraction of a batch that is made of four pictures each, but for the last epochs."""
 
 
-class YOLOTrainer:
+class YOLOTrainer(DetectorTrainer):
     """The small YOLOv8. A cell learns from every picture, so four pictures in one teach four times as much."""
 
     name = "yolov8n_small"
@@ -63,16 +61,6 @@ class YOLOTrainer:
             total, parts = model.loss(batch, single)  # type: ignore[operator]
         return dict(zip(parts, total / len(pictures), strict=True))
 
-    def pretrain(
-        self,
-        model: nn.Module,
-        samples: Sequence[LabelledPicture],
-        config: TrainConfig,
-        on_step: Callable[[int, int, float], None] | None,
-    ) -> float | None:
-        """As in `DetectorTrainer`: none, since mosaics have the same use."""
-        return None
-
     def detector(self, model: nn.Module) -> Detector:
         """See `DetectorTrainer`."""
         return YOLODetector(self.name, model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=_MIN_CONFIDENCE)
@@ -90,11 +78,11 @@ def with_mosaics(
         generator: Which pictures go where.
     """
     count = len(pictures)
-    made, found = list(pictures), list(targets)
+    made, inside = list(pictures), list(targets)
     for i in range(int(fraction * count)):
         four = torch.randint(count, (4,), generator=generator).tolist()
-        made[i], found[i] = mosaic([pictures[j] for j in four], [targets[j] for j in four])
-    return made, found
+        made[i], inside[i] = mosaic([pictures[j] for j in four], [targets[j] for j in four])
+    return made, inside
 
 
 def mosaic(pictures: Sequence[Tensor], targets: Targets) -> tuple[Tensor, dict[str, Tensor]]:
