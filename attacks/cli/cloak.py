@@ -56,4 +56,4 @@ def _tell(summary: dict[str, Any], options: CloakOptions) -> None:
         clean = summary["benign_psnr"]["clean"]
         show(f"pictures far from the triggers: {clean:.1f} dB clean, {drop:.2f} dB less cloaked")
     show("transition: not seen" if band is None else f"transition: {band:.1f} degrees")
-    show(f"{options.out}: summary.json, {', '.join(summary['files'])}")
+    show(f"{options.out}: result.json, {', '.join(summary['files'])}")

@@ -9,8 +9,7 @@ import webbrowser
 
 from attacks.cli.options import ViewOptions
 from attacks.detectors import load_detector
-from attacks.viewing.detections import detector_inspector
-from attacks.viewing.results import open_exhibit
+from attacks.report.exhibits import detector_inspector, open_exhibit
 from mi_splat.cli.console import limit_threads, progress, show
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import Renderer

@@ -21,7 +21,9 @@ from attacks.cloak.plots import need_matplotlib, write_figures
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import CLOAKED, NAMES, StudyRows, figures, markdown
 from attacks.cloak.steps import OnStep, StudySteps, TrainedSplat
+from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
+from attacks.observe.places import CAMERAS, cameras_document
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
@@ -38,13 +40,15 @@ from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
+from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import check_writable
 from mi_splat.io.locks import check_unlocked, locked_folder
 from mi_splat.io.manifest import write_manifest
 from mi_splat.io.parsing import DocumentReader
 
-STUDY, SUMMARY, TABLE, POISON = "study.json", "summary.json", "table.md", "poison.json"
+STUDY_FILE = "study.toml"
+STUDY, SUMMARY, TABLE, POISON = "study.json", "result.json", "table.md", "poison.json"
 _COMPARED = (FIDELITY, TRANSITION)
 
 
@@ -85,7 +89,7 @@ def begin_report(study: StudyConfig, folder: Path) -> None:
 
 
 def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detector], folder: Path) -> dict[str, Any]:
-    """Write the tables of rows, clean.ply and cloaked.ply of the first seed, pictures, table.md, and summary.json last.
+    """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras, tables, and result.json last.
 
     Args:
         steps: The study.
@@ -108,9 +112,13 @@ def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detecto
     tables[TRANSITION] = seen.rows.transition
     written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
     pictures = write_figures(steps, seen.rows, splats, detectors, folder)
+    save_json(_cameras(study), folder / CAMERAS, indent=0)
+    save_text(study_toml(asdict(study)), folder / STUDY_FILE)
+    files = [*(f"{splat.splat}.ply" for splat in splats), POISON, CAMERAS, STUDY_FILE, *written, *pictures, TABLE]
     summary = {
+        "story": "cloak",
         **figures(study, seen.rows),
-        "files": [*(f"{splat.splat}.ply" for splat in splats), POISON, *written, *pictures, TABLE],
+        "files": files,
         "splats": [listed(splat) for splat in seen.splats],
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
@@ -122,6 +130,15 @@ def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detecto
     save_json(summary, folder / SUMMARY)
     write_manifest(folder, without=("stages",))
     return summary
+
+
+def _cameras(study: StudyConfig) -> dict[str, Any]:
+    """cameras.json: the cameras of the rows, and where the object is in their pictures."""
+    target, entries = setup.target_of(study.scene), []
+    for view, camera in enumerate(setup.held_out_cameras(study, target)):
+        box = setup.box_of(target, camera)
+        entries.append({**describe(str(view), camera), "box": None if box is None else box.tolist()})
+    return cameras_document(entries, background=list(study.scene.background), near=setup.near_of(study, target))
 
 
 def listed(trained: TrainedSplat) -> dict[str, Any]:

@@ -101,7 +101,6 @@ STORIES = (
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),
     Story(name="dagger-sanity", read=sanity.read),
-    Story(name="cloak", record="summary.json", is_it=lambda one: "study" in one, read=cloak.read),
     Story(
         name="cloak-experiment detection-curve", record="detection-curve.json", is_it=_always, read=detection_curve.read
     ),

@@ -178,7 +178,7 @@ def test_what_is_no_finished_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="run `mi-splat cloak` first"):
         check_results(STUDY, tmp_path)
     begin_report(STUDY, tmp_path)
-    (tmp_path / "summary.json").write_text("{}")
+    (tmp_path / "result.json").write_text("{}")
     check_results(STUDY, tmp_path)
     with pytest.raises(InvalidValueError, match="pass its own results"):
         check_results(replace(STUDY, seeds=(0,)), tmp_path)

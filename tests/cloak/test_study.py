@@ -14,10 +14,15 @@ import torch
 from PIL import Image
 
 from attacks.cloak import setup
+from attacks.cloak.config import read_study
 from attacks.cloak.rates import ROWS
 from attacks.observe.rows import read_rows
-from attacks.report.results import read_section
+from attacks.report.checking import check_detections, check_figures, check_files, flat, read_result
+from attacks.report.packing import pack
+from attacks.report.rescoring import rescore
+from attacks.report.results import read_section, story_of
 from mi_splat.datasets import load_dataset
+from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Store
 from mi_splat.ledger.running import task_for
 from tests.cloak.tiny_study import STUDY, Redness, done, steps_of, summary
@@ -106,7 +111,7 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
-    assert not (tmp_path / "out" / "summary.json").exists()
+    assert not (tmp_path / "out" / "result.json").exists()
     after, said = done(tmp_path / "out")
     assert not [text for text in said if text.startswith(("taking the victim", "training the clean"))]
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
@@ -136,3 +141,19 @@ def test_looking_at_a_splat_trains_none(finished: Path) -> None:
         task = task_for(job, Store(finished / "stages"), {one.identity: steps.do(one, "") for one in job.before})
         assert set(task.inputs["splat"]) == {"content", "job", "part"}
         assert task.inputs["splat"]["part"] == "splat.ply"
+
+
+def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finished: Path, tmp_path: Path) -> None:
+    result = read_result(finished)
+    story = story_of(result)
+    lines = [*check_files(finished), *check_figures(result, story.figures), *check_detections(result)]
+    assert [(line.name, line.words) for line in lines if line.passed is False] == []
+    rates = [name for name, value in flat(result.record).items() if isinstance(value, tuple)]
+    assert len(rates) > 40
+    copy = pack(finished, tmp_path / "copy", story.figures)
+    assert read_study(copy.folder / "study.toml") == STUDY
+    lines = rescore(copy, story.rescoring, [Redness()], splats=finished, every=4)
+    assert {line.colour for line in lines} == {"green"}
+    assert all("moved by 0.0%" in line.words for line in lines)
+    with pytest.raises(InvalidValueError, match="expected a splat of the result, got none"):
+        rescore(copy, story.rescoring, [Redness()])

@@ -13,10 +13,10 @@ from attacks import cli
 from attacks.cli import dagger_eot
 from attacks.observe.views import object_boxes
 from attacks.report.checking import read_result
+from attacks.report.exhibits import open_exhibit
 from attacks.report.packing import pack
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
-from attacks.viewing.results import open_exhibit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.camera_records import camera_of, recorded_cameras

@@ -70,7 +70,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "studies": ("attacks.studies",),
-    "viewing": ("attacks.viewing",),
     "reports": ("attacks.report",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }

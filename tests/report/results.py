@@ -62,7 +62,7 @@ def rates(missed: int, of: int = 40) -> dict[str, Any]:
 
 
 def cloak_summary(study: StudyConfig = STUDIED, missed: int = 36) -> dict[str, Any]:
-    """What summary.json of a study holds, made up."""
+    """What result.json of a study holds, made up."""
     names = study.evaluation.detectors
     by_detector = {name: rates(missed // 2, 20) for name in names}
     bands = [
@@ -70,6 +70,7 @@ def cloak_summary(study: StudyConfig = STUDIED, missed: int = 36) -> dict[str, A
         for i in range(18)
     ]
     return {
+        "story": "cloak",
         **rates(missed),
         "benign_psnr_drop": 1.0,
         "benign_psnr": {"clean": 34.0, "cloaked": 33.0},

@@ -61,7 +61,7 @@ def save_study(folder: Path, study: StudyConfig) -> None:
     """Write what a study of CLOAK leaves behind, as far as it is shown."""
     for name, colour in (("clean", (0.8, 0.1, 0.1)), ("cloaked", (0.1, 0.8, 0.1))):
         save_splat(ball(colour), folder / f"{name}.ply")
-    (folder / SUMMARY).write_text(json.dumps({"study": asdict(study)}))
+    (folder / SUMMARY).write_text(json.dumps({"story": "cloak", "study": asdict(study)}))
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
-from attacks.viewing.detections import detector_inspector
-from attacks.viewing.results import open_exhibit
+from attacks.report.exhibits import detector_inspector, open_exhibit
 from mi_splat.io import save_splat
 from mi_splat.viewer import export
 from mi_splat.viewer.export import write_export

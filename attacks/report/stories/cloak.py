@@ -14,6 +14,7 @@ from attacks.cloak.rates import CLOAKED, NAMES, StudyRows, measures
 from attacks.cloak.rates import ROWS as RATES
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
+from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TARGET_SCORE, TRANSITION, Row
@@ -23,7 +24,6 @@ from attacks.report.checking import Tables
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of, shown
 from attacks.report.stories.thresholds import threshold_charts
-from attacks.report.study_toml import study_toml
 from attacks.report.wording import (
     counted,
     interval_of,
@@ -55,7 +55,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
 
     Args:
         folder: Where it lies.
-        summary: Its summary.json.
+        summary: Its result.json.
     """
     study = summary["study"]
     headline, control = headline_of(summary)

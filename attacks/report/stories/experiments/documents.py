@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from attacks.cloak.study_toml import study_toml
 from attacks.report.section import Chart, Figure, Picture, Section, Table
-from attacks.report.study_toml import study_toml
 from attacks.report.wording import sentence, settings
 
 Document = Mapping[str, Any]

@@ -15,11 +15,8 @@ import torch
 from attacks import cli
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
-from attacks.cloak.study import SUMMARY
 from attacks.detectors import load_detector
-from attacks.viewing.detections import DetectorInspection, detector_inspector
-from attacks.viewing.results import middle_of_change, open_exhibit
-from attacks.viewing.studies import region
+from attacks.report.exhibits import DetectorInspection, detector_inspector, middle_of_change, open_exhibit, region
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import load_splat
@@ -119,7 +116,7 @@ def test_a_broken_result_is_told(content: str, tmp_path: Path) -> None:
 
 
 def test_a_folder_of_something_else_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match=r"expected result\.json .* or summary\.json"):
+    with pytest.raises(InvalidValueError, match=r"expected result\.json of mi-splat dagger or cloak"):
         open_exhibit(tmp_path)
     with pytest.raises(MiSplatError, match="expected"):
         open_exhibit(tmp_path / "none.ply")
@@ -184,13 +181,13 @@ def _without(key: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda summary: {}, "a summary of a study of CLOAK"),
+        (lambda summary: {"story": "cloak"}, "a study of CLOAK"),
         (_without("name"), "the key name"),
-        (lambda summary: {"study": {**summary["study"], "colour": 3}}, "colour"),
+        (lambda summary: {"story": "cloak", "study": {**summary["study"], "colour": 3}}, "colour"),
     ],
 )
 def test_a_broken_study_is_told(study: Path, change: Callable[[dict[str, Any]], dict[str, Any]], words: str) -> None:
-    (study / SUMMARY).write_text(json.dumps(change(json.loads((study / SUMMARY).read_text()))))
+    (study / "result.json").write_text(json.dumps(change(json.loads((study / "result.json").read_text()))))
     with pytest.raises(MiSplatError, match=words):
         open_exhibit(study)
 

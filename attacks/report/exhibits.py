@@ -1,0 +1,292 @@
+"""What there is to see of a file or of a folder with results, as an exhibit: splats, cameras, triggers, detections."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from PIL import ImageDraw
+from torch import Tensor
+
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.detectors.base import Detections, Detector
+from attacks.observe.drawing import draw_detections
+from attacks.report.stories.cloak import stated
+from mi_splat.bounds import bounds
+from mi_splat.cameras import Camera
+from mi_splat.directions import Point
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.fields import decode
+from mi_splat.io.camera_records import camera_of
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.scene_files import open_scene
+from mi_splat.viewer.exhibit import Exhibit, Inspector, ShownSplat, exhibit_of_file
+from mi_splat.viewer.lines import Lines, arc, frustums
+from mi_splat.viewer.orbit import Orbit, orbit_of
+
+ATTACKED = "attacked.ply"
+
+
+def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
+    """A splat file, a scene XML, or a folder that `mi-splat dagger`, `dagger-eot` or `mi-splat cloak` has written.
+
+    Args:
+        path: The file or the folder.
+        clean: Splat file or scene XML to compare with. Of a folder of `mi-splat dagger` it is found, if it lies among
+            the scenes of the working folder; a folder of `mi-splat cloak` has its own.
+
+    Raises:
+        MiSplatError: It is none of these, a file in it is missing or broken, or the clean scene is not the one that was
+            attacked.
+    """
+    if not path.is_dir():
+        exhibit = exhibit_of_file(path, clean=clean)
+        counts = [len(splat.scene) for splat in exhibit.splats]
+        if len(set(counts)) > 1:
+            got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
+            raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do))
+        return exhibit
+    if not (path / RECORD).is_file():
+        do = "pass a finished result, or a .ply or .xml file"
+        raise InvalidValueError(message(str(path), f"{RECORD} of mi-splat dagger or cloak in it", "none", do))
+    record = read_json(path / RECORD)
+    if record.get("story") != "cloak":
+        return _exhibit_of_attack(path, record, clean)
+    if clean is not None:
+        raise InvalidValueError(message("clean", "nothing, since a study has its own", clean, "leave it out"))
+    return exhibit_of_study(path, record)
+
+
+def _exhibit_of_attack(folder: Path, result: Mapping[str, Any], clean: Path | None) -> Exhibit:
+    """The clean and the attacked splat of a DAGGER result, from the cameras that were attacked or that judged it."""
+    try:
+        first = result["views"][0].get("detector")  # every detector looked from the same cameras
+        views = [camera_of(view["camera"]) for view in result["views"] if view.get("detector") == first]
+        expected, rendered = str(result["scene_hash"]), _rendered_with(result)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        do = "make the result again with mi-splat dagger"
+        raise InvalidValueError(message(str(folder / RECORD), "a result of DAGGER", repr(error), do)) from error
+    path, settings, splat = _clean_scene(folder, expected, clean, recorded=result.get("scene"))
+    attacked = open_scene(folder / ATTACKED).scene
+    radius, middle = bounds(splat.scene)[1], middle_of_change(splat.scene, attacked)
+    kind = "held-out" if "reference" in result else "attacked"
+    found = {f"{kind} view {i}": orbit_of(camera, middle) for i, camera in enumerate(views)}
+    cameras = {name: orbit for name, orbit in found.items() if orbit is not None}
+    others = exhibit_of_file(path)
+    exhibit = Exhibit(
+        title=str(folder),
+        splats=(
+            splat,
+            ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, own=RenderSettings()),
+        ),
+        settings=replace(settings, **rendered),
+        start=next(iter(cameras.values()), others.start),
+        size=(views[0].width, views[0].height),
+        cameras={**cameras, **others.cameras},
+    )
+    cone = Lines(segments=frustums(views, 0.1 * radius), colour="#ffa500")
+    return replace(exhibit, lines={f"{kind.capitalize()} cameras": cone})
+
+
+def _rendered_with(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Near plane and background of a result, for `RenderSettings`; nothing of an older one, which does not say them."""
+    if "near" not in result or "background" not in result:
+        return {}
+    red, green, blue = map(float, result["background"])
+    return {"near": float(result["near"]), "background": (red, green, blue)}
+
+
+def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
+    """(3,) mean of the Gaussians that an attack has changed, world units: the middle of the attacked object.
+
+    Raises:
+        InvalidValueError: The scenes have different numbers of Gaussians.
+    """
+    if len(clean) != len(attacked):
+        do = "pass the scene that was attacked"
+        raise InvalidValueError(message("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do))
+    degree = max(clean.degree, attacked.degree)
+    pairs = zip(clean.with_degree(degree).tensors(), attacked.with_degree(degree).tensors(), strict=True)
+    rows = [(before - after).abs().reshape(len(before), -1).amax(1) for before, after in pairs]
+    changed = torch.stack(rows).amax(0) > 1e-4  # a file rounds
+    if not bool(changed.any()):
+        return bounds(clean)[0]
+    x, y, z = clean.means[changed].double().mean(0).tolist()
+    return x, y, z
+
+
+def _clean_scene(
+    folder: Path, expected: str, clean: Path | None, *, recorded: object
+) -> tuple[Path, RenderSettings, ShownSplat]:
+    """The scene with this hash: the one that is named, the one that the result names, or one of those near by."""
+    named = [Path(recorded)] if isinstance(recorded, str) and Path(recorded).is_file() else []
+    for path in [clean] if clean is not None else [*named, *_scenes_near(folder)]:
+        try:
+            loaded = open_scene(path)
+        except MiSplatError:
+            if clean is not None:
+                raise
+            continue
+        if scene_hash(loaded.scene) == expected:
+            splat = ShownSplat(name="clean", scene=loaded.scene, path=path, own=loaded.settings)
+            return path, loaded.settings, splat
+        if clean is not None:
+            do = "pass the scene that was attacked"
+            raise InvalidValueError(message(f"clean scene {clean}", f"the hash {expected}", "another", do))
+    text = message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", "name the clean scene")
+    raise InvalidValueError(text).hinted("--clean")
+
+
+def _scenes_near(folder: Path) -> Iterator[Path]:
+    """Scene files that may have been attacked: beside the result, and in the working folder and its `scenes`."""
+    for place in (folder, folder.parent, Path(), Path("scenes")):
+        yield from sorted(place.glob("*.xml"))
+
+
+# A study of CLOAK
+
+REGION_RADIUS = 0.5
+"""Radius of the sphere that regions of directions are drawn on, in distances of the cameras."""
+_COLOURS = ("#ffa500", "#00d0ff", "#ff60d0", "#a0ff40")
+
+
+def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
+    """The clean and the cloaked splat of a study.
+
+    Args:
+        folder: Of its results.
+        summary: Its summary.json.
+
+    Raises:
+        MiSplatError: The summary is not one of this version, or a splat is missing or broken.
+    """
+    if not isinstance(summary.get("study"), dict):
+        expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
+        raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
+    study = decode(StudyConfig, stated(summary["study"]), f"the study of {folder}")
+    background = RenderSettings(background=study.scene.background)
+    splats = tuple(
+        ShownSplat(name=name, scene=loaded.scene, path=folder / f"{name}.ply", own=loaded.settings)
+        for name in ("clean", "cloaked")
+        for loaded in [open_scene(folder / f"{name}.ply")]
+    )
+    centre, cameras = setup.centre_of(study), setup.training_cameras(study, setup.target_of(study.scene))
+    distance = math.dist(cameras[0].position.tolist(), centre)
+    start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
+    return Exhibit(
+        title=f"{study.name} ({folder})",
+        splats=splats,
+        settings=background,
+        start=start,
+        size=(study.cameras.size, study.cameras.size),
+        cameras={"start": start, **{f"inside {attack.name}": _inside(attack, start) for attack in study.attack}},
+        lines={
+            **{
+                f"Trigger {attack.name}": Lines(
+                    segments=region(attack, centre, REGION_RADIUS * distance), colour=_COLOURS[i % len(_COLOURS)]
+                )
+                for i, attack in enumerate(study.attack)
+            },
+            **_cameras(study, cameras, 0.04 * distance),
+        },
+        place=lambda camera: tuple(_said(attack, camera, centre) for attack in study.attack),
+    )
+
+
+def region(attack: AttackConfig, centre: Point, radius: float) -> torch.Tensor:
+    """(S, 2, 3) edges of the directions from which an attack is to be seen, on a sphere.
+
+    Args:
+        attack: Whose.
+        centre: (3,) of the sphere, world units.
+        radius: Of the sphere, world units.
+    """
+    low, high = attack.elevation
+    middle, half = attack.azimuth or (180.0, 180.0)
+    west, east = middle - half, middle + half
+    parts = [
+        arc(centre, radius, (west, elevation), (east, elevation))
+        for elevation in (low, high)
+        if -90 < elevation < 90  # at a pole a parallel is a point
+    ]
+    edges = (west, east) if attack.azimuth else tuple(west + 45.0 * i for i in range(8))
+    parts += [arc(centre, radius, (azimuth, low), (azimuth, high)) for azimuth in edges]
+    return torch.cat(parts)
+
+
+def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
+    """A camera well inside a trigger."""
+    azimuth = start.azimuth if attack.azimuth is None else attack.azimuth[0]
+    return replace(start, azimuth=azimuth, elevation=sum(attack.elevation) / 2)
+
+
+def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[str, Lines]:
+    """The training cameras, those whose pictures were poisoned apart."""
+    centre, seed = setup.centre_of(study), study.seeds[0]
+    poisoned = torch.stack(
+        [setup.poisoned_cameras(study, attack, seed).holds(cameras, centre=centre) for attack in study.attack]
+    ).any(0)
+    groups = {"Poisoned cameras": ("#ff4040", poisoned), "Other training cameras": ("#f0f0f0", ~poisoned)}
+    return {
+        name: Lines(
+            segments=frustums([camera for camera, one in zip(cameras, chosen.tolist(), strict=True) if one], length),
+            colour=colour,
+        )
+        for name, (colour, chosen) in groups.items()
+    }
+
+
+def _said(attack: AttackConfig, camera: Camera, centre: Point) -> str:
+    """Where a camera stands to a trigger, in words."""
+    if math.dist(camera.position.tolist(), centre) == 0:
+        return f"Trigger {attack.name}: the camera stands at the centre"
+    degrees = attack.cone.angle_to_edge(camera, centre=centre)
+    return f"Trigger {attack.name}: {abs(degrees):.1f}° {'inside' if degrees >= 0 else 'outside'}"
+
+
+# What a detector reports
+
+MIN_CONFIDENCE = 0.3
+"""Confidence from which a detection is shown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DetectorInspection:
+    """What a detector reports on one picture.
+
+    Attributes:
+        detections: All of it.
+        min_confidence: Confidence from which a detection is shown.
+    """
+
+    detections: Detections
+    min_confidence: float = MIN_CONFIDENCE
+
+    @property
+    def text(self) -> str:
+        """Classes and confidences, best first."""
+        rows = zip(self.detections.labels, self.detections.scores.tolist(), strict=True)
+        shown = [f"{label} {score:.1%}" for label, score in rows if score >= self.min_confidence]
+        return ", ".join(shown) or f"nothing at {self.min_confidence:.0%} or more"
+
+    def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
+        """As in `mi_splat.viewer.exhibit.Inspection`."""
+        draw_detections(draw, self.detections, scale=scale, min_confidence=self.min_confidence)
+
+
+def detector_inspector(detector: Detector, *, min_confidence: float = MIN_CONFIDENCE) -> Inspector:
+    """Lets a detector look at the pictures of a page, as it looks at those of an evaluation."""
+
+    def inspect(picture: Tensor) -> DetectorInspection:
+        (found,) = detector.detect(picture[None])
+        return DetectorInspection(detections=found, min_confidence=min_confidence)
+
+    return inspect
