@@ -163,7 +163,7 @@ def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
 
     Args:
         folder: Of its results.
-        summary: Its summary.json.
+        summary: Its result.json.
 
     Raises:
         MiSplatError: The summary is not one of this version, or a splat is missing or broken.

@@ -12,11 +12,11 @@ from PIL import Image
 
 from attacks import cli
 from attacks.cloak.config import StudyConfig, read_study
+from attacks.cloak.study_toml import study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.results import read_section
 from attacks.report.stories import variations
-from attacks.report.study_toml import study_toml
 from attacks.studies.cloak import CloakWork, config_of, tables, write_variation
 from attacks.studies.study_file import read_study as read_file
 from attacks.studies.study_file import study_of
