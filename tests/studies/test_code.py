@@ -1,0 +1,48 @@
+"""The code in a job's key is all that the job loads: nothing is loaded by a name that its module does not have."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mi_splat.import_closure import closure
+from mi_splat.ledger.slurm import JOBS, export
+from tests.project.layers import PACKAGES, ROOT
+from tests.studies.toy import settings, work_of, write_toy
+
+PROGRAM = """
+import json, sys
+from pathlib import Path
+from mi_splat.ledger import Ledger
+from mi_splat.ledger.slurm import read_jobs
+ledger = Ledger(Path(sys.argv[1]))
+for job in read_jobs(Path(sys.argv[2])):
+    ledger.do(job)
+print(json.dumps(sorted(sys.modules)))
+"""
+EOT: dict[str, Any] = {
+    "study": "dagger-eot",
+    "attack": {"steps": 1, "batch": 1, "pool": 1, "validation": 1, "held_out": 1},
+    "cameras": {"azimuths": [-120.0, -60.0], "elevations": [0.0, 10.0], "distances": [0.9, 1.1]},
+    "judge": {"views": 1},
+}
+FIXED: dict[str, Any] = {"attack": {"steps": 1}, "judge": {"matrix": {"condition": ["ray", ".spz"]}}}
+
+
+@pytest.mark.slow
+def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path) -> None:
+    write_toy(tmp_path)
+    works = [work_of(settings(tmp_path, **{"detectors": "fasterrcnn_small", **table})) for table in (FIXED, EOT)]
+    jobs = [job for work in works for job in work.jobs().values()]
+    export(jobs, tmp_path, tmp_path / "store")
+    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "store"), str(tmp_path / JOBS)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = {name for name in json.loads(done.stdout.splitlines()[-1]) if name.split(".")[0] in PACKAGES}
+    kinds = {job.kind for job in jobs}
+    assert len(loaded) > 80
+    assert loaded - set(closure(*kinds)) <= set(closure("mi_splat.ledger.slurm")), "name it in the kind's module"
