@@ -12,7 +12,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
-from mi_splat.ledger.plans import Plan, Result
+from mi_splat.ledger.plans import Plan, Result, grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +102,7 @@ class Work:
                 searches.append(self._bisected(group))
             else:
                 known |= self._by_point[id(group)].jobs()
-        return [_all(known), *searches] if known else searches
+        return [grid(known), *searches] if known else searches
 
     def _bisected(self, search: Search) -> Plan:
         outcomes: dict[int, bool | None] = {}
@@ -136,10 +136,6 @@ class Work:
 def record_of(done: Done) -> dict[str, Any]:
     """What an attack says of itself."""
     return read_json(done.folder / RECORD)
-
-
-def _all(jobs: Mapping[str, Job]) -> Plan:
-    yield jobs
 
 
 def _succeeded(result: Result | None) -> bool | None:

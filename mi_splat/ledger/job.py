@@ -159,10 +159,6 @@ def fits_any(name: str, patterns: Sequence[str]) -> bool:
     return any(fits(name, pattern) for pattern in patterns)
 
 
-class JobFailedError(MiSplatError):
-    """A job, or one that it reads, has failed."""
-
-
 class DiskFullError(MiSplatError):
     """The disk that holds the store is full."""
 

@@ -71,7 +71,7 @@ def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) 
 
 def _older(store: Store, kind: str) -> list[tuple[str, Task, str]]:
     """Key, today's task and code of every result of older code that today's code has not made."""
-    found = []
+    older = []
     code, modules = code_digest(kind), closure(kind)
     for key in sorted(store.keys()):
         record = store.record(key)
@@ -79,8 +79,8 @@ def _older(store: Store, kind: str) -> list[tuple[str, Task, str]]:
             config = encoded(decoded(record["config"], modules))
             task = Task(kind=kind, config=config, inputs=record["inputs"], code=code)
             if not store.has(task.key):
-                found.append((key, task, str(record["code"])))
-    return found
+                older.append((key, task, str(record["code"])))
+    return older
 
 
 def _compare(store: Store, key: str, outcome: Outcome) -> None:

@@ -69,7 +69,7 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
     Raises:
         InvalidValueError: One is not.
     """
-    found = {}
+    paths = {}
     for name, source in task.inputs.items():
         if "job" in source:
             done = store.done(source["job"])
@@ -81,8 +81,8 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
         if content != source["content"]:
             do = "plan the job again"
             raise InvalidValueError(message(f"input {name} of job {task.key}", "what it was planned with", path, do))
-        found[name] = path
-    return found
+        paths[name] = path
+    return paths
 
 
 def _make(store: Store, task: Task, on_event: OnEvent) -> None:

@@ -60,10 +60,8 @@ class Store:
 
     def keys(self) -> set[str]:
         """Keys of all jobs that are done."""
-        found = set[str]()
-        for shelf in _names(self.folder / "jobs"):
-            found.update(name for name in _names(self.folder / "jobs" / shelf) if len(name) == _KEY_DIGITS)
-        return found
+        jobs = self.folder / "jobs"
+        return {name for shelf in _names(jobs) for name in _names(jobs / shelf) if len(name) == _KEY_DIGITS}
 
     def record(self, key: str) -> dict[str, Any]:
         """What job.json of a finished job says, without a look at its files.
@@ -310,12 +308,8 @@ def _names(folder: Path) -> list[str]:
 
 def _files(folder: Path) -> dict[str, Path]:
     """Every file below a folder by its name there; none if the folder is not there."""
-    found = {}
-    for base, _, names in os.walk(folder):
-        for name in names:
-            path = Path(base, name)
-            found[path.relative_to(folder).as_posix()] = path
-    return dict(sorted(found.items()))
+    paths = (Path(base, name) for base, _, names in os.walk(folder) for name in names)
+    return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
 
 
 def _sync(folder: Path) -> None:

@@ -96,10 +96,10 @@ def _fields(cls: type) -> tuple[dataclasses.Field[Any], ...]:
 
 def _class(name: str, modules: Collection[str]) -> type:
     module, _, path = name.partition(":")
-    found: Any = importlib.import_module(module) if module in modules else None
+    cls: Any = importlib.import_module(module) if module in modules else None
     for part in path.split("."):
-        found = getattr(found, part, None)
-    if isinstance(found, type) and (dataclasses.is_dataclass(found) or issubclass(found, enum.Enum)):
-        return found
+        cls = getattr(cls, part, None)
+    if isinstance(cls, type) and (dataclasses.is_dataclass(cls) or issubclass(cls, enum.Enum)):
+        return cls
     expected = "a dataclass or an enumeration of a module that the kind imports"
     raise InvalidValueError(message("config", expected, name, "import it in the kind's module"))

@@ -33,10 +33,10 @@ def children_of(process: int) -> list[int]:
     """Numbers of the processes that a process has started, and of those that they have."""
     shown = subprocess.run(["ps", "-e", "-o", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
     pairs = [tuple(map(int, line.split())) for line in shown.splitlines()]
-    found = [process]
-    for number in found:
-        found += [child for child, parent in pairs if parent == number]
-    return found[1:]
+    family = [process]
+    for number in family:
+        family += [child for child, parent in pairs if parent == number]
+    return family[1:]
 
 
 class Killing:
