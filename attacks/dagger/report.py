@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks.dagger.config import EotConfig
-from attacks.dagger.figures import DRAWN, FIXED
+from attacks.dagger.figures import DRAWN, FIXED, figures
 from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
-from attacks.observe.measures import aim_figures
 from attacks.observe.places import CAMERAS, cameras_document
+from attacks.observe.rows import ROWS
 from attacks.pgd import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe, values_of
@@ -29,6 +28,8 @@ CONTACT = "held_out.png"
 """Held-out views of an attack on a distribution."""
 
 ATTACKED = "attacked.ply"
+_EACH = ("detectors", "views")
+"""Lists of which each entry has figures."""
 
 
 def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
@@ -81,19 +82,15 @@ def _cameras(result: Result) -> dict[str, Any]:
 
 
 def summary(result: Result) -> dict[str, Any]:
-    """The result as JSON can hold it; keys are explained in `Result` and in its configuration."""
+    """The result as JSON can hold it; keys are explained in `Result` and in its configuration.
+
+    What can be counted is counted from the rows (`attacks.dagger.figures`).
+    """
     config, image = result.config, result.image
-    judged = None if result.judged is None else result.judged.cameras.elevations
-    return {
+    stated = {
         "story": DRAWN if isinstance(config, EotConfig) else FIXED,
         "objective": result.objective.name,
-        "success": result.success,
-        "unambiguous": result.verdict.unambiguous,
-        "strict": result.strict,
         "target": result.objective.label,
-        "target_confidence": result.target_confidence,
-        "score": result.score,
-        **aim_figures(result.looked.rows, result.detectors, judged),
         "steps": result.best.index,
         "norm": config.norm,
         "eps": config.eps[0] if len(config.eps) == 1 else None,
@@ -108,22 +105,20 @@ def summary(result: Result) -> dict[str, Any]:
         "image": dataclasses.asdict(image),
         "clamped_fraction": result.clamped_fraction,
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
-        "noise": {
-            "scores": [verdict.score for verdict in result.noise],
-            "successes": sum(verdict.success for verdict in result.noise),
-            "draws": len(result.noise),
-        },
         "noise_psnr": [change.psnr for change in result.judgement.noise_images],
         "redraws": result.redraws,
         "warnings": list(result.warnings),
-        "detectors": [_detector(result, name) for name in result.detectors],
-        "views": [view_record(view) for view in result.views],
+        "detectors": [{"detector": name, "detector_fingerprint": mark} for name, mark in result.fingerprints.items()],
+        "views": [_view(view) for view in result.views],
         "trace": [_line(dataclasses.asdict(line)) for line in result.trace],
         "seed": config.seed,
         "config": {**dataclasses.asdict(config), **_settings(result)},
         **result.origin,
         "seconds": round(result.seconds, 3),
     }
+    counted = figures(stated, {ROWS: result.looked.rows})
+    each = {key: [{**one, **more} for one, more in zip(stated[key], counted[key], strict=True)] for key in _EACH}
+    return {**stated, **counted, **each}
 
 
 def _settings(result: Result) -> dict[str, Any]:
@@ -141,38 +136,9 @@ def _line(line: dict[str, Any]) -> dict[str, Any]:
     return {"index": line["index"], "loss": line["loss"]} if line["score"] == NOT_JUDGED else line
 
 
-def _detector(result: Result, name: str) -> dict[str, Any]:
-    verdict = result.verdict_of(name)
-    return {
-        "detector": name,
-        "detector_fingerprint": result.fingerprints[name],
-        "success": verdict.success,
-        "unambiguous": verdict.unambiguous,
-        "score": verdict.score,
-        "target_confidence": None if result.objective.label is None else result.target_confidence_of(name),
-    }
-
-
-def confidences(confidence: Callable[..., float], original: str | None, label: str | None) -> dict[str, Any]:
-    """What a detector says of the object in one view, before and after.
-
-    Args:
-        confidence: Of a class, `attacked` or not.
-        original: The class that was reported before; None if none was.
-        label: The class that is wanted; None if none is.
-    """
-    return {
-        "original": original,
-        "clean_confidence": confidence(original, attacked=False) if original else 0.0,
-        "original_confidence": confidence(original, attacked=True) if original else 0.0,
-        "target_confidence": confidence(label, attacked=True) if label else None,
-        "target_confidence_clean": confidence(label, attacked=False) if label else None,
-    }
-
-
-def view_record(judged: JudgedView) -> dict[str, Any]:
-    """What a detector saw in a view, as JSON can hold it."""
-    view, attacked = judged.view, judged.attacked.verdict
+def _view(judged: JudgedView) -> dict[str, Any]:
+    """A view as a detector saw it, besides what is counted."""
+    view = judged.view
     return {
         "index": view.index,
         "detector": judged.detector,
@@ -181,14 +147,6 @@ def view_record(judged: JudgedView) -> dict[str, Any]:
         "position": view.camera.position.tolist(),
         "camera": values_of(view.camera),
         "change": dataclasses.asdict(view.change),
-        "success": attacked.success,
-        "unambiguous": attacked.unambiguous,
-        "score": attacked.score,
-        "clean_success": judged.clean.verdict.success,
-        "clean_score": judged.clean.verdict.score,
-        "noise_successes": [seen.verdict.success for seen in judged.noise],
-        "noise_scores": [seen.verdict.score for seen in judged.noise],
-        **confidences(judged.confidence, judged.target.original, judged.target.label),
         "box": [round(float(corner), 2) for corner in judged.target.box],
         "clean": listed(judged.clean.detections),
         "attacked": listed(judged.attacked.detections),

@@ -278,7 +278,8 @@ def test_provenance_is_complete() -> None:
     assert origin["scene_hash"] == scene_hash(toy_scene()[0])  # of the scene as it came
     assert {"python", "torch", "numpy"} <= set(origin["versions"])
     assert origin["detector_fingerprint"] == DETECTOR.fingerprint
-    assert set(origin) == {"detector", "detector_fingerprint", "scene_hash", "versions", "variant", "commit", "torch"}
+    made = {"versions", "variant", "commit", "command", "torch"}
+    assert set(origin) == {"detector", "detector_fingerprint", "scene_hash", *made}
 
 
 def test_wrong_arguments_say_what_is_wrong() -> None:

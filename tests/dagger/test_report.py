@@ -15,7 +15,7 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.dagger.result import Result
-from attacks.objectives import Objective, Verdict, hide, relabel
+from attacks.objectives import Objective, hide, relabel
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json
@@ -121,12 +121,12 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
 
 def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
     write_report(result, tmp_path)
-    other = dataclasses.replace(result, verdict=Verdict(success=False, score=0.1, unambiguous=False))
+    other = dataclasses.replace(result, seconds=-1.0)
     with pytest.raises(SplatFileError, match="replace this result with force"):
         write_report(other, tmp_path)
-    assert json.loads((tmp_path / "result.json").read_text())["success"] is True
+    assert json.loads((tmp_path / "result.json").read_text())["seconds"] > 0
     write_report(other, tmp_path, force=True)
-    assert json.loads((tmp_path / "result.json").read_text())["success"] is False
+    assert json.loads((tmp_path / "result.json").read_text())["seconds"] == -1
     assert len(list(tmp_path.iterdir())) == 10
 
 
