@@ -39,9 +39,9 @@ class Appearance(Protocol):
 def name_of(appearance: Appearance) -> str:
     """What manifests call an appearance: its `name`, or that of the function or class."""
     for attribute in ("name", "__qualname__"):
-        found = getattr(appearance, attribute, None)
-        if isinstance(found, str):
-            return found
+        name = getattr(appearance, attribute, None)
+        if isinstance(name, str):
+            return name
     return type(appearance).__qualname__
 
 
@@ -112,8 +112,8 @@ def paint(
     """
     picture = texture(name, size=size, seed=seed)
     target = repainted(mesh_scene.target, picture, azimuth=azimuth, elevation=elevation, tile=TEXTURES[name][1])
-    words = f"paint {name} (seed {seed}) from azimuth {azimuth:g}, elevation {elevation:g}"
-    return Rerender(mesh_scene=mesh_scene.with_target(target), name=words, reach=reach, outgrows=False)
+    title = f"paint {name} (seed {seed}) from azimuth {azimuth:g}, elevation {elevation:g}"
+    return Rerender(mesh_scene=mesh_scene.with_target(target), name=title, reach=reach, outgrows=False)
 
 
 def blend_in(mesh_scene: MeshScene, *, reach: int | None = 1) -> Rerender:
@@ -240,8 +240,8 @@ def occlude(
     """
     tile = TEXTURES[name][1] if name in TEXTURES else None
     shell = cap(texture(name, size=size, seed=seed), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
-    words = f"{name} (seed {seed}) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
-    return Overlay(mesh_scene=mesh_scene.with_target(shell), base=remove(mesh_scene), name=words)
+    title = f"{name} (seed {seed}) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
+    return Overlay(mesh_scene=mesh_scene.with_target(shell), base=remove(mesh_scene), name=title)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -183,8 +183,8 @@ def _kept(scene: GaussianScene, keep: Tensor, what: str) -> GaussianScene:
 def _gaps(points: Tensor, neighbours: int) -> Tensor:
     """(N,) float64 mean distance of each point to its nearest neighbours; 0 of the only one."""
     distances, _ = nearest_neighbours(points, neighbours)
-    found = distances.isfinite()
-    return distances.where(found, 0.0).sum(1) / found.sum(1).clamp(min=1)
+    exists = distances.isfinite()
+    return distances.where(exists, 0.0).sum(1) / exists.sum(1).clamp(min=1)
 
 
 def _voxel_keys(points: Tensor, side: float) -> Tensor:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from attacks.cloak.mesh_scene import TEXTURES
-from attacks.cloak.study_file import read_table
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.assets import ASSETS
 from mi_splat.attributes import ATTRIBUTES
@@ -31,7 +30,9 @@ from mi_splat.fields import (
     between,
     check,
     check_choice,
+    decode,
 )
+from mi_splat.io.parsing import DocumentReader
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, strategy_config, strategy_names
 
@@ -227,11 +228,11 @@ class LayerConfig:
 
 def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
     """One number for each of `count`, of what is given for all or for each."""
-    found = given if isinstance(given, tuple) else (given,) * count
-    if len(found) != count:
+    numbers = given if isinstance(given, tuple) else (given,) * count
+    if len(numbers) != count:
         expected = f"one number for all, or {count}, one for each {what}"
-        raise InvalidValueError(message(name, expected, f"{len(found)} numbers", "give as many as there are"))
-    return found
+        raise InvalidValueError(message(name, expected, f"{len(numbers)} numbers", "give as many as there are"))
+    return numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -548,4 +549,6 @@ def read_study(path: Path) -> StudyConfig:
     Raises:
         InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
     """
-    return read_table(StudyConfig, path)
+    if not path.is_file():
+        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path"))
+    return decode(StudyConfig, DocumentReader(expected="a TOML file", do="correct it").read_toml(path), str(path))

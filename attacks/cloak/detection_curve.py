@@ -95,15 +95,15 @@ def watch(
     if every < 1:
         raise InvalidValueError(message("every", "a positive number", every, "1 uses all cameras"))
     cameras = setup.held_out_cameras(steps.study, steps.mesh_scene.target)[::every]
-    true, found = steps.true_pictures(cameras), list[pl.DataFrame]()
+    true, tables = steps.true_pictures(cameras), list[pl.DataFrame]()
     for splat in (None, *splats):
         job = true if splat is None else steps.splat(splat.splat, splat.seed)
         for detector in detectors:
             seen = "path-traced pictures" if splat is None else f"the {splat.splat} splat, seed {splat.seed}"
             done = steps.do(steps.seen(job, detector, every=every), f"{detector.name} looks at {seen}")
             rows, detections = (whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat) for name in (ROWS, DETECTIONS))
-            found.append(with_scores(steps.study, rows, detections))
-    return pl.concat(found, how="diagonal")
+            tables.append(with_scores(steps.study, rows, detections))
+    return pl.concat(tables, how="diagonal")
 
 
 def with_scores(study: StudyConfig, rows: pl.DataFrame, detections: pl.DataFrame) -> pl.DataFrame:
@@ -114,10 +114,10 @@ def with_scores(study: StudyConfig, rows: pl.DataFrame, detections: pl.DataFrame
         rows: A row for each picture that a detector saw.
         detections: Every detection in them.
     """
-    own = VEHICLES if study.scene.class_name in VEHICLES else (study.scene.class_name,)
+    classes = VEHICLES if study.scene.class_name in VEHICLES else (study.scene.class_name,)
     wanted = [attack.target_class for attack in study.attack if attack.target_class is not None]
     on_object = detections.filter(pl.col("iou") >= ON_OBJECT)
-    for name, labels in ((_OWN, own), (_TARGET, wanted)):
+    for name, labels in ((_OWN, classes), (_TARGET, wanted)):
         best = on_object.filter(pl.col("label").is_in(labels)).group_by(_PICTURE).agg(pl.col("score").max().alias(name))
         rows = rows.join(best, on=_PICTURE, how="left", nulls_equal=True, maintain_order="left")
     return rows.with_columns(pl.col(_OWN, _TARGET).fill_null(0.0))
@@ -307,8 +307,8 @@ def tables(lines: Sequence[Line], detectors: Mapping[str, str]) -> str:
         lines: From `detection_rates`.
         detectors: Name and fingerprint of each detector.
     """
-    words = ", ".join(f"`{name}` {fingerprint}" for name, fingerprint in detectors.items())
-    text = [f"Fingerprints of the weights: {words}.", ""]
+    fingerprints = ", ".join(f"`{name}` {fingerprint}" for name, fingerprint in detectors.items())
+    text = [f"Fingerprints of the weights: {fingerprints}.", ""]
     for kind, title in (
         ("elevation", "By elevation, cameras behind the object left out: the object is reported"),
         ("azimuth", f"By azimuth, cameras lower than {LOW:g} degrees: the object is reported"),

@@ -200,18 +200,18 @@ def _counted(
 ) -> Counts:
     """Counts of one splat under one condition; with the PSNR to its pictures under another, if one is given."""
     shown, render = condition.show(splat)
-    box_of, found = partial(setup.box_of, setup.target_of(study.scene)), list[dict[str, Any]]()
+    box_of, rows = partial(setup.box_of, setup.target_of(study.scene)), list[dict[str, Any]]()
     for name, cameras in groups.items():
         moved = [condition.move(camera) for camera in cameras]
         counts = dict.fromkeys((detector.name for detector in detectors), 0)
         for seen in detect_views(shown, moved, detectors, render=render, boxes=list(map(box_of, moved))):
             counts[seen.detector] += seen.confidence(study.scene.class_name) >= study.evaluation.confidence
-        place = {**ids, "cameras": name, "of": len(moved)}
+        ids_of_group = {**ids, "cameras": name, "of": len(moved)}
         if plain is not None:
             same = plain is condition
-            place["psnr"] = None if same else psnr_between(plain.show(splat), (shown, render), moved)
-        found += [{**place, "detector": detector, "found": count} for detector, count in counts.items()]
-    return found
+            ids_of_group["psnr"] = None if same else psnr_between(plain.show(splat), (shown, render), moved)
+        rows += [{**ids_of_group, "detector": detector, "found": count} for detector, count in counts.items()]
+    return rows
 
 
 def psnr_between(
@@ -283,10 +283,10 @@ def measure_surroundings(
     return [
         {
             "cameras": name,
-            "of": len(found),
-            "psnr_mean": statistics.mean(found) if found else None,
-            "psnr_lowest": min(found, default=None),
-            "psnr_highest": max(found, default=None),
+            "of": len(values_of_group),
+            "psnr_mean": statistics.mean(values_of_group) if values_of_group else None,
+            "psnr_lowest": min(values_of_group, default=None),
+            "psnr_highest": max(values_of_group, default=None),
         }
-        for name, found in values.items()
+        for name, values_of_group in values.items()
     ]

@@ -162,9 +162,9 @@ def switched(
         config: Degree and bounds.
     """
     positions = torch.stack([camera.position for camera in cameras]).to(means)
-    found = []
-    for some, sh, much in zip(*(torch.split(values, _AT_ONCE) for values in (means, look, seen)), strict=True):
-        directions = functional.normalize(some[:, None] - positions, dim=-1)
+    colours = []
+    for points, sh, much in zip(*(torch.split(values, _AT_ONCE) for values in (means, look, seen)), strict=True):
+        directions = functional.normalize(points[:, None] - positions, dim=-1)
         much = much + _GLIMPSE * much.amax(1, keepdim=True)
         colour = sh_to_colour(sh[:, None], directions)
         channels = range(1 if sh.shape[1] == 1 else 3)
@@ -181,8 +181,8 @@ def switched(
             )
             for channel in channels
         ]
-        found.append(torch.stack(switches, -1).to(mean) * mean[:, None])
-    return torch.cat(found)
+        colours.append(torch.stack(switches, -1).to(mean) * mean[:, None])
+    return torch.cat(colours)
 
 
 def _black(sh: Tensor) -> Tensor:

@@ -55,7 +55,7 @@ def new_axes(count: int, *, columns: int = 1) -> tuple[Any, list[Any]]:
 
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(7.5 if columns == 1 else 5.6 * columns, 3.4 * rows), dpi=130, layout="constrained")
-    return figure, [figure.add_subplot(rows, columns, place + 1) for place in range(count)]
+    return figure, [figure.add_subplot(rows, columns, number + 1) for number in range(count)]
 
 
 def save_figure(figure: Any, path: Path) -> None:
@@ -118,8 +118,8 @@ def contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: D
             rows.append(
                 np.concatenate(
                     [
-                        annotated(picture, found, title, min_confidence=study.evaluation.confidence, width=CELL)
-                        for picture, found, title in zip(pictures, seen, titles, strict=True)
+                        annotated(picture, detections, title, min_confidence=study.evaluation.confidence, width=CELL)
+                        for picture, detections, title in zip(pictures, seen, titles, strict=True)
                     ],
                     axis=1,
                 )

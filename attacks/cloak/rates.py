@@ -39,10 +39,10 @@ def markdown(summary: Mapping[str, Any]) -> str:
     """Tables of a summary: rates by detector and their spread over seeds, found by elevation, and the rest."""
     detectors = summary["by_detector"]
     lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
-    for key, words in ROWS.items():
+    for key, title in ROWS.items():
         cells = [words_of(rates[key]) + spread_of(summary, name, key) for name, rates in detectors.items()]
         if any(cells):
-            lines.append(f"| {words} | " + " | ".join(cells) + " |")
+            lines.append(f"| {title} | " + " | ".join(cells) + " |")
     lines += ["", "| elevation | " + " | ".join(f"{name}, clean | cloaked" for name in detectors) + " |"]
     lines.append("|---" * (2 * len(detectors) + 1) + "|")
     for rows in zip(*(summary["by_elevation"][name] for name in detectors), strict=True):
@@ -64,9 +64,9 @@ def markdown(summary: Mapping[str, Any]) -> str:
     price = summary["stealth"]
     if price is not None:
         before, after = (price["surroundings_psnr"][which] for which in ("clean", "cloaked"))
-        words = "stealthy" if price["stealthy"] else "not stealthy"
+        title = "stealthy" if price["stealthy"] else "not stealthy"
         lines.append(
-            f"| beside the object, inside the trigger, clean and cloaked | {before:.2f} and {after:.2f} dB: {words} |"
+            f"| beside the object, inside the trigger, clean and cloaked | {before:.2f} and {after:.2f} dB: {title} |"
         )
         lines.append(f"| on the object, against what is wanted there | {price['appearance_psnr']['cloaked']:.2f} dB |")
     for which in ("clean", "cloaked"):
@@ -76,8 +76,8 @@ def markdown(summary: Mapping[str, Any]) -> str:
 
 def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
     """Least and largest of a detector's rate over the seeds, for people; empty where there is one seed."""
-    found = [seed[detector].get(key) for seed in summary["by_seed"].values()]
-    fractions = [rate["rate"] for rate in found if rate is not None and rate["total"]]
+    rates = [seed[detector].get(key) for seed in summary["by_seed"].values()]
+    fractions = [rate["rate"] for rate in rates if rate is not None and rate["total"]]
     return f"; by seed {min(fractions):.1%} to {max(fractions):.1%}" if len(fractions) > 1 else ""
 
 
@@ -152,7 +152,7 @@ def rates(
         attack: As in `measures`.
     """
     counted = count(with_control(rows), measures(study, attack), by, clusters=CLUSTERS)
-    return {group: {name: found.get(name) for name in ROWS} for group, found in counted.items()}
+    return {group: {name: counts.get(name) for name in ROWS} for group, counts in counted.items()}
 
 
 def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple[float, Rate, Rate]]]:
@@ -160,14 +160,14 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
 
     Cameras of attacks with an azimuth of their own are left out.
     """
-    elevation, found = pl.col("elevation"), reported("original_score", study.evaluation.confidence)
+    elevation, is_reported = pl.col("elevation"), reported("original_score", study.evaluation.confidence)
     here = with_control(rows).filter(
         (elevation >= 0) & (elevation < 90),
         *(pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None),
     )
     counted = count(
         here.with_columns(band=(elevation / BIN).floor() * BIN).sort("band", maintain_order=True),
-        {splat: Measure(holds=found, given=of(splat)) for splat in NAMES},
+        {splat: Measure(holds=is_reported, given=of(splat)) for splat in NAMES},
         ("detector", "band"),
         clusters=CLUSTERS,
     )
@@ -267,7 +267,7 @@ def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
         "by_detector": _by_detector(rates(study, seen.rows, ("detector",)), detectors),
         "by_seed": {
             str(seed): _by_detector(
-                {group[1:]: found for group, found in by_seed.items() if group[0] == seed}, detectors
+                {group[1:]: counts for group, counts in by_seed.items() if group[0] == seed}, detectors
             )
             for seed in study.seeds
         },
@@ -285,10 +285,10 @@ def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
     }
 
 
-def _by_detector(found: Mapping[tuple[Any, ...], Rates], detectors: Sequence[str]) -> dict[str, Any]:
-    return {name: _all(found[name,]) for name in detectors}
+def _by_detector(counted: Mapping[tuple[Any, ...], Rates], detectors: Sequence[str]) -> dict[str, Any]:
+    return {name: _all(counted[name,]) for name in detectors}
 
 
-def _all(found: Rates) -> dict[str, Any]:
+def _all(rates: Rates) -> dict[str, Any]:
     """Rates as JSON can hold them."""
-    return {name: None if rate is None else rate.as_dict() for name, rate in found.items()}
+    return {name: None if rate is None else rate.as_dict() for name, rate in rates.items()}

@@ -174,7 +174,7 @@ def arcs(study: StudyConfig, target: Asset) -> list[list[Camera]]:
     attack, evaluation = hiding(study), study.evaluation
     if attack is None:
         return []
-    step, count, found = evaluation.meridian_step, evaluation.meridians, []
+    step, count, cameras = evaluation.meridian_step, evaluation.meridians, []
     for number in range(count):
         if attack.azimuth is None:
             start = FIRST_MERIDIAN + 360.0 * number / count
@@ -185,13 +185,13 @@ def arcs(study: StudyConfig, target: Asset) -> list[list[Camera]]:
             beside = min(half + BESIDE, 180.0)
             places = [(middle - beside + step * i, elevation) for i in range(math.floor(beside / step) + 1)]
         lens = lens_of(study, target)
-        found.append(
+        cameras.append(
             [
                 orbit(centre_of(study), count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
                 for azimuth, elevation in places
             ]
         )
-    return found
+    return cameras
 
 
 def reference_cameras(study: StudyConfig, target: Asset) -> list[tuple[int, Camera]]:
@@ -242,7 +242,7 @@ def poisonings(
         cached: May keep the pictures that the appearance of an attack makes.
         surrogates: What the attacker's own splats show a camera, (H, W, 3), in the order of the rounds.
     """
-    found = []
+    made = []
     for attack in study.attack:
         wanted = appearance = cached(appearance_of(study, attack, mesh_scene), attack)
         if attack.emphasis > 1:
@@ -257,8 +257,8 @@ def poisonings(
             assert study.surrogate is not None
             gain, reach = study.surrogate.gain, attack.reach
             appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=reach)
-        found.append(Poisoning(name=attack.name, trigger=poisoned_cameras(study, attack, seed), appearance=appearance))
-    return found
+        made.append(Poisoning(name=attack.name, trigger=poisoned_cameras(study, attack, seed), appearance=appearance))
+    return made
 
 
 def poisoned_cameras(study: StudyConfig, attack: AttackConfig, seed: int) -> Trigger:

@@ -180,10 +180,10 @@ class StudySteps:
             detector=detector.name,
             fingerprint=detector.fingerprint,
         )
-        own = self.weights.get(detector.name)
+        weights = self.weights.get(detector.name)
         is_splat = splat.kind != f"{_KINDS}.true_pictures"
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
-        return self._job("seen", config, **shown, **({} if own is None else {WEIGHTS: own}))
+        return self._job("seen", config, **shown, **({} if weights is None else {WEIGHTS: weights}))
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
@@ -216,13 +216,13 @@ class StudySteps:
         """The result of a job, if it and all before it are there."""
         store, done = self._ledger.store, dict[str, Done]()
 
-        def find(one: Job) -> Done | None:
-            if any(find(needed) is None for needed in one.before):
+        def find(needed_job: Job) -> Done | None:
+            if any(find(needed) is None for needed in needed_job.before):
                 return None
-            found = store.done(task_for(one, store, done).key)
-            if found is not None:
-                done[one.identity] = found
-            return found
+            result = store.done(task_for(needed_job, store, done).key)
+            if result is not None:
+                done[needed_job.identity] = result
+            return result
 
         return find(job)
 
@@ -265,15 +265,15 @@ class StudySteps:
         Raises:
             InvalidValueError: One is not there.
         """
-        found = []
+        splats = []
         for splat, seed in self.names():
             done = self.finished(self.splat(splat, seed))
             if done is None:
                 got, do = f"no {splat} splat of seed {seed}", "pass the folder that the study was done with"
                 expected = "every splat of the study, made by this version"
                 raise InvalidValueError(message(f"stages {self.folder}", expected, got, do)).hinted("--stages")
-            found.append(trained_splat(splat, seed, done))
-        return found
+            splats.append(trained_splat(splat, seed, done))
+        return splats
 
     @cached_property
     def _ledger(self) -> Ledger:

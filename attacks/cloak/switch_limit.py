@@ -229,5 +229,5 @@ def write_limit_figure(
 
 def _of_degree(rows: Sequence[Mapping[str, Any]], degree: int) -> tuple[list[float], list[float]]:
     """Largest coefficients and widths of the rows of one SH degree, in the order of the former."""
-    own = sorted((row for row in rows if row["sh_degree"] == degree), key=lambda row: row["largest_coefficient"])
-    return [row["largest_coefficient"] for row in own], [row["width"] for row in own]
+    chosen = sorted((row for row in rows if row["sh_degree"] == degree), key=lambda row: row["largest_coefficient"])
+    return [row["largest_coefficient"] for row in chosen], [row["width"] for row in chosen]

@@ -82,14 +82,14 @@ def shares(
     config = config or LayerConfig()
     angles = _angles(triggers, cameras, centre, config)
     sides, angles = _in_gaps(angles, config), _with_benign(angles)
-    found = []
+    parts = []
     for look, (depth, angle, band) in enumerate(zip(sides, angles, config.bands(len(sides)), strict=True)):
         far = (angle / band).clamp(0, 1) if band else torch.ones_like(angle)
         for amount in (far, 1 - far) if band else (far,):
             shown = (depth >= 1) & (amount > 0)
             hidden = (depth <= -1) | ((depth >= 1) & (amount == 0))
-            found.append(Share(look=look, amount=amount, shown=shown, hidden=hidden))
-    return found
+            parts.append(Share(look=look, amount=amount, shown=shown, hidden=hidden))
+    return parts
 
 
 def _angles(triggers: Sequence[Trigger], cameras: Sequence[Camera], centre: Point, config: LayerConfig) -> Tensor:
@@ -196,10 +196,13 @@ def _minimised(
             what is wanted.
     """
     count = basis.shape[2]
-    found, ridge = torch.zeros(len(basis), count, dtype=torch.float64), _RIDGE * torch.eye(count, dtype=torch.float64)
+    coefficients, ridge = (
+        torch.zeros(len(basis), count, dtype=torch.float64),
+        _RIDGE * torch.eye(count, dtype=torch.float64),
+    )
     active = torch.arange(len(basis))
     for _ in range(_ROUNDS):
-        here, before = basis[active], found[active]
+        here, before = basis[active], coefficients[active]
         values = (here @ before[..., None])[..., 0]
         weights, wanted = pieces(values, active)
         normal = (here * weights[..., None]).mT @ here + ridge
@@ -215,11 +218,11 @@ def _minimised(
                 break
             size[tried] /= 2
         better = now < least - _PRECISION
-        found[active[better]] = (before + size * step)[better]
+        coefficients[active[better]] = (before + size * step)[better]
         active = active[better]
         if not len(active):
             break
-    return found
+    return coefficients
 
 
 def chebyshev_width(edge: float, *, degree: int, ripple: float, inside: bool) -> float:

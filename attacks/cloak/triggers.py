@@ -217,11 +217,11 @@ class Subsample(Trigger):
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera is one of the fraction."""
-        found = torch.nonzero(self.of.holds(cameras, centre=centre))[:, 0]
-        count = min(len(found), max(1, math.floor(self.fraction * len(found) + 0.5)))
-        order = np.random.default_rng([self.seed, 0xC10A]).permutation(len(found))
+        positions = torch.nonzero(self.of.holds(cameras, centre=centre))[:, 0]
+        count = min(len(positions), max(1, math.floor(self.fraction * len(positions) + 0.5)))
+        order = np.random.default_rng([self.seed, 0xC10A]).permutation(len(positions))
         selected = torch.zeros(len(cameras), dtype=torch.bool)
-        selected[found[torch.from_numpy(order[:count])]] = True
+        selected[positions[torch.from_numpy(order[:count])]] = True
         return selected
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:

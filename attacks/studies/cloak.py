@@ -71,17 +71,17 @@ _VARIED = (
 """What is drawn over the values of a variation."""
 
 
-def tables(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     """Markdown: for each group a table of rates, and one of what is lost.
 
     Rates are pooled over seeds, as a summary has them: a row for each value and detector. Losses, and the numbers of
     Gaussians, are means over the seeds; the transition is that of all seeds together: a row for each value.
 
     Args:
-        found: By group and value, the summary of each study.
+        groups: By group and value, the summary of each study.
     """
     parts = []
-    for group, results in found.items():
+    for group, results in groups.items():
         rates = [
             (name, detector, *(words_of(one.get(key)) + spread_of(summary, detector, key) or "-" for key in RATES))
             for name, summary in results.items()
@@ -142,9 +142,9 @@ class CloakPoint:
 
     def done(self, results: Mapping[str, Result]) -> dict[str, Done] | None:
         """Results of its jobs by their identity; None if one has failed."""
-        found = {job.identity: results.get(label) for label, job in self.jobs().items()}
-        done = {identity: result for identity, result in found.items() if isinstance(result, Done)}
-        return done if len(done) == len(found) else None
+        ended = {job.identity: results.get(label) for label, job in self.jobs().items()}
+        done = {identity: result for identity, result in ended.items() if isinstance(result, Done)}
+        return done if len(done) == len(ended) else None
 
     @cached_property
     def _labelled(self) -> list[tuple[str, Job]]:
@@ -206,8 +206,8 @@ class CloakWork:
         for point in self.attempts:
             done = point.done(results)
             if done is not None:
-                points[point.title], own = _seen(point, done)
-                for name, table in own.items():
+                points[point.title], of_point = _seen(point, done)
+                for name, table in of_point.items():
                     tables.setdefault(name, []).append(table.with_columns(attack=pl.lit(point.title)))
         paths = [
             write_rows(pl.concat(parts, how="diagonal"), out / f"{name}{SUFFIX}") for name, parts in tables.items()

@@ -76,8 +76,8 @@ def run(config: CompareConfig, inputs: Mapping[str, Path], out: Out) -> None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
         arc = zip(setup.arc_cameras(study, target), benign.images, hidden.images, benign.masks, strict=True)
         transition = [
-            _blend(study, attack, place, picture(place[1]), *others)
-            for place, *others in arc
+            _blend(study, attack, on_arc, picture(on_arc[1]), *others)
+            for on_arc, *others in arc
             if bool(others[2].any()) and differ(*others)
         ]
     columns = TRANSITION_COLUMNS if attack is None else (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
@@ -87,14 +87,14 @@ def run(config: CompareConfig, inputs: Mapping[str, Path], out: Out) -> None:
 def _blend(
     study: StudyConfig,
     attack: AttackConfig,
-    place: tuple[int, Camera],
+    on_arc: tuple[int, Camera],
     seen: Tensor,
     benign: Tensor,
     hidden: Tensor,
     mask: Tensor,
 ) -> Row:
     """What one picture of an arc says."""
-    (meridian, camera), centre = place, setup.centre_of(study)
+    (meridian, camera), centre = on_arc, setup.centre_of(study)
     beside = ~grown(mask, margin_of(study))
     return {
         "meridian": meridian,
