@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -51,6 +52,17 @@ def test_artifacts_are_small_and_name_no_machine() -> None:
             if path.suffix in (".json", ".toml"):
                 text = path.read_text()
                 assert not [word for word in ('"/', "/home/", "/tmp/", "/Users/") if word in text]
+
+
+def test_tables_without_rows_say_so() -> None:
+    """Pages of tables that are in the repository: all others are written from rows when the site is built."""
+    written = (ROOT / ".gitignore").read_text().split()
+    for path in (ROOT / "docs" / "tables").glob("*.md"):
+        if f"docs/tables/{path.name}" not in written and not path.name.startswith("study_"):
+            assert "**No raw rows are kept of these figures**" in path.read_text(), path.name
+    for line in written:
+        if line.startswith("docs/tables/"):
+            assert Path(line).stem in (ROOT / "docs" / "sphinx_extensions" / "result_tables.py").read_text()
 
 
 def fractions(*names: str) -> set[str]:
