@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from attacks.rate import Rate
@@ -42,7 +43,7 @@ def counted(rate: Rate | None) -> str:
 
 
 def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
-    """A rate as the JSONs have it; None where there is none.
+    """A rate as the JSONs have it, with the interval that it has there; None where there is none.
 
     Raises:
         KeyError: It is none.
@@ -50,10 +51,12 @@ def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
     """
     if value is None:
         return None
-    found = Rate(successes=int(value["successes"]), total=int(value["total"]))
-    if not 0 <= found.successes <= found.total:
-        raise ValueError(f"a rate of {found.successes} of {found.total}")
-    return found
+    rate = Rate(successes=int(value["successes"]), total=int(value["total"]))
+    low, high = map(float, value.get("interval") or rate.interval)
+    if not (0 <= rate.successes <= rate.total and 0 <= low <= high <= 1):
+        raise ValueError(f"a rate of {rate.successes} of {rate.total}, {low} to {high}")
+    is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-9
+    return rate if is_wilson else replace(rate, resampled=(low, high))
 
 
 def known(value: Mapping[str, Any] | None) -> Rate:

@@ -15,6 +15,7 @@ from attacks.report.results import STORIES, read_section
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.manifest import read_manifest
 from mi_splat.provenance import running_command
+from tests.project.documented_commands import ROOT
 from tests.report.makers import MAKERS
 from tests.report.results import STUDIED, rate, write_cloak, write_dagger
 
@@ -153,6 +154,14 @@ def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path:
     assert section.headline.rate == Rate(successes=20, total=40)
     assert section.control is not None
     assert section.control.rate == Rate(successes=0, total=40)
+
+
+def test_resampled_intervals_stand_on_the_page() -> None:
+    section = read_section(ROOT / "docs" / "artifacts" / "cloak_car_layers")
+    assert section.headline.rate is not None
+    record = json.loads((ROOT / "docs" / "artifacts" / "cloak_car_layers" / "result.json").read_text())
+    assert list(section.headline.rate.interval) == record["trigger_miss_rate"]["interval"]
+    assert section.headline.rate.resampled is not None
 
 
 def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:

@@ -249,7 +249,8 @@ def _search(result: Result) -> Iterator[Chart]:
     if max(map(len, runs.values()), default=0) < 2:
         return
     confidence = result["config"]["objective"].get("confidence")
-    level = None if confidence is None or result["objective"] != "relabel" else (confidence, "enough for success")
+    is_confidence = result["story"] == "dagger" and result["objective"] == "relabel" and confidence is not None
+    level = (confidence, "enough for success") if is_confidence else None
     lines = [(f"run {run}" if len(runs) > 1 else "score", points) for run, points in runs.items()]
     yield Chart(
         title="The search",

@@ -257,7 +257,8 @@ def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
         pairs.append(("pictures on the object, against what is wanted", number(on, ".2f", "dB")))
     counts = summary["gaussians"]
     pairs += [(f"Gaussians, {which}", ", ".join(f"{n:,}" for n in counts[which])) for which in ("clean", "cloaked")]
-    pairs.append(("time", f"{summary['seconds'] / 60:.0f} minutes"))
+    if "seconds" in summary:
+        pairs.append(("time", f"{summary['seconds'] / 60:.0f} minutes"))
     return (*rates, *(Figure(label=label, words=words) for label, words in pairs))
 
 
