@@ -93,63 +93,63 @@ class DrawnAttack(Attack):
 
 def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Attack, and write what comes of it; returns a row for each splat, view and detector."""
-    place = attack_scene(inputs["scene"])
+    scene = attack_scene(inputs["scene"])
 
     def follow(step: Step) -> None:
         out.progress("attacking", step.index, config.attack.steps)
 
     if isinstance(config, FixedAttack):
-        result = _fixed(config, place, inputs, follow)
+        result = _fixed(config, scene, inputs, follow)
         named = len(result.detectors) > 1
         save_png(np.concatenate([before_and_after(view, named=named) for view in result.views]), out / PICTURE)
-        save_splat(result.scene.select(place.rows(config.object)), out / SPLAT)
+        save_splat(result.scene.select(scene.rows(config.object)), out / SPLAT)
         save_json(summary(result), out / RECORD)
     else:
-        result = _drawn(config, place, inputs, out, follow)
+        result = _drawn(config, scene, inputs, out, follow)
         write_files(result, out.files)
     return list(result.looked.rows.iter_rows(named=True))
 
 
 def _fixed(
-    config: FixedAttack, place: AttackScene, inputs: Mapping[str, Path], follow: Callable[[Step], None]
+    config: FixedAttack, scene: AttackScene, inputs: Mapping[str, Path], follow: Callable[[Step], None]
 ) -> Result:
     return attack(
-        place.scene,
-        place.rows(config.object),
-        place.views(config.object, camera=config.camera, count=config.views, seed=config.attack.seed),
+        scene.splat,
+        scene.rows(config.object),
+        scene.views(config.object, camera=config.camera, count=config.views, seed=config.attack.seed),
         detectors_of(config.detectors, inputs),
         config.objective,
-        render=attackers_renderer(place, config.renderer, config.gradient),
+        render=attackers_renderer(scene, config.renderer, config.gradient),
         config=config.attack,
         on_step=follow,
     )
 
 
 def _drawn(
-    config: DrawnAttack, place: AttackScene, inputs: Mapping[str, Path], out: Out, follow: Callable[[Step], None]
+    config: DrawnAttack, scene: AttackScene, inputs: Mapping[str, Path], out: Out, follow: Callable[[Step], None]
 ) -> Result:
     return attack_views(
-        distribution(place, config.object, config.transformations),
+        distribution(scene, config.object, config.transformations),
         detectors_of(config.detectors, inputs),
         config.objective,
         config=config.attack,
-        judged=None if config.judged is None else distribution(place, config.object, config.judged),
+        judged=None if config.judged is None else distribution(scene, config.object, config.judged),
         checkpoint=Checkpoint(path=out.partial / "search.checkpoint"),
         on_step=follow,
     )
 
 
 @functools.lru_cache(maxsize=4)
-def distribution(place: AttackScene, name: str, transformations: Transformations) -> ViewDistribution:
+def distribution(scene: AttackScene, name: str, transformations: Transformations) -> ViewDistribution:
     """The views of an object; drawn once for all jobs of a process."""
-    return ViewDistribution(place.scene, place.rows(name), place.cameras[0], transformations, render=place.renderer(""))
+    return ViewDistribution(scene.splat, scene.rows(name), scene.cameras[0], transformations, render=scene.renderer(""))
 
 
-def attackers_renderer(place: AttackScene, renderer: str, gradient: str) -> RenderFn:
+def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> RenderFn:
     """What makes the attacker's pictures, with the gradient of another renderer if one is named."""
-    picture = place.renderer(renderer)
+    picture = scene.renderer(renderer)
     same = gradient in ("", renderer)
-    return picture if same else with_gradient_of(place.renderer(gradient), picture)
+    return picture if same else with_gradient_of(scene.renderer(gradient), picture)
 
 
 def with_gradient_of(gradient: RenderFn, picture: RenderFn) -> RenderFn:

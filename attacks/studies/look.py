@@ -124,12 +124,12 @@ class DrawnLook(Look):
 
 def run(config: FixedLook | DrawnLook, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Look, and return a row for each splat and view."""
-    place = attack_scene(inputs["scene"])
+    scene = attack_scene(inputs["scene"])
     saved = load_splat(inputs["attacked"])
-    shown = _fixed(config, place, saved) if isinstance(config, FixedLook) else _drawn(config, place, saved)
+    shown = _fixed(config, scene, saved) if isinstance(config, FixedLook) else _drawn(config, scene, saved)
     splats, boxes, condition = shown
     (detector,) = detectors_of((config.detector,), inputs)
-    centre = tuple(place.scene.means[place.rows(config.object)].mean(0).tolist())
+    centre = tuple(scene.splat.means[scene.rows(config.object)].mean(0).tolist())
     directions = seen_from(centre)
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
@@ -143,40 +143,40 @@ def run(config: FixedLook | DrawnLook, inputs: Mapping[str, Path], out: Out) -> 
 _Looked = tuple[dict[str, GaussianScene], dict[Camera, Tensor], Condition]
 
 
-def _fixed(config: FixedLook, place: AttackScene, saved: GaussianScene) -> _Looked:
-    rows = place.rows(config.object)
-    clean, attacked = clean_and_attacked(place.scene, rows, saved, config.attributes)
+def _fixed(config: FixedLook, scene: AttackScene, saved: GaussianScene) -> _Looked:
+    rows = scene.rows(config.object)
+    clean, attacked = clean_and_attacked(scene.splat, rows, saved, config.attributes)
     reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
     radii = config.eps if len(config.eps) > 1 else config.eps * len(config.attributes)
     budget = Budget(radius=dict(zip(config.attributes, radii, strict=True)), norm=config.norm)
     noisy = clean.applied(budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
     boxes = {}
-    cameras = place.views(config.object, camera=config.camera, count=config.views, seed=config.seed)
-    for camera, box in zip(cameras, object_boxes(place.scene, rows, cameras, render=place.renderer("")), strict=True):
+    cameras = scene.views(config.object, camera=config.camera, count=config.views, seed=config.seed)
+    for camera, box in zip(cameras, object_boxes(scene.splat, rows, cameras, render=scene.renderer("")), strict=True):
         if box is None:
             do = "choose another camera or seed"
             raise InvalidValueError(message(config.object, "a view that shows the object", "none of it", do))
         boxes[camera] = box
     splats = {CLEAN: clean.scene, ATTACKED: attacked.scene, NOISE: noisy}
-    return splats, boxes, condition_of(config.condition, place, config.object, config.sun)
+    return splats, boxes, condition_of(config.condition, scene, config.object, config.sun)
 
 
-def _drawn(config: DrawnLook, place: AttackScene, attacked: GaussianScene) -> _Looked:
-    views = distribution(place, config.object, config.transformations).views(config.seed, config.views)
-    splats = {CLEAN: place.scene, ATTACKED: attacked, NOISE: _noisy(place, attacked, config)}
-    render = changing(place.renderer(""), {view.camera: view.change for view in views})
+def _drawn(config: DrawnLook, scene: AttackScene, attacked: GaussianScene) -> _Looked:
+    views = distribution(scene, config.object, config.transformations).views(config.seed, config.views)
+    splats = {CLEAN: scene.splat, ATTACKED: attacked, NOISE: _noisy(scene, attacked, config)}
+    render = changing(scene.renderer(""), {view.camera: view.change for view in views})
     return splats, {view.camera: view.box for view in views}, rendered(HELD_OUT, render)
 
 
-def _noisy(place: AttackScene, attacked: GaussianScene, config: DrawnLook) -> GaussianScene:
+def _noisy(scene: AttackScene, attacked: GaussianScene, config: DrawnLook) -> GaussianScene:
     """The clean scene with random noise as large as the attack, on what the attack could change."""
-    rows = place.rows(config.object)
-    clean = GaussianSubset.of(place.scene.with_degree(max(attacked.degree, place.scene.degree)), rows)
+    rows = scene.rows(config.object)
+    clean = GaussianSubset.of(scene.splat.with_degree(max(attacked.degree, scene.splat.degree)), rows)
     reference = clean.parameters(config.attributes)
     moved = GaussianSubset.of(attacked, rows).parameters(config.attributes)
     bands = slice(None if config.sh_degree is None else (config.sh_degree + 1) ** 2)
     budget = Budget(radius=dict.fromkeys(config.attributes, _ANY), norm=config.norm)
-    after, before = ({name: _part(name, one[name], bands) for name in one} for one in (moved, reference))
+    after, before = ({name: _part(name, values[name], bands) for name in values} for values in (moved, reference))
     noise = budget.noise(after, before, Generator().manual_seed(config.seed + 1))
     for name, value in reference.items():
         reference[name] = value.clone()
@@ -208,14 +208,14 @@ def clean_and_attacked(
     return clean, GaussianSubset.of(clean.scene.replace(**values), rows)
 
 
-def condition_of(name: str, place: AttackScene, object_name: str, sun: SunTable | None = None) -> Condition:
+def condition_of(name: str, scene: AttackScene, object_name: str, sun: SunTable | None = None) -> Condition:
     """How a splat is looked at.
 
     Args:
         name: "" for the scene's own renderer; a renderer as in `mi-splat compare`; a format, as .spz, that the whole
             scene goes through; "SH in float16"; "SH of degree 1"; "noise 0.05", "blur 1.5" or "JPEG 60", in the
             pictures; or an hour, as 09:30, on a street of meshes.
-        place: The scene.
+        scene: The scene.
         object_name: Id of the object, which stands alone on the street.
         sun: The street.
 
@@ -224,13 +224,13 @@ def condition_of(name: str, place: AttackScene, object_name: str, sun: SunTable 
     """
     check_condition(name, sun)
     if sun is not None:
-        return _on_street(place, object_name, sun)
+        return _on_street(scene, object_name, sun)
     if name == "" or name in method_names():
-        return rendered(name, place.renderer(name))
+        return rendered(name, scene.renderer(name))
     change = picture_change(name)
     if change is not None:
-        return changed(name, place.renderer(""), change)
-    return next(form for form in _forms(place.renderer("")) if form.name == name)
+        return changed(name, scene.renderer(""), change)
+    return next(form for form in _forms(scene.renderer("")) if form.name == name)
 
 
 def check_condition(name: str, sun: SunTable | None) -> None:
@@ -264,11 +264,11 @@ def hour_of(name: str) -> float:
     return int(hours) + int(minutes) / 60
 
 
-def _on_street(place: AttackScene, name: str, sun: SunTable) -> Condition:
+def _on_street(scene: AttackScene, name: str, sun: SunTable) -> Condition:
     """The object alone, on a street of meshes."""
     (hour,) = sun.hours
-    rows, street = place.rows(name), street_at(sun, hour)
-    alone, inside = place.scene.select(rows), street.splats.scene
+    rows, street = scene.rows(name), street_at(sun, hour)
+    alone, inside = scene.splat.select(rows), street.splats.scene
     if len(inside) != len(alone) or not torch.equal(inside.means, alone.means):
         expected, do = f"the Gaussians of {name} and no others", "name the file of that object in the scene"
         raise InvalidValueError(message(sun.scene, expected, f"{len(inside):,} Gaussians", do))

@@ -90,7 +90,7 @@ class Work:
             judges: Any = settings_of(judge, judged.settings, f"{self.study.name}, judge")
             for look in judges.jobs(settings, job):
                 labels = {**judged.labels, "detector": look.config.detector}
-                looks.append(Look(label=f"{label} / {_words(labels)}", labels=labels, job=look))
+                looks.append(Look(label=f"{label} / {_named(labels)}", labels=labels, job=look))
         return Attempt(label=label, point=point, settings=settings, job=job, looks=tuple(looks), bisected=bisected)
 
     def plans(self) -> list[Plan]:
@@ -143,9 +143,9 @@ def _succeeded(result: Result | None) -> bool | None:
 
 
 def _label(point: Point) -> str:
-    words = _words(point.labels)
-    return f"{point.part}: {words}" if point.part and words else point.part or words
+    labels = _named(point.labels)
+    return f"{point.part}: {labels}" if point.part and labels else point.part or labels
 
 
-def _words(labels: Mapping[str, Any]) -> str:
+def _named(labels: Mapping[str, Any]) -> str:
     return ", ".join(f"{name.removeprefix('attack.')} {label_of(value)}" for name, value in labels.items())

@@ -120,13 +120,13 @@ def _detectors(done: Sequence[tuple[Attempt, Done]]) -> dict[str, str]:
     """Fingerprints of the weights of every detector attacked, by its name."""
     marks: dict[str, str] = {}
     for _, result in done:
-        marks |= {one["detector"]: one["detector_fingerprint"] for one in record_of(result)["detectors"]}
+        marks |= {detector["detector"]: detector["detector_fingerprint"] for detector in record_of(result)["detectors"]}
     return marks
 
 
 def merged_figures(record: Record, derived: Record) -> dict[str, Any]:
     """A record with figures at their places."""
-    attacks = {name: {**one, **derived["attacks"].get(name, {})} for name, one in record["attacks"].items()}
+    attacks = {name: {**attack, **derived["attacks"].get(name, {})} for name, attack in record["attacks"].items()}
     return {**record, **derived, "attacks": attacks}
 
 
@@ -139,17 +139,17 @@ def figures(record: Record, tables: Tables) -> dict[str, Any]:
     """
     rows, attacks = tables[ROWS], record["attacks"]
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
-    own, looks = rows.filter(~looked), rows.filter(looked)
-    each = _of_attacks(attacks, own)
+    judged, looks = rows.filter(~looked), rows.filter(looked)
+    each = _of_attacks(attacks, judged)
     grouped = _grouped({name: attacks[name] for name in each}, ("seed",))
-    groups = [_group(part, labels, members, each, attacks, own) for part, labels, members in grouped]
+    groups = [_group(part, labels, members, each, attacks, judged) for part, labels, members in grouped]
     return {"attacks": each, "groups": groups, "smallest": _smallest(attacks, each), "looks": _looks(attacks, looks)}
 
 
-def _of_attacks(attacks: Record, own: pl.DataFrame) -> dict[str, dict[str, Any]]:
+def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, Any]]:
     """Whether each attack has its aim: in enough fixed views, or in enough of the views of a region."""
     each: dict[str, dict[str, Any]] = {}
-    for name, rows in _by_attack(own).items():
+    for name, rows in _by_attack(judged).items():
         config = attacks[name]["settings"]["attack"]
         attacked = rows.filter(splat=ATTACKED)
         if "held_out" in config:
@@ -184,9 +184,9 @@ Group = tuple[str, dict[str, Any], list[str]]
 def _grouped(attacks: Record, pooled: Sequence[str]) -> list[Group]:
     """Attacks that differ in nothing but some axes."""
     groups: dict[tuple[Any, ...], Group] = {}
-    for name, one in attacks.items():
-        labels = {axis: label for axis, label in one["labels"].items() if axis not in pooled}
-        groups.setdefault((one["part"], *labels.items()), (one["part"], labels, []))[2].append(name)
+    for name, attack in attacks.items():
+        labels = {axis: label for axis, label in attack["labels"].items() if axis not in pooled}
+        groups.setdefault((attack["part"], *labels.items()), (attack["part"], labels, []))[2].append(name)
     return list(groups.values())
 
 
@@ -196,30 +196,30 @@ def _group(
     members: Sequence[str],
     each: Mapping[str, Record],
     attacks: Record,
-    own: pl.DataFrame,
+    judged: pl.DataFrame,
 ) -> dict[str, Any]:
     """What attacks that differ in the seed alone have reached."""
     known = [each[name] for name in members]
     group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
     for name in ("steps", "image_psnr", "psnr_object", "seconds"):
-        values = [value for one in members if (value := _stated(attacks[one], name)) is not None]
+        values = [value for attack in members if (value := _stated(attacks[attack], name)) is not None]
         group[name] = statistics.median(values) if values else None
-    group["original_after"] = statistics.median(one["original_after"] for one in known)
+    group["original_after"] = statistics.median(attack["original_after"] for attack in known)
     if "rate" in known[0]:
-        rates = _pooled(own.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
+        rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
         return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}
     aims = ("success", "strict", "unambiguous")
-    frame = pl.DataFrame([{"splat": ATTACKED, **{key: one[key] for key in aims}} for one in known])
+    frame = pl.DataFrame([{"splat": ATTACKED, **{key: attack[key] for key in aims}} for attack in known])
     rates = count(frame, {key: AIMS[key] for key in aims})[()]
-    scores = [one["score"] for one in known if one["score"] is not None]
-    best = [one["noise"]["best"] for one in known if one["noise"]["best"] is not None]
+    scores = [attack["score"] for attack in known if attack["score"] is not None]
+    best = [attack["noise"]["best"] for attack in known if attack["noise"]["best"] is not None]
     return {
         **group,
         **{key: rate.as_dict() for key, rate in rates.items()},
         "score": statistics.median(scores) if scores else None,
         "score_least": min(scores, default=None),
-        "noise_successes": sum(one["noise"]["successes"] for one in known),
-        "noise_draws": sum(one["noise"]["draws"] for one in known),
+        "noise_successes": sum(attack["noise"]["successes"] for attack in known),
+        "noise_draws": sum(attack["noise"]["draws"] for attack in known),
         "noise_best": max(best, default=None),
     }
 
@@ -240,8 +240,8 @@ def _stated(attack: Record, name: str) -> Any:
 def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any]]:
     """Of every search the smallest value that sufficed, and the largest that did not."""
     lines = []
-    for field in dict.fromkeys(one["bisected"] for one in attacks.values() if one.get("bisected")):
-        searched = {name: one for name, one in attacks.items() if one.get("bisected") == field}
+    for field in dict.fromkeys(attack["bisected"] for attack in attacks.values() if attack.get("bisected")):
+        searched = {name: attack for name, attack in attacks.items() if attack.get("bisected") == field}
         for part, labels, members in _grouped(searched, (field,)):
             values = {attacks[name]["labels"][field]: each[name]["success"] for name in members}
             enough = [value for value, success in values.items() if success]

@@ -28,13 +28,13 @@ class AttackScene:
     """A scene ready for attacks.
 
     Attributes:
-        scene: All Gaussians.
+        splat: All Gaussians.
         objects: Rows of each object.
         cameras: The scene's views, in the order of its file.
         settings: Background and near plane.
     """
 
-    scene: GaussianScene
+    splat: GaussianScene
     objects: Mapping[str, slice]
     cameras: tuple[Camera, ...]
     settings: RenderSettings
@@ -61,10 +61,10 @@ class AttackScene:
         Raises:
             InvalidValueError: There is no such object or camera.
         """
-        centre = self.scene.means[self.rows(name)].mean(0)
+        centre = self.splat.means[self.rows(name)].mean(0)
         if camera >= len(self.cameras):
             raise InvalidValueError(message("camera", f"0 to {len(self.cameras) - 1}", camera, "choose another"))
-        return [jittered(one, centre, seed=seed) for one in self.cameras[camera:][: count or None]]
+        return [jittered(view, centre, seed=seed) for view in self.cameras[camera:][: count or None]]
 
     def renderer(self, name: str) -> RenderFn:
         """A renderer by its name, as in `mi-splat compare`, with the scene's settings; "" is the scene's own."""
@@ -84,7 +84,7 @@ def attack_scene(path: Path) -> AttackScene:
 def _read(path: Path, state: tuple[object, ...]) -> AttackScene:
     loaded = read_scene(path)
     cameras = tuple(loaded.cameras.values())
-    return AttackScene(scene=loaded.scene, objects=loaded.objects, cameras=cameras, settings=loaded.settings)
+    return AttackScene(splat=loaded.scene, objects=loaded.objects, cameras=cameras, settings=loaded.settings)
 
 
 def detectors_of(names: tuple[str, ...], inputs: Mapping[str, Path]) -> list[Detector]:
@@ -111,13 +111,18 @@ def _state(file: Path) -> tuple[str, int, int]:
 
 
 def scene_files(path: Path) -> dict[str, Path]:
-    """A scene file and all that it names, as inputs of a job.
+    """A scene file and all that it names, as inputs of a job; read once as long as the file is the same.
 
     Raises:
         InvalidValueError: It cannot be read.
     """
+    return dict(_files(path, _state(path) if path.is_file() else None))
+
+
+@functools.lru_cache(maxsize=64)
+def _files(path: Path, state: object) -> tuple[tuple[str, Path], ...]:
     files = dict.fromkeys(scene_parts(path).files)
-    return {f"scene {number}" if number else "scene": file for number, file in enumerate(files)}
+    return tuple((f"scene {number}" if number else "scene", file) for number, file in enumerate(files))
 
 
 def jittered(

@@ -174,16 +174,16 @@ class Study:
     def points(self) -> Iterator[Point | Search]:
         """Every combination of settings, part by part; those of a bisection together."""
         for part in self.parts:
-            own = merged(self.settings, part.settings)
+            settings = merged(self.settings, part.settings)
             axes = {name: choices for name, choices in part.axes.items() if name != part.bisected}
-            for point in combinations(own, axes, part.name):
+            for point in combinations(settings, axes, part.name):
                 if not part.bisected:
                     yield point
                     continue
                 axis = {part.bisected: part.axes[part.bisected]}
                 tried = (
-                    Point(part=part.name, labels={**point.labels, **one.labels}, settings=one.settings)
-                    for one in combinations(point.settings, axis)
+                    Point(part=part.name, labels={**point.labels, **value.labels}, settings=value.settings)
+                    for value in combinations(point.settings, axis)
                 )
                 yield Search(field=part.bisected, points=tuple(tried))
 
@@ -256,19 +256,19 @@ def _parts(table: Settings, name: str) -> tuple[Part, ...]:
 
 def _part(case: Settings, axes: Axes, shared: Any, name: str) -> Part:
     where = f"{name}, case {case.get('name', '')}".rstrip()
-    own = {**axes, **_axes(_table(case, "matrix", where), where)}
+    varied = {**axes, **_axes(_table(case, "matrix", where), where)}
     bisect = case.get("bisect", shared)
     bisected = ""
     if bisect is not None:
         good = isinstance(bisect, Mapping) and set(bisect) == {"field", "values"} and isinstance(bisect["field"], str)
         _check(good, f"bisect in {where}", "field and values", bisect, 'write field = "attack.eps", values = [1, 2]')
         bisected = bisect["field"]
-        own[bisected] = _choices(bisected, bisect["values"], where)
-        numbers = [choice.label for choice in own[bisected]]
-        rising = all(isinstance(one, (int, float)) for one in numbers) and numbers == sorted(numbers)
+        varied[bisected] = _choices(bisected, bisect["values"], where)
+        numbers = [choice.label for choice in varied[bisected]]
+        rising = all(isinstance(number, (int, float)) for number in numbers) and numbers == sorted(numbers)
         _check(rising, f"values of bisect in {where}", "rising numbers", numbers, "sort them")
     settings = {key: value for key, value in case.items() if key not in _OF_CASES}
-    return Part(name=str(case.get("name", "")), settings=settings, axes=own, bisected=bisected)
+    return Part(name=str(case.get("name", "")), settings=settings, axes=varied, bisected=bisected)
 
 
 def combinations(settings: Settings, axes: Axes, part: str = "") -> Iterator[Point]:

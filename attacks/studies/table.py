@@ -116,10 +116,10 @@ KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's
 
 def _introduction(record: Record) -> list[str]:
     attacks = list(record["attacks"].values())
-    seeds = ", ".join(str(seed) for seed in sorted({one["seed"] for one in attacks}))
+    seeds = ", ".join(str(seed) for seed in sorted({attack["seed"] for attack in attacks}))
     weights = "; ".join(f"{name} {mark}" for name, mark in record["detectors"].items())
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
-    variants = ", ".join(dict.fromkeys(str(one.get("variant")) for one in attacks))
+    variants = ", ".join(dict.fromkeys(str(attack.get("variant")) for attack in attacks))
     return [
         f"{len(attacks)} attacks, seeds {seeds}. Every attack is judged on the saved file, in pictures of 8 bits. "
         "Strictly: the object's own class is gone, too (below 0.5). Medians are over seeds; noise is random noise of "
@@ -181,10 +181,10 @@ def _matrix(caption: str, looks: Sequence[Record], kind: str) -> Table:
 def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:
     """What each look is called by some of its keys, those apart that are the same in all looks."""
     values = {id(look): _flat(look, keys) for look in looks}
-    several = [key for key in next(iter(values.values())) if len({one.get(key) for one in values.values()}) > 1]
+    several = [key for key in next(iter(values.values())) if len({parts.get(key) for parts in values.values()}) > 1]
     return {
-        name: ", ".join(_said(key, one[key]) for key in several if one.get(key) is not None)
-        for name, one in values.items()
+        name: ", ".join(_said(key, parts[key]) for key in several if parts.get(key) is not None)
+        for name, parts in values.items()
     }
 
 

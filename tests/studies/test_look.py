@@ -33,7 +33,7 @@ def night(scene: GaussianScene, camera: Camera) -> Tensor:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> AttackScene:
+def scene(tmp_path_factory: pytest.TempPathFactory) -> AttackScene:
     """The toy scene."""
     return attack_scene(write_toy(tmp_path_factory.mktemp("toy")))
 
@@ -56,21 +56,21 @@ def test_pictures_are_of_one_renderer_and_gradients_of_another() -> None:
     assert not torch.allclose(gradient(both), gradient(blobs))
 
 
-def test_a_renderer_s_own_gradient_needs_no_other(place: AttackScene) -> None:
+def test_a_renderer_s_own_gradient_needs_no_other(scene: AttackScene) -> None:
     for gradient in ("", "tile"):
-        assert isinstance(attackers_renderer(place, "tile", gradient), Renderer)
-    assert not isinstance(attackers_renderer(place, "tile", "ray"), Renderer)
+        assert isinstance(attackers_renderer(scene, "tile", gradient), Renderer)
+    assert not isinstance(attackers_renderer(scene, "tile", "ray"), Renderer)
     with pytest.raises(InvalidValueError, match="renderer"):
-        attackers_renderer(place, "unreal", "")
+        attackers_renderer(scene, "unreal", "")
 
 
-def test_what_is_not_there_is_named(place: AttackScene) -> None:
+def test_what_is_not_there_is_named(scene: AttackScene) -> None:
     with pytest.raises(InvalidValueError, match="object: expected one of rest, car, got tree"):
-        place.rows("tree")
+        scene.rows("tree")
     with pytest.raises(InvalidValueError, match="camera: expected 0 to 1, got 2"):
-        place.views("car", camera=2, count=1, seed=0)
-    assert len(place.views("car", camera=0, count=0, seed=1)) == 2
-    assert len(place.views("car", camera=1, count=0, seed=1)) == 1
+        scene.views("car", camera=2, count=1, seed=0)
+    assert len(scene.views("car", camera=0, count=0, seed=1)) == 2
+    assert len(scene.views("car", camera=1, count=0, seed=1)) == 1
 
 
 def test_a_scene_is_read_anew_when_its_files_change(tmp_path: Path) -> None:
@@ -78,16 +78,16 @@ def test_a_scene_is_read_anew_when_its_files_change(tmp_path: Path) -> None:
     first = attack_scene(path)
     assert attack_scene(path) is first
     write_toy(tmp_path, scene=SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.5))
-    assert not torch.equal(attack_scene(path).scene.opacities, first.scene.opacities)
+    assert not torch.equal(attack_scene(path).splat.opacities, first.splat.opacities)
 
 
 @pytest.mark.parametrize("name", ["", "tile", "ray", ".ply", ".splat", "SH in float16", "SH of degree 0"])
-def test_every_condition_shows_the_splat(name: str, place: AttackScene) -> None:
-    condition = condition_of(name, place, "car")
-    picture = condition(place.scene, place.cameras[0])
+def test_every_condition_shows_the_splat(name: str, scene: AttackScene) -> None:
+    condition = condition_of(name, scene, "car")
+    picture = condition(scene.splat, scene.cameras[0])
     assert picture.shape == (32, 32, 3)
     if name in ("", "tile", ".ply"):
-        torch.testing.assert_close(picture, Renderer(SCENE.settings)(place.scene, place.cameras[0]))
+        torch.testing.assert_close(picture, Renderer(SCENE.settings)(scene.splat, scene.cameras[0]))
 
 
 def test_conditions_and_hours_that_are_none() -> None:
@@ -100,25 +100,25 @@ def test_conditions_and_hours_that_are_none() -> None:
 
 
 def test_the_car_stands_in_the_street_by_the_hour() -> None:
-    place = attack_scene(ROOT / "scenes" / "car_street.xml")
+    scene = attack_scene(ROOT / "scenes" / "car_street.xml")
     sun = SunTable(scene=str(ROOT / STREET), hours=(8.0,), samples=1)
-    shown, street = condition_of("08:00", place, "car", sun).show(place.scene.with_degree(3))  # the file has degree 1
+    shown, street = condition_of("08:00", scene, "car", sun).show(scene.splat.with_degree(3))  # the file has degree 1
     assert isinstance(street, MixedScene)
     assert shown.sh.shape == (len(street.splats.scene), 16, 3)
     assert torch.equal(shown.means, street.splats.scene.means)
     with pytest.raises(InvalidValueError, match="the Gaussians of street and no others"):
-        condition_of("08:00", place, "street", sun)
+        condition_of("08:00", scene, "street", sun)
 
 
-def test_what_was_not_attacked_is_the_clean_scene_s(place: AttackScene) -> None:
-    rows = place.rows("car")
-    saved = place.scene.select(rows)
+def test_what_was_not_attacked_is_the_clean_scene_s(scene: AttackScene) -> None:
+    rows = scene.rows("car")
+    saved = scene.splat.select(rows)
     saved = saved.replace(sh=saved.sh + 1, means=saved.means + 1)
-    clean, attacked = clean_and_attacked(place.scene, rows, saved, ("sh",))
-    assert torch.equal(attacked.scene.means, place.scene.means)
+    clean, attacked = clean_and_attacked(scene.splat, rows, saved, ("sh",))
+    assert torch.equal(attacked.scene.means, scene.splat.means)
     assert torch.equal(attacked.scene.sh[rows], saved.sh)
     assert torch.equal(attacked.scene.sh[:10], clean.scene.sh[:10])
-    wider = clean_and_attacked(place.scene, rows, saved.with_degree(2), ("sh",))
+    wider = clean_and_attacked(scene.splat, rows, saved.with_degree(2), ("sh",))
     assert {subset.scene.degree for subset in wider} == {2}
 
 
@@ -149,5 +149,5 @@ def test_jitter_uses_the_whole_of_its_range() -> None:
     assert -0.05 - 1e-6 <= min(moves) < -0.048
 
 
-def test_a_moved_scene_keeps_its_settings(place: AttackScene) -> None:
-    assert place.settings == dataclasses.replace(SCENE.settings)
+def test_a_moved_scene_keeps_its_settings(scene: AttackScene) -> None:
+    assert scene.settings == dataclasses.replace(SCENE.settings)

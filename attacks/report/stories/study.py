@@ -28,7 +28,7 @@ def read(folder: Path, record: Record) -> Section:
     headline, control, what = _of_groups(groups) if groups else _of_looks(record["looks"])
     noise = None if control is None else control.rate
     assert headline.rate is not None
-    names = sorted({name for one in attacks for name in one["sources"]})
+    names = sorted({name for attack in attacks for name in attack["sources"]})
     return Section(
         kind="DAGGER, a study",
         title=f"{record['name']}, {plural(len(attacks), 'attack')}",
@@ -49,7 +49,7 @@ def read(folder: Path, record: Record) -> Section:
         ),
         charts=tuple(_charts(record)),
         tables=tuple(section.Table(caption=caption, head=head, rows=rows) for caption, head, rows in tables(record)),
-        configuration=shared([*(one["settings"] for one in attacks), {"weights": record["detectors"]}]),
+        configuration=shared([*(attack["settings"] for attack in attacks), {"weights": record["detectors"]}]),
     )
 
 
@@ -69,7 +69,7 @@ def _of_groups(groups: Sequence[Record]) -> tuple[Figure, Figure | None, str]:
 
 def _noise_of(groups: Sequence[Record]) -> Rate:
     counts = [(group["noise_successes"], group["noise_draws"]) for group in groups]
-    return Rate(successes=sum(one for one, _ in counts), total=sum(draws for _, draws in counts))
+    return Rate(successes=sum(successes for successes, _ in counts), total=sum(draws for _, draws in counts))
 
 
 def _of_looks(looks: Sequence[Record]) -> tuple[Figure, Figure | None, str]:
@@ -86,7 +86,7 @@ def _more(record: Record) -> Iterator[Figure]:
     """Further figures: every aim of the attacks, and who else is deceived."""
     groups, looks = record["groups"], record["looks"]
     if groups:
-        held = [one["success"] for one in record["attacks"].values() if "success" in one]
+        held = [attack["success"] for attack in record["attacks"].values() if "success" in attack]
         yield Figure(label="attacks with the aim reached", rate=Rate(successes=sum(held), total=len(held)))
         strict = "strict_rate" if "rate" in groups[0] else "strict"
         label = "with the object's own class gone, too"
@@ -101,7 +101,7 @@ def _more(record: Record) -> Iterator[Figure]:
 
 def _warnings(attacks: Sequence[Record]) -> Iterator[str]:
     """The warnings of the attacks, each once."""
-    for text, times in Counter(text for one in attacks for text in one.get("warnings", ())).items():
+    for text, times in Counter(text for attack in attacks for text in attack.get("warnings", ())).items():
         yield f"{times} of {plural(len(attacks), 'attack')}: {text}"
 
 
@@ -116,14 +116,14 @@ def _unseen(record: Record) -> Iterator[str]:
             f"attacks do ({counts(gone)})"
         )
     for look in looks:
-        found = known(look["found"])
-        if found.fraction < 0.5:
-            yield f"{look['detector']} finds the clean object in {counted(found)} of its looks only ({_place(look)})"
+        seen = known(look["found"])
+        if seen.fraction < 0.5:
+            yield f"{look['detector']} finds the clean object in {counted(seen)} of its looks only ({_where(look)})"
 
 
-def _place(look: Record) -> str:
-    words = [f"{title_of(axis)} {label}" for axis, label in look["labels"].items()]
-    return ", ".join([*words, str(look["condition"])])
+def _where(look: Record) -> str:
+    labels = [f"{title_of(axis)} {label}" for axis, label in look["labels"].items()]
+    return ", ".join([*labels, str(look["condition"])])
 
 
 def _charts(record: Record) -> Iterator[Chart]:
@@ -138,7 +138,7 @@ def _charts(record: Record) -> Iterator[Chart]:
         for kind, meaning in KINDS.items():
             if kind in looks[0]:
                 rates, noise = ([known(look[name]) for look in looks] for name in (kind, f"noise_{kind}"))
-                ticks = tuple(f"{look['detector']}, {_place(look)}" for look in looks)
+                ticks = tuple(f"{look['detector']}, {_where(look)}" for look in looks)
                 yield _chart(f"{meaning}{f': {title}' if title else ''}", "look", "rate", rates, noise, ticks)
 
 
