@@ -89,8 +89,8 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     several = len(result.detectors) > 1
     counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
     reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
-    names = [name for name in result.detectors if result.verdict_of(name).success == result.success]
-    name, clear = object_name(options.selection), result.verdict.unambiguous
+    names = [one["detector"] for one in found["detectors"] if one["success"] == result.success]
+    name, clear = object_name(options.selection), result.unambiguous
     said = sentence(result.objective, names, name, success=result.success, clear=clear)
     show(f"{'SUCCESS' if result.success else 'FAILED'}: {said}; {reached}.")
     effort = (

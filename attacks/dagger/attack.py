@@ -20,9 +20,10 @@ from torch import Generator
 
 from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import Config, DaggerConfig, EotConfig
+from attacks.dagger.figures import counted
 from attacks.dagger.judging import Judgement, Reports, clean_reports, judge, look
 from attacks.dagger.problem import Problem, check_detectors
-from attacks.dagger.result import Result, find_warnings, noise_verdicts
+from attacks.dagger.result import Result, find_warnings
 from attacks.dagger.search import VALIDATION_SEED_OFFSET, OnStep, search_drawn, search_fixed
 from attacks.dagger.views import View, ViewDistribution, fixed_views
 from attacks.detectors.base import Detections, Detector
@@ -83,7 +84,7 @@ def attack(
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
         "scene_hash": scene_hash(scene),
     }
-    result = _result(problem, config, outcome, (attacked, saved), judgement, origin)
+    result = _result(problem, config, outcome, (attacked, saved), judgement, origin, None)
     result = dataclasses.replace(result, seconds=time.perf_counter() - begun)
     return dataclasses.replace(result, warnings=find_warnings(result))
 
@@ -137,7 +138,9 @@ def attack_views(
     judgement = judge(problem, held_out, clean, saved, [as_saved(scene) for scene in noisy])
     origin = {"scene_hash": scene_hash(views.scene), "reference": values_of(views.reference)}
     result = dataclasses.replace(
-        _result(problem, config, outcome, (attacked, saved), judgement, origin),
+        _result(
+            problem, config, outcome, (attacked, saved), judgement, origin, judged.transformations.cameras.elevations
+        ),
         redraws=_redraws(views, config, held_out),
         transformations=views.transformations,
         judged=judged.transformations,
@@ -219,6 +222,7 @@ def _result(
     scenes: tuple[GaussianScene, GaussianScene],
     judgement: Judgement,
     origin: dict[str, Any],
+    elevations: tuple[float, float] | None,
 ) -> Result:
     """What a search has found, judged; without its warnings and its time."""
     subset, budget, views = problem.subset, config.budget, judgement.views
@@ -226,11 +230,12 @@ def _result(
     in_file = problem.parameters(config.attributes, GaussianSubset.of(scenes[1], subset.rows))
     each = len(views) // len(problem.detectors)
     cameras = [judged.view.camera for judged in views[:each]]
-    rows = [[judged.attacked.verdict for judged in views[place::each]] for place in range(each)]
+    names, looked = [detector.name for detector in problem.detectors], judgement.looked(seed=config.seed)
     return Result(
         scene=scenes[0],
-        verdict=config.verdict(rows),
         judgement=judgement,
+        looked=looked,
+        figures=counted(looked.rows, names, problem.objective.label, config, elevations),
         fingerprints={detector.name: detector.fingerprint for detector in problem.detectors},
         trace=outcome.trace,
         best=outcome.best,
@@ -239,7 +244,6 @@ def _result(
         object_gaussians=len(subset.rows),
         changed_gaussians=subset.changed(scenes[0]),
         clamped_fraction=sum(clamped_fraction(subset, camera) for camera in cameras) / len(cameras),
-        noise=noise_verdicts(views, each, config),
         warnings=(),
         objective=problem.objective,
         config=config,

@@ -23,26 +23,43 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> di
         record: Its result.json, of which the settings count.
         tables: Its rows.
     """
-    rows, detectors = tables[ROWS], [str(one["detector"]) for one in record["detectors"]]
     settings = record["config"]
     judged = settings["judged"]["cameras"]["elevations"] if record["story"] == DRAWN else None
     config: Config = EotConfig(required_views=settings["required_views"])
     if record["story"] == FIXED:
         needed = {name: settings[name] for name in ("required_views", "required_detectors")}
         config = DaggerConfig(**needed)
+    detectors = [str(one["detector"]) for one in record["detectors"]]
+    return counted(tables[ROWS], detectors, record["target"], config, judged)
+
+
+def counted(
+    rows: pl.DataFrame,
+    detectors: Sequence[str],
+    target: str | None,
+    config: Config,
+    elevations: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """Every figure that follows from the rows of an attack.
+
+    Args:
+        rows: Of what was seen.
+        detectors: Names of those attacked.
+        target: The wanted class; None if none is.
+        config: Says in how many views, and with how many detectors, the aim has to be reached.
+        elevations: Interval of the cameras that judge, degrees; None where they are not drawn.
+    """
     attacked = rows.filter(splat=ATTACKED)
     verdict = config.verdict(_grid(attacked, detectors))
     by_draw = rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)
     noise = [config.verdict(_grid(draw, detectors)) for draw in by_draw]
     each = [attacked.filter(detector=name) for name in detectors]
-    confidences = [_confidence(own, record["target"], config) for own in each]
+    confidences = [_confidence(own, target, config) for own in each]
     return {
-        "success": verdict.success,
-        "unambiguous": verdict.unambiguous,
-        "score": verdict.score,
+        **_verdict_of(verdict),
         "strict": config.verdict(_grid(attacked.with_columns(success=STRICT), detectors)).success,
         "target_confidence": _least(confidences, config.required_detectors),
-        **aim_figures(rows, detectors, judged),
+        **aim_figures(rows, detectors, elevations),
         "noise": {
             "scores": [one.score for one in noise],
             "successes": sum(one.success for one in noise),

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks.dagger.config import EotConfig
-from attacks.dagger.figures import DRAWN, FIXED, figures
+from attacks.dagger.figures import DRAWN, FIXED
 from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.places import CAMERAS, cameras_document
-from attacks.observe.rows import ROWS
 from attacks.pgd import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe, values_of
@@ -116,9 +115,10 @@ def summary(result: Result) -> dict[str, Any]:
         **result.origin,
         "seconds": round(result.seconds, 3),
     }
-    counted = figures(stated, {ROWS: result.looked.rows})
-    each = {key: [{**one, **more} for one, more in zip(stated[key], counted[key], strict=True)] for key in _EACH}
-    return {**stated, **counted, **each}
+    each = {
+        key: [{**entry, **more} for entry, more in zip(stated[key], result.figures[key], strict=True)] for key in _EACH
+    }
+    return {**stated, **result.figures, **each}
 
 
 def _settings(result: Result) -> dict[str, Any]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from attacks.dagger.config import Config, EotConfig
 from attacks.dagger.judging import JudgedView, Judgement
-from attacks.objectives import Objective, Verdict, reached_by
+from attacks.objectives import Objective
 from attacks.observe.look import Looked
 from attacks.observe.measures import AIMS, FOUND, joint_views
 from attacks.observe.rates import count
@@ -25,9 +23,6 @@ _ZERO_GRADIENT_LIMIT = 0.9
 _CLAMPED_LIMIT = 0.25
 """Fraction of clamped colour channels that raises a warning."""
 
-STILL_REPORTED = 0.5
-"""Confidence from which the object's own class counts as reported beside the one that was wanted."""
-
 PSNR_SLACK = 0.5
 """How far the held-out pictures may be below the image budget before a result warns of it, dB."""
 
@@ -38,10 +33,9 @@ class Result:
 
     Attributes:
         scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
-        verdict: Over all views and detectors (see `DaggerConfig.verdict` and `EotConfig.verdict`): whether the aim was
-            reached, whether without ambiguity, and a score. Of fixed views it is the score that enough views reach: the
-            confidence in the wanted class, or 1 minus the confidence in what is still detected.
         judgement: Every view as every detector sees it, before and after.
+        looked: The same as rows, and every detection.
+        figures: All that is counted from these rows, as in result.json (`attacks.dagger.figures.counted`).
         fingerprints: What stands for the weights of each attacked detector, by its name.
         trace: Every point that was looked at, all runs, in order; of drawn views only some were judged.
         best: The line of the trace whose point was kept.
@@ -50,7 +44,6 @@ class Result:
         object_gaussians: Number of Gaussians of the object.
         changed_gaussians: Number of Gaussians that differ.
         clamped_fraction: Fraction of the object's colour channels at the clamp (clean, mean over views).
-        noise: The control: the verdict of each draw of random noise of the attack's size in the same norm.
         warnings: Reasons to look twice before the result is believed, in words.
         objective: The aim and its settings.
         config: The full configuration.
@@ -62,8 +55,9 @@ class Result:
     """
 
     scene: GaussianScene
-    verdict: Verdict
     judgement: Judgement
+    looked: Looked
+    figures: dict[str, Any]
     fingerprints: dict[str, str]
     trace: tuple[Step, ...]
     best: Step
@@ -72,7 +66,6 @@ class Result:
     object_gaussians: int
     changed_gaussians: int
     clamped_fraction: float
-    noise: tuple[Verdict, ...]
     warnings: tuple[str, ...]
     objective: Objective
     config: Config
@@ -101,42 +94,38 @@ class Result:
         """Every view as one detector sees it."""
         return [view for view in self.views if view.detector == detector]
 
-    def verdict_of(self, detector: str) -> Verdict:
-        """What one detector makes of the attack, over its views."""
-        return self.config.verdict([[view.attacked.verdict] for view in self.views_of(detector)])
-
     @property
     def success(self) -> bool:
-        """Whether the aim was reached in enough views, with enough detectors."""
-        return self.verdict.success
+        """Whether the aim was reached in enough views, with enough detectors.
+
+        See `DaggerConfig.verdict` and `EotConfig.verdict`, also for the score.
+        """
+        return bool(self.figures["success"])
+
+    @property
+    def unambiguous(self) -> bool:
+        """Whether so, and no other class is reported on the object with more confidence."""
+        return bool(self.figures["unambiguous"])
 
     @property
     def strict(self) -> bool:
-        """Whether so where the object's own class has to be gone, too: reported with less than `STILL_REPORTED`."""
-        each = [[_strictly(view) for view in self.views_of(name)] for name in self.detectors]
-        return self.config.verdict(list(zip(*each, strict=True))).success
+        """Whether so where the object's own class has to be gone, too: reported with less than 0.5."""
+        return bool(self.figures["strict"])
 
     @property
     def score(self) -> float:
-        """Score of the verdict, in [0, 1]."""
-        return self.verdict.score
+        """How near the aim is, in [0, 1].
+
+        Of fixed views it is what enough views reach: the confidence in the wanted class, or 1 minus the confidence in
+        what is still detected.
+        """
+        return float(self.figures["score"])
 
     @property
     def target_confidence(self) -> float | None:
         """Confidence in the wanted class on the object that enough views reach; None when no class was wanted."""
-        if self.objective.label is None:
-            return None
-        return reached_by([self.target_confidence_of(name) for name in self.detectors], self.config.required_detectors)
-
-    def target_confidence_of(self, detector: str) -> float:
-        """Confidence of one of the detectors in the wanted class, or in any class, that enough views reach."""
-        scores = [view.confidence(self.objective.label, attacked=True) for view in self.views_of(detector)]
-        return reached_by(scores, self.config.required_views)
-
-    @property
-    def looked(self) -> Looked:
-        """Rows of what was seen, of which rates are counted, and every detection."""
-        return self.judgement.looked(seed=self.config.seed)
+        confidence: float | None = self.figures["target_confidence"]
+        return confidence
 
     @property
     def rates(self) -> dict[str, Rate]:
@@ -147,28 +136,6 @@ class Result:
     def rate(self) -> Rate:
         """Views in which every detector is deceived."""
         return self.rates["success"]
-
-
-def noise_verdicts(views: Sequence[JudgedView], each: int, config: Config) -> tuple[Verdict, ...]:
-    """The verdict of each draw of random noise.
-
-    Args:
-        views: Detector by detector.
-        each: Number of views of each detector.
-        config: Of the attack.
-    """
-    draws = len(views[0].noise)
-    return tuple(
-        config.verdict([[view.noise[draw].verdict for view in views[place::each]] for place in range(each)])
-        for draw in range(draws)
-    )
-
-
-def _strictly(view: JudgedView) -> Verdict:
-    """The verdict of a view in which the object's own class has to be gone, too, for a success."""
-    original, verdict = view.target.original, view.attacked.verdict
-    gone = original is None or view.confidence(original, attacked=True) < STILL_REPORTED
-    return dataclasses.replace(verdict, success=verdict.success and gone)
 
 
 def find_warnings(result: Result) -> tuple[str, ...]:
@@ -195,21 +162,20 @@ def _warnings_of_fixed(result: Result) -> list[str]:
         warnings.append(f"{clamped} are clamped at 0, where SH has no gradient")
     if result.best.success and not result.success:
         warnings.append("success in the search did not survive the saved file and 8-bit pictures")
-    if result.success and not result.verdict.unambiguous:
+    if result.success and not result.unambiguous:
         warnings.append("another class is still detected on the object with more confidence")
     if result.success and not result.strict:
         known = [view for view in result.views if view.target.original is not None]
         left = max(view.confidence(view.target.original, attacked=True) for view in known)
         warnings.append(f"the object's own class is still reported on it, at up to {left:.0%}")
-    lucky, best = sum(verdict.success for verdict in result.noise), max((one.score for one in result.noise), default=-1)
-    if result.noise and ((result.success and lucky) or best >= result.score > 0):
+    noise = result.figures["noise"]
+    if noise["draws"] and ((result.success and noise["successes"]) or max(noise["scores"]) >= result.score > 0):
         warnings.append("random noise of the same size does as well")
     return warnings
 
 
 def _warnings_of_drawn(result: Result) -> list[str]:
-    warnings, config, rows = list[str](), result.config, result.looked.rows
-    rates = count(joint_views(rows), AIMS)[()]
+    warnings, config, rows, rates = list[str](), result.config, result.looked.rows, result.rates
     for name in result.detectors:
         seen = count(rows.filter(detector=name), FOUND)[()]["found_clean"]
         if seen.fraction < 0.5:

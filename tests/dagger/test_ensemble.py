@@ -89,11 +89,12 @@ def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
     found = run([FINE, COARSE])
     assert found.success
     assert found.detectors == ("fake_colour", "fake_coarse")
-    assert all(found.verdict_of(name).success for name in found.detectors)
-    assert found.score == min(found.verdict_of(name).score for name in found.detectors)
-    assert found.target_confidence == min(found.target_confidence_of(name) for name in found.detectors)
+    each = found.figures["detectors"]
+    assert all(one["success"] for one in each)
+    assert found.score == min(one["score"] for one in each)
+    assert found.target_confidence == min(one["target_confidence"] for one in each)
     assert [view.detector for view in found.views] == ["fake_colour", "fake_coarse"]
-    assert not any(verdict.success for verdict in found.noise)
+    assert found.figures["noise"]["successes"] == 0
     assert found.origin["detector"] == "fake_colour + fake_coarse"
 
 
@@ -101,7 +102,7 @@ def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
 def test_a_fraction_of_the_detectors_can_be_enough(required: float, success: bool) -> None:
     found = run([FINE, Stubborn()], required_detectors=required, eps=(20.0,))
     assert found.success is success
-    assert [found.verdict_of(name).success for name in found.detectors] == [True, False]
+    assert [one["success"] for one in found.figures["detectors"]] == [True, False]
 
 
 def test_the_report_shows_every_detector(tmp_path: Path) -> None:

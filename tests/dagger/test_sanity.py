@@ -195,8 +195,8 @@ def test_an_attack_that_noise_beats_is_red() -> None:
 def test_an_attack_whose_file_is_another_scene_is_red() -> None:
     def make(scene: GaussianScene, *arguments: Any, **settings: Any) -> Result:
         result = attack(scene, *arguments, **settings)
-        failed = dataclasses.replace(result.verdict, success=False, score=0.0, unambiguous=False)
-        return dataclasses.replace(result, verdict=failed)
+        failed = {"success": False, "score": 0.0, "unambiguous": False}
+        return dataclasses.replace(result, figures={**result.figures, **failed})
 
     assert red(found(make, checks="noise more_steps")) == {"noise", "more_steps"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
@@ -10,10 +11,11 @@ from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.figures import counted
 from attacks.dagger.judging import JudgedView
 from attacks.dagger.result import Result, find_warnings
 from attacks.detectors.base import Detections
-from attacks.objectives import Verdict, hide, relabel
+from attacks.objectives import hide, relabel
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 DETECTOR = ColourDetector()
@@ -24,7 +26,7 @@ def test_warnings_about_a_picture_without_a_detection() -> None:
     dark = scene.sh.clone()
     dark[mask, 0] = -1.4
     found = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
-    assert [verdict.success for verdict in found.noise] == [True] * 5
+    assert found.figures["noise"]["successes"] == found.figures["noise"]["draws"] == 5
     assert found.warnings == (
         "the clean picture of view 0 has no detection of 0.5 or more on the object",
         "the aim is reached without any attack",
@@ -74,11 +76,19 @@ def sound() -> Result:
 
 def of_views(result: Result, *views: JudgedView) -> Result:
     """The result with other views."""
-    return dataclasses.replace(result, judgement=dataclasses.replace(result.judgement, views=views))
+    judgement = dataclasses.replace(result.judgement, views=views)
+    looked = judgement.looked(seed=0)
+    figures = counted(looked.rows, result.detectors, result.objective.label, result.config, None)
+    return dataclasses.replace(result, judgement=judgement, looked=looked, figures=figures)
+
+
+def with_figures(result: Result, **figures: Any) -> Result:
+    """The result with other figures."""
+    return dataclasses.replace(result, figures={**result.figures, **figures})
 
 
 def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
-    ambiguous = dataclasses.replace(sound, verdict=Verdict(success=True, score=0.8, unambiguous=False))
+    ambiguous = with_figures(sound, success=True, score=0.8, unambiguous=False)
     assert find_warnings(ambiguous) == ("another class is still detected on the object with more confidence",)
 
 
@@ -100,21 +110,21 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Resul
 
 
 @pytest.mark.parametrize(
-    ("verdict", "noise", "warned"),
+    ("success", "score", "noise", "warned"),
     [
-        (Verdict(success=True, score=0.9, unambiguous=True), ((0.1, False), (0.8, True)), True),
-        (Verdict(success=True, score=0.9, unambiguous=True), ((0.1, False), (0.8, False)), False),
-        (Verdict(success=False, score=0.4, unambiguous=False), ((0.1, False), (0.4, False)), True),
-        (Verdict(success=False, score=0.4, unambiguous=False), ((0.1, False), (0.3, False)), False),
-        (Verdict(success=False, score=0.0, unambiguous=False), ((0.0, False), (0.0, False)), False),
+        (True, 0.9, {"scores": [0.1, 0.8], "successes": 1}, True),
+        (True, 0.9, {"scores": [0.1, 0.8], "successes": 0}, False),
+        (False, 0.4, {"scores": [0.1, 0.4], "successes": 0}, True),
+        (False, 0.4, {"scores": [0.1, 0.3], "successes": 0}, False),
+        (False, 0.0, {"scores": [0.0, 0.0], "successes": 0}, False),
     ],
 )
 def test_noise_that_does_as_well_is_warned_of(
-    sound: Result, verdict: Verdict, noise: tuple[tuple[float, bool], ...], warned: bool
+    sound: Result, success: bool, score: float, noise: dict[str, Any], warned: bool
 ) -> None:
-    draws = tuple(Verdict(success=success, score=score, unambiguous=success) for score, success in noise)
-    best = dataclasses.replace(sound.best, success=verdict.success)
-    found = find_warnings(dataclasses.replace(sound, verdict=verdict, noise=draws, best=best))
+    best = dataclasses.replace(sound.best, success=success)
+    figures = {"success": success, "score": score, "unambiguous": success, "noise": {**noise, "draws": 2}}
+    found = find_warnings(dataclasses.replace(with_figures(sound, **figures), best=best))
     assert ("random noise of the same size does as well" in found) is warned
 
 
@@ -131,7 +141,7 @@ def test_limits_of_the_warnings(sound: Result, field: str, limit: float) -> None
 
 
 def test_a_failure_is_not_called_ambiguous(sound: Result) -> None:
-    failed = dataclasses.replace(sound, verdict=Verdict(success=False, score=0.4, unambiguous=False))
+    failed = with_figures(sound, success=False, score=0.4, unambiguous=False)
     assert find_warnings(failed) == ("success in the search did not survive the saved file and 8-bit pictures",)
 
 

@@ -136,12 +136,13 @@ def clean(runs: Runs) -> Measured:
 def noise(runs: Runs) -> Measured:
     """Random noise of the attack's size succeeds less often than the attack."""
     attacks = runs.results(noise_draws=NOISE_DRAWS)
-    draws = [verdict for result in attacks for verdict in result.noise]
-    count, lucky = _count(attacks), _count(draws)
+    noisy = [result.figures["noise"] for result in attacks]
+    draws, lucky = (sum(one[name] for one in noisy) for name in ("draws", "successes"))
+    count = _count(attacks)
     return (
-        count / len(attacks) > lucky / len(draws),
-        f"attack {count}/{len(attacks)}, noise {lucky}/{len(draws)}",
-        {"successes": count, "runs": len(attacks), "noise_successes": lucky, "noise_draws": len(draws)},
+        count / len(attacks) > lucky / draws,
+        f"attack {count}/{len(attacks)}, noise {lucky}/{draws}",
+        {"successes": count, "runs": len(attacks), "noise_successes": lucky, "noise_draws": draws},
     )
 
 
