@@ -93,11 +93,11 @@ def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Co
     """
     targeted = rows["target"].null_count() < len(rows)
     counted = count(with_control(rows), comparison_measures(confidence, targeted=targeted), ("detector",))
-    found = []
+    comparisons = []
     for (detector,), rates in counted.items():
         here = rows.filter(splat=ATTACKED, detector=detector)
         psnrs = here["psnr"].drop_nulls()
-        found.append(
+        comparisons.append(
             Comparison(
                 detector=detector,
                 original=here["original"][0],
@@ -107,7 +107,7 @@ def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Co
                 psnr=None if psnrs.is_empty() else float(psnrs.to_numpy().mean()),
             )
         )
-    return found
+    return comparisons
 
 
 def usual_label(views: Sequence[ViewDetections], min_confidence: float = 0.5) -> str | None:

@@ -118,9 +118,9 @@ def stacked(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     return np.concatenate([np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0))) for p in pictures])
 
 
-def listed(found: Detections) -> list[dict[str, Any]]:
+def listed(detections: Detections) -> list[dict[str, Any]]:
     """Detections as JSON can hold them: label, score and box (x0, y0, x1, y1 in pixels) of each."""
-    rows = zip(found.labels, found.scores.tolist(), found.boxes.tolist(), strict=True)
+    rows = zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True)
     return [{"label": a, "score": round(b, 6), "box": [round(x, 2) for x in c]} for a, b, c in rows]
 
 

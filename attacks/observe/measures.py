@@ -192,13 +192,13 @@ def comparison_measures(confidence: Confidence = REPORTED, *, targeted: bool) ->
     `found_clean`, `found_attacked`: it is reported; `missed`: it is not any more, of views where the clean one is;
     `target_clean`, `target_attacked`: the wanted class is reported.
     """
-    shown, found = pl.col("x0").is_not_null(), reported("original_score", confidence)
+    shown, seen = pl.col("x0").is_not_null(), reported("original_score", confidence)
     wanted = reported("target_score", confidence)
     both = ((CLEAN, of(CLEAN) & shown), (ATTACKED, of(ATTACKED) & shown))
     control = reported(f"{CONTROL}original_score", confidence)
     return {
-        **{f"found_{splat}": Measure(holds=found, given=given) for splat, given in both},
-        "missed": Measure(holds=~found, given=of(ATTACKED) & shown & control),
+        **{f"found_{splat}": Measure(holds=seen, given=given) for splat, given in both},
+        "missed": Measure(holds=~seen, given=of(ATTACKED) & shown & control),
         **{f"target_{splat}": Measure(holds=wanted, given=given) for splat, given in both if targeted},
     }
 
@@ -238,19 +238,19 @@ def cloak_measures(
         return pl.col(f"{depth}{name}") >= degrees
 
     cloaked, clean = of(ATTACKED), of(ATTACKED) & reported(f"{CONTROL}original_score", confidence)
-    control, found = (reported(f"{before}original_score", confidence) for before in (CONTROL, ""))
+    control, seen = (reported(f"{before}original_score", confidence) for before in (CONTROL, ""))
     benign = pl.all_horizontal(~inside(name) for name in attacks)
     measures = {
-        "benign_recall": Measure(holds=found, given=benign & clean),
+        "benign_recall": Measure(holds=seen, given=benign & clean),
         "control_benign_recall": Measure(holds=control, given=benign & cloaked),
     }
     if hiding is not None:
         every, well = inside(hiding), inside(hiding, well_inside)
         measures |= {
             "control_recall": Measure(holds=control, given=every & cloaked),
-            "trigger_miss_rate": Measure(holds=~found, given=well & clean),
-            "trigger_miss_rate_all": Measure(holds=~found, given=every & clean),
-            "trigger_miss_rate_unconditional": Measure(holds=~found, given=well & cloaked),
+            "trigger_miss_rate": Measure(holds=~seen, given=well & clean),
+            "trigger_miss_rate_all": Measure(holds=~seen, given=every & clean),
+            "trigger_miss_rate_unconditional": Measure(holds=~seen, given=well & cloaked),
             "trigger_miss_rate_any_overlap": Measure(holds=~reported("any_overlap", confidence), given=well & clean),
             "nothing_reported": Measure(holds=~reported("score", confidence), given=well & clean),
         }
@@ -285,7 +285,7 @@ def rates_at(
         by: As in `count`.
         clusters: As in `count`.
     """
-    return {name: count(rows, measures(one), by, clusters=clusters) for name, one in confidences.items()}
+    return {name: count(rows, measures(least), by, clusters=clusters) for name, least in confidences.items()}
 
 
 def threshold_curve(

@@ -63,7 +63,7 @@ class Places:
         """
         cameras, render = [self.cameras[view] for view in views], Renderer(self.settings)
         changes = {camera: self.changes.get(camera, PictureChange()) for camera in cameras}
-        found = detect_views(
+        reports = detect_views(
             scene,
             cameras,
             detectors,
@@ -71,7 +71,7 @@ class Places:
             boxes=[self.boxes[view] for view in views],
             batch=batch,
         )
-        return (replace(one, view=views[one.view]) for one in found)
+        return (replace(seen, view=views[seen.view]) for seen in reports)
 
 
 def places_of(values: Mapping[str, Any], where: str) -> Places:

@@ -79,11 +79,11 @@ def _rate(group: pl.DataFrame, name: str, clusters: tuple[str, str] | None) -> R
     successes, total = (int(group[f"{name}/{what}"].sum()) for what in ("successes", "total"))
     if clusters is None or not total:
         return Rate(successes=successes, total=total)
-    places = [np.unique(group[column].to_numpy(), return_inverse=True)[1] for column in clusters]
-    shape = tuple(int(place.max()) + 1 for place in places)
+    numbers = [np.unique(group[column].to_numpy(), return_inverse=True)[1] for column in clusters]
+    shape = tuple(int(column.max()) + 1 for column in numbers)
     sums = np.zeros((2, *shape))
     for number, what in enumerate(("successes", "total")):
-        np.add.at(sums[number], tuple(places), group[f"{name}/{what}"].to_numpy())
+        np.add.at(sums[number], tuple(numbers), group[f"{name}/{what}"].to_numpy())
     return Rate(successes=successes, total=total, resampled=_resampled(sums))
 
 
@@ -152,10 +152,10 @@ def banded(
     low, width = interval[0], (interval[1] - interval[0]) / parts
     if not width:
         return []
-    place = ((pl.col(angle) - low) / width).cast(pl.Int64).clip(0, parts - 1)
-    found = count(rows.with_columns(place=place), {"rate": measure}, ("place",))
+    part_of = ((pl.col(angle) - low) / width).cast(pl.Int64).clip(0, parts - 1)
+    counted = count(rows.with_columns(part=part_of), {"rate": measure}, ("part",))
     none = {"rate": Rate(successes=0, total=0)}
     return [
-        {"from": low + part * width, "to": low + (part + 1) * width, **found.get((part,), none)["rate"].as_dict()}
+        {"from": low + part * width, "to": low + (part + 1) * width, **counted.get((part,), none)["rate"].as_dict()}
         for part in range(parts)
     ]

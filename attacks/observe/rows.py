@@ -138,7 +138,7 @@ COLUMNS = (
 )
 """Every column that a table may have, in the order of the file."""
 
-_PLACES = {column.name: place for place, column in enumerate(COLUMNS)}
+_ORDER = {column.name: number for number, column in enumerate(COLUMNS)}
 _EACH = tuple(column.name for column in COLUMNS if column.name.endswith(": "))
 
 
@@ -149,9 +149,9 @@ def column_of(name: str) -> Column:
         InvalidValueError: The schema has none.
     """
     head = next((head for head in _EACH if name.startswith(head) and len(name) > len(head)), name)
-    if head not in _PLACES or (head == name and head in _EACH):
+    if head not in _ORDER or (head == name and head in _EACH):
         raise InvalidValueError(message("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it"))
-    column = COLUMNS[_PLACES[head]]
+    column = COLUMNS[_ORDER[head]]
     if head == name:
         return column
     named = column.meaning.replace("NAME", name.removeprefix(head))
@@ -162,7 +162,7 @@ def columns_of(names: Iterable[str]) -> tuple[Column, ...]:
     """The columns of these names in the order of the file; those of several attacks in the order given."""
     known = [column_of(name) for name in names]
     heads = {column.name: next(filter(column.name.startswith, _EACH), column.name) for column in known}
-    return tuple(sorted(known, key=lambda column: _PLACES[heads[column.name]]))
+    return tuple(sorted(known, key=lambda column: _ORDER[heads[column.name]]))
 
 
 def frame_of(rows: Iterable[Row]) -> pl.DataFrame:

@@ -131,9 +131,9 @@ def detect_pictures(
     for views in _batches(cameras, batch):
         with torch.no_grad():
             images = torch.stack([through_png(picture_from(cameras[view])) for view in views])
-            found = [(detector.name, detector.detect(images)) for detector in detectors]
+            seen = [(detector.name, detector.detect(images)) for detector in detectors]
         pixels = (images * 255).round().to(torch.uint8)
-        for name, reports in found:
+        for name, reports in seen:
             for view, picture, detections in zip(views, pixels, reports, strict=True):
                 yield ViewDetections(
                     view=view,
@@ -147,15 +147,15 @@ def detect_pictures(
 
 def _batches(cameras: Sequence[Camera], size: int) -> Iterator[list[int]]:
     """Indices of consecutive cameras, at most `size` at a time and all of one picture size."""
-    some: list[int] = []
+    batch: list[int] = []
     for view, camera in enumerate(cameras):
-        same = not some or (cameras[some[0]].width, cameras[some[0]].height) == (camera.width, camera.height)
-        if some and (len(some) == size or not same):
-            yield some
-            some = []
-        some.append(view)
-    if some:
-        yield some
+        same = not batch or (cameras[batch[0]].width, cameras[batch[0]].height) == (camera.width, camera.height)
+        if batch and (len(batch) == size or not same):
+            yield batch
+            batch = []
+        batch.append(view)
+    if batch:
+        yield batch
 
 
 def as_saved(scene: GaussianScene) -> GaussianScene:
