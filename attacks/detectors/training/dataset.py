@@ -37,6 +37,8 @@ from mi_splat.rendering import Renderer
 
 OnStep = Callable[[int, int], None]
 """Called with the number of pictures, or of scenes, that are there and the number wanted."""
+OnWork = Callable[[str, int, int], None]
+"""Called with what is going on, the units of it that are done, and the number wanted."""
 Record = dict[str, Any]
 """What labels.json says of one picture."""
 _LABELS = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28)

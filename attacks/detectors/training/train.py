@@ -21,13 +21,10 @@ from attacks.detectors.training.config import (
     SplatConfig,
     TrainingSetConfig,
 )
-from attacks.detectors.training.dataset import background_sets, load, make, splat_set
+from attacks.detectors.training.dataset import OnWork, background_sets, load, make, splat_set
 from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.weights import fingerprint, read_weights
-
-OnWork = Callable[[str, int, int], None]
-"""Called with what is going on, the units of it that are done, and the number wanted."""
 
 _TRAINERS = {
     "fasterrcnn_small": ("faster_rcnn", "FasterRCNNTrainer"),
