@@ -17,7 +17,6 @@ from attacks.objectives import relabel
 from attacks.studies.scenes import jittered
 from mi_splat.cli.console import limit_threads, progress, show, show_json
 from mi_splat.cli.selecting import choose
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import describe
 from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 from mi_splat.io.parsing import read_json
@@ -32,8 +31,6 @@ def run(options: DaggerSanityOptions) -> int:
     """Make the checks; 1 if one of them is red."""
     check_new_folder(options.out, force=options.force)
     limit_threads((os.cpu_count() or 1) // 2)
-    if options.seeds < 1:
-        raise InvalidValueError(message("--seeds", "at least one", options.seeds, "3 are the usual ones"))
     findings: list[Finding] = []
     with progress("loading the scene and the detectors", total=ATTACKS * options.seeds) as advance:
         case, conditions = _case(options)

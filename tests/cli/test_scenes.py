@@ -193,7 +193,7 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
     assert "person" in lines[1]
     assert str(out / "detections.png") in lines[-2]
     names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json", "mask.npy"}
-    names |= {"rows.csv.gz", "detections.csv.gz"}
+    names |= {"cameras.json", "rows.csv.gz", "detections.csv.gz"}
     names |= {"manifest.json", "attacked.xml", "attacked_rest.ply", "attacked_thing.ply"}
     assert {path.name for path in out.iterdir()} == names
     result = json.loads((out / "result.json").read_text())
