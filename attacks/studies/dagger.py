@@ -20,7 +20,7 @@ from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import DrawnLook, FixedLook, check_condition, hour_of
-from attacks.studies.scenes import scene_files
+from attacks.studies.scenes import check_scene, scene_files
 from attacks.studies.study_file import Settings
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.errors import InvalidValueError, message, nearest
@@ -102,6 +102,8 @@ class Fixed(Common):
 
     def job(self) -> Job:
         """The attack."""
+        renderers = (self.renderer, self.gradient)
+        check_scene(Path(self.scene), self.object, camera=self.camera, renderers=renderers)
         start = self.attack.random_start or self.seed > 0
         config = FixedAttack(
             **self.of_attack(),
@@ -136,6 +138,7 @@ class Drawn(Common):
 
     def job(self) -> Job:
         """The attack."""
+        check_scene(Path(self.scene), self.object)
         config = DrawnAttack(
             **self.of_attack(),
             attack=dataclasses.replace(self.attack, seed=self.seed),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,9 +15,9 @@ from torch import Generator
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import load_method
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.scene_parts import scene_parts
+from mi_splat.comparison.methods import load_method, method_names
+from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.io.scene_parts import SceneParts, scene_parts
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import read_scene
@@ -116,13 +116,39 @@ def scene_files(path: Path) -> dict[str, Path]:
     Raises:
         InvalidValueError: It cannot be read.
     """
-    return dict(_files(path, _state(path) if path.is_file() else None))
+    files = dict.fromkeys(_parts(path, _state(path) if path.is_file() else None).files)
+    return {f"scene {number}" if number else "scene": file for number, file in enumerate(files)}
 
 
 @functools.lru_cache(maxsize=64)
-def _files(path: Path, state: object) -> tuple[tuple[str, Path], ...]:
-    files = dict.fromkeys(scene_parts(path).files)
-    return tuple((f"scene {number}" if number else "scene", file) for number, file in enumerate(files))
+def _parts(path: Path, state: object) -> SceneParts:
+    return scene_parts(path)
+
+
+def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[str] = ()) -> None:
+    """Raise unless a scene file has an object and a camera, and there are renderers; nothing is loaded.
+
+    Args:
+        path: The scene file.
+        name: Id of the object.
+        camera: Position of the camera in the order of the file.
+        renderers: Names of renderers, as in `mi-splat compare`; "" is the scene's own.
+
+    Raises:
+        InvalidValueError: Something is not there.
+    """
+    elements = _parts(path, _state(path) if path.is_file() else None).elements
+    objects = [str(part.get("id")) for part in elements if part.tag == "shape" and part.get("type") == "gaussians"]
+    if name not in objects:
+        do = nearest(name, objects, "correct the study")
+        raise InvalidValueError(message(f"object of {path}", f"one of {', '.join(objects)}", name, do))
+    cameras = sum(part.tag == "sensor" for part in elements)
+    if camera >= cameras:
+        raise InvalidValueError(message(f"camera of {path}", f"0 to {cameras - 1}", camera, "choose another"))
+    for renderer in renderers:
+        if renderer and renderer not in method_names():
+            do = nearest(renderer, method_names(), "choose one of them")
+            raise InvalidValueError(message("renderer", f"one of {', '.join(method_names())}", renderer, do))
 
 
 def jittered(
