@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 import importlib.metadata
+import io
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from attacks.report.charts import legend, svg, values_of
-from attacks.report.pictures import data_address
 from attacks.report.section import Chart, Picture, Section, Table
 from attacks.report.wording import capital, listed
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
+from mi_splat.io.picture_files import load_picture
 
 ENDINGS = (".html", ".htm")
+LONGEST_SIDE = 1200
+"""Pixels that the longer side of a picture on a page has at most."""
 MOST_NAMED = 3
 """Results that are named in the heading of a page without a title."""
 
@@ -125,6 +131,20 @@ def _picture(picture: Picture) -> dict[str, Any]:
     address, width, height = data_address(picture.path)
     more = {"caption": picture.caption, "alt": picture.alt, "wide": picture.wide}
     return {"address": address, "width": width, "height": height, **more}
+
+
+def data_address(path: Path) -> tuple[str, int, int]:
+    """A picture as a data: address, and its width and height on the page.
+
+    Raises:
+        PictureFileError: The file is no picture, or has too many pixels.
+    """
+    picture = load_picture(path).convert("RGB")
+    if max(picture.size) > LONGEST_SIDE:
+        picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    picture.save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"), *picture.size
 
 
 def _chart(chart: Chart, name: str) -> dict[str, Any]:

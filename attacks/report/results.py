@@ -15,14 +15,16 @@ from attacks.report.section import Section
 from attacks.report.stories import (
     attack,
     cloak,
+    detection_curve,
     evaluation,
+    experiments,
+    limits,
     renderers,
     sanity,
     study,
     variations,
 )
 from attacks.report.stories.detectors import comparison, held_out, pictures
-from attacks.report.stories.experiments import detection_curve, limits, perfect_splat, splats
 from attacks.report.wording import sentence, versions_of
 from attacks.studies.cloak import markdown as cloak_study_markdown
 from attacks.studies.result import figures as study_figures
@@ -48,7 +50,6 @@ class Story:
         record: File by which it is known; of a result that is one file, what it is usually called.
         is_it: Whether such a file is of this kind; None goes by `story`.
         one_file: Whether the result is that one file, wherever it lies, and not a folder.
-        made: The part of that file that says what made it.
     """
 
     name: str
@@ -59,7 +60,6 @@ class Story:
     record: str = RECORD
     is_it: Callable[[Found], bool] | None = None
     one_file: bool = False
-    made: Callable[[Found], Found] = lambda found: found
 
     def holds(self, found: Found) -> bool:
         """Whether a record is of this kind."""
@@ -71,14 +71,11 @@ def _always(found: Found) -> bool:
 
 
 _EXPERIMENTS = {
-    "surroundings": splats.read_surroundings,
-    "distance": splats.read_distances,
-    "formats": splats.read_formats,
-    "renderers": splats.read_renderers,
-    "street": splats.read_street,
+    **dict.fromkeys(experiments.EXPERIMENTS, experiments.read_conditions),
+    "surroundings": experiments.read_surroundings,
+    "perfect-splat": experiments.read_perfect_splat,
     "transition-limit": limits.read_transition_limit,
     "paint-direction": limits.read_paint_direction,
-    "perfect-splat": perfect_splat.read,
 }
 STORIES = (
     Story(name="dagger", read=attack.read_fixed, figures=attack_figures, rescoring=attack.RESCORING),
@@ -102,7 +99,10 @@ STORIES = (
     Story(name="detect", read=pictures.read),
     Story(name="dagger-sanity", read=sanity.read),
     Story(
-        name="cloak-experiment detection-curve", record="detection-curve.json", is_it=_always, read=detection_curve.read
+        name="cloak-experiment detection-curve",
+        record="detection-curve.json",
+        is_it=_always,
+        read=experiments.of_study(detection_curve.read),
     ),
     Story(
         name="evaluate-detector",
@@ -123,7 +123,7 @@ STORIES = (
             name=f"cloak-experiment {name}",
             record=f"{name}.json",
             is_it=lambda one, name=name: one.get("experiment") == name,  # type: ignore[misc]
-            read=read,
+            read=experiments.of_study(read),
             one_file=True,
         )
         for name, read in _EXPERIMENTS.items()
@@ -179,7 +179,7 @@ def _commands(stories: Sequence[Story]) -> str:
 def _read(story: Story, path: Path, record: Path, found: Found) -> Section:
     """The section of a result; whatever is broken in it is told in one line."""
     try:
-        return finished(story.read(path, found), path, story.made(found))
+        return finished(story.read(path, found), path, found)
     except MiSplatError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:

@@ -179,11 +179,11 @@ class Section:
     headline: Figure
     control: Figure | None = None
     attacked: bool = True
-    figures: tuple[Figure, ...] = ()
-    warnings: tuple[str, ...] = ()
-    pictures: tuple[Picture, ...] = ()
-    charts: tuple[Chart, ...] = ()
-    tables: tuple[Table, ...] = ()
+    figures: Sequence[Figure] = ()
+    warnings: Sequence[str] = ()
+    pictures: Sequence[Picture] = ()
+    charts: Sequence[Chart] = ()
+    tables: Sequence[Table] = ()
     configuration: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
     folder: str = ""

@@ -14,8 +14,7 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 
 from attacks.rate import Rate
 from attacks.report.charts import svg, values_of
-from attacks.report.page import page_text, write_page
-from attacks.report.pictures import LONGEST_SIDE, data_address
+from attacks.report.page import LONGEST_SIDE, data_address, page_text, write_page
 from attacks.report.results import read_section
 from attacks.report.section import Chart, Figure, Line, Point, Section, Table, doubts_of
 from mi_splat.errors import InvalidValueError

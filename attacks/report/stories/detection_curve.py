@@ -7,7 +7,7 @@ from pathlib import Path
 
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of, shown
-from attacks.report.stories.experiments.documents import Document, Row, matching, section
+from attacks.report.stories.experiments import Document, Row, matching
 from attacks.report.wording import counted, counts, known, listed, percent, plural, pooled
 
 CONFIDENCE = 0.5
@@ -28,9 +28,8 @@ def read(folder: Path, found: Document) -> Section:
     names, region = list(found["detectors"]), _hiding(found)
     rate, control, true = (_missed(rows, region, pictures) for pictures in PICTURES)
     seeds = len({one["seed"] for one in found["splats"]})
-    return section(
-        folder,
-        found,
+    return Section(
+        title="",
         kind="CLOAK, from where the object is found",
         done=(
             f"{listed(names)} looked from {plural(found['cameras'], 'held-out camera')} at the path-traced object, at "

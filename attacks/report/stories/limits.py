@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from attacks.report.section import Chart, Figure, Line, Point, Section, Table
-from attacks.report.stories.experiments.documents import Document, Row, section
+from attacks.report.stories.experiments import Document, Row
 from attacks.report.wording import number, percent
 
 
@@ -20,9 +20,8 @@ def read_transition_limit(path: Path, document: Document) -> Section:
     one, two = document["found"]["one_layer"], document["found"]["two_layers"]
     bands = document["found"].get("bands", [])
     best, plain = _narrowest(two), _narrowest([row for row in one if row["emphasis"] == 1])
-    return section(
-        path,
-        document,
+    return Section(
+        title="",
         kind="how sharply colour can switch",
         done=(
             "Spherical harmonics were fitted to the switch that the study wants over elevation, with one layer of "
@@ -56,9 +55,8 @@ def read_paint_direction(path: Path, document: Document) -> Section:
     rows: Sequence[Row] = document["found"]
     best = max(rows, key=lambda row: float(row["smallest"]))
     where = f"{best['elevation']:g} degrees"
-    return section(
-        path,
-        document,
+    return Section(
+        title="",
         kind="from where to paint a sign",
         done=(
             "A texture was thrown onto the object from directions of several elevations. For each, the part of it was "

@@ -1,1 +1,0 @@
-"""What `mi-splat cloak-experiment` leaves behind: one reader for each experiment."""
