@@ -1,22 +1,26 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
-Only the standard library is imported here, so that `--help` answers at once. A command's options are parsed (by
-`attacks.cli.parsing`, from a dataclass in `options` beside it) before its module, and with it torch and Mitsuba, is
-imported.
+A command is a module with its options, a dataclass, and what it does, `run(options)`. Options are parsed before torch
+and Mitsuba are imported, which `run` does where it needs them, so that `--help` answers at once.
 """
 
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mi_splat.cli.console import PROGRAM, UsageError, progress, warn
+from mi_splat.cli.console import PROGRAM, UsageError, warn
 from mi_splat.errors import MiSplatError, message, nearest, printable
+
+if TYPE_CHECKING:
+    import argparse
 
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
@@ -25,162 +29,60 @@ class Command(NamedTuple):
     """A subcommand.
 
     Attributes:
-        package: Where its module is, and beside it the one of its options.
-        options: Name of that dataclass.
-        module: Name of the module, whose `run(options)` does the work.
+        module: Has its options (a dataclass), `run(options)`, EXAMPLES, SEE_ALSO, and where there are some ALIASES of
+            its flags and `defaults(words)`, which reads from the words what other flags depend on.
         summary: One line of help.
-        defaults: Name of a function beside the options that reads from the words what other flags depend on; empty for
-            none.
-        options_module: Name of the module that has the options.
     """
 
-    package: str
-    options: str
     module: str
     summary: str
-    defaults: str = ""
-    options_module: str = "options"
 
 
 COMMANDS = {
-    "capture": Command(
-        "mi_splat.cli", "CaptureOptions", "capture", "take pictures of a mesh scene, to train a splat from"
-    ),
-    "train": Command(
-        "mi_splat.cli", "TrainOptions", "train", "train a splat on pictures with cameras", defaults="train_defaults"
-    ),
-    "render": Command("mi_splat.cli", "RenderOptions", "render", "render a splat: a picture, many, or an animation"),
-    "compare": Command(
-        "attacks.cli",
-        "CompareOptions",
-        "compare",
-        "compare renderers on one splat: pictures, gradients, time and memory",
-        options_module="compare_options",
-    ),
-    "select": Command(
-        "mi_splat.cli", "SelectOptions", "select", "select one object of a splat, and see whether it is the right one"
-    ),
-    "info": Command("mi_splat.cli", "InfoOptions", "info", "what a splat file or a scene XML holds"),
-    "convert": Command("mi_splat.cli", "ConvertOptions", "convert", "convert a splat file to another format"),
-    "example-scenes": Command(
-        "mi_splat.cli", "ExampleScenesOptions", "example_scenes", "make one of the shipped splat scenes again"
-    ),
-    "dagger": Command(
-        "attacks.cli", "DaggerOptions", "dagger", "attack one object of a splat scene, so that a detector misreads it"
-    ),
+    "capture": Command("mi_splat.cli.capture", "take pictures of a mesh scene, to train a splat from"),
+    "train": Command("mi_splat.cli.train", "train a splat on pictures with cameras"),
+    "render": Command("mi_splat.cli.render", "render a splat: a picture, many, or an animation"),
+    "compare": Command("attacks.cli.compare", "compare renderers on one splat: pictures, gradients, time and memory"),
+    "select": Command("mi_splat.cli.select", "select one object of a splat, and see whether it is the right one"),
+    "info": Command("mi_splat.cli.info", "what a splat file or a scene XML holds"),
+    "convert": Command("mi_splat.cli.convert", "convert a splat file to another format"),
+    "example-scenes": Command("mi_splat.cli.example_scenes", "make one of the shipped splat scenes again"),
+    "dagger": Command("attacks.cli.dagger", "attack one object of a splat scene, so that a detector misreads it"),
     "dagger-eot": Command(
-        "attacks.cli",
-        "DaggerEotOptions",
-        "dagger_eot",
-        "the same attack for all cameras of a region at once, judged on held-out views",
-        options_module="eot_options",
+        "attacks.cli.dagger_eot", "the same attack for all cameras of a region at once, judged on held-out views"
     ),
-    "detect": Command("attacks.cli", "DetectOptions", "detect", "what detectors see in pictures, splats and scenes"),
-    "evaluate": Command(
-        "attacks.cli",
-        "EvaluateOptions",
-        "evaluate",
-        "how often an object is found, missed or misread, clean and attacked",
-    ),
-    "study": Command(
-        "attacks.cli",
-        "StudyOptions",
-        "study",
-        "many attacks and what they hang on, from one TOML file: plan, run, status",
-        options_module="study",
-    ),
+    "detect": Command("attacks.cli.detect", "what detectors see in pictures, splats and scenes"),
+    "evaluate": Command("attacks.cli.evaluate", "how often an object is found, missed or misread, clean and attacked"),
+    "study": Command("attacks.cli.study", "many attacks and what they hang on, from one TOML file: plan, run, status"),
     "dagger-sanity": Command(
-        "attacks.cli",
-        "DaggerSanityOptions",
-        "dagger_sanity",
-        "whether DAGGER is a sane attack on an object and a detector, line by line",
-        options_module="sanity_options",
+        "attacks.cli.dagger_sanity", "whether DAGGER is a sane attack on an object and a detector, line by line"
     ),
-    "cloak": Command(
-        "attacks.cli",
-        "CloakOptions",
-        "cloak",
-        "poison training pictures, train on them, and measure who sees what (CLOAK)",
-    ),
-    "cloak-experiment": Command(
-        "attacks.cli",
-        "CloakExperimentOptions",
-        "cloak_experiment",
-        "explain a figure of a CLOAK study",
-        options_module="experiment_options",
-    ),
+    "cloak": Command("attacks.cli.cloak", "poison training pictures, train on them, and measure who sees what (CLOAK)"),
+    "cloak-experiment": Command("attacks.cli.cloak_experiment", "explain a figure of a CLOAK study"),
     "artifact": Command(
-        "attacks.cli",
-        "ArtifactOptions",
-        "artifact",
-        "pack a finished result with its raw rows, so that others can check its figures",
-        options_module="artifact_options",
+        "attacks.cli.artifact", "pack a finished result with its raw rows, so that others can check its figures"
     ),
     "artifact-check": Command(
-        "attacks.cli",
-        "ArtifactCheckOptions",
-        "artifact_check",
+        "attacks.cli.artifact_check",
         "derive every figure of artifacts again from their rows, or score their splats again",
-        options_module="artifact_options",
     ),
-    "view": Command(
-        "attacks.cli", "ViewOptions", "view", "look at a splat or a result in the browser, clean beside attacked"
-    ),
+    "view": Command("attacks.cli.view", "look at a splat or a result in the browser, clean beside attacked"),
     "report": Command(
-        "attacks.cli",
-        "ReportOptions",
-        "report",
-        "one page of results: figures with intervals and controls, warnings, how to repeat them",
-        options_module="report_options",
+        "attacks.cli.report", "one page of results: figures with intervals and controls, warnings, how to repeat them"
     ),
-    "rows": Command(
-        "attacks.cli",
-        "RowsOptions",
-        "rows",
-        "the rows of a result, from which its figures are counted: as CSV or JSON",
-        options_module="rows",
-    ),
+    "rows": Command("attacks.cli.rows", "the rows of a result, from which its figures are counted: as CSV or JSON"),
     "detectors": Command(
-        "attacks.cli",
-        "DetectorsOptions",
-        "detectors",
-        "the detectors, their classes, and whether the weights are there; get some of others",
-        options_module="detectors",
+        "attacks.cli.detectors", "the detectors, their classes, and whether the weights are there; get some of others"
     ),
-    "train-detector": Command(
-        "attacks.cli",
-        "TrainDetectorOptions",
-        "train_detector",
-        "train one of the project's small detectors",
-        options_module="train_detector",
-    ),
+    "train-detector": Command("attacks.cli.train_detector", "train one of the project's small detectors"),
     "evaluate-detector": Command(
-        "attacks.cli",
-        "EvaluateDetectorOptions",
-        "evaluate_detector",
-        "mAP, recall and false positives of a detector on held-out pictures",
-        options_module="evaluate_detector",
+        "attacks.cli.evaluate_detector", "mAP, recall and false positives of a detector on held-out pictures"
     ),
-    "compare-detectors": Command(
-        "attacks.cli",
-        "CompareDetectorsOptions",
-        "compare_detectors",
-        "the figures of several detectors side by side",
-        options_module="compare_detectors",
-    ),
+    "compare-detectors": Command("attacks.cli.compare_detectors", "the figures of several detectors side by side"),
     "plot-detector-training": Command(
-        "attacks.cli",
-        "PlotDetectorTrainingOptions",
-        "plot_detector_training",
-        "draw losses and validation mAP of a detector's training",
-        options_module="plot_detector_training",
+        "attacks.cli.plot_detector_training", "draw losses and validation mAP of a detector's training"
     ),
-    "doctor": Command(
-        "attacks.cli",
-        "DoctorOptions",
-        "doctor",
-        "check that everything works here, and say what to do where it does not",
-    ),
+    "doctor": Command("attacks.cli.doctor", "check that everything works here, and say what to do where it does not"),
 }
 
 
@@ -247,13 +149,11 @@ def _dispatch(words: list[str]) -> int:
         )
         return MISUSED
     from attacks.cli.names import check_names
-    from attacks.cli.parsing import parse
-
-    options = parse(name, COMMANDS[name], rest)
-    check_names(options)
-    with progress("starting"):
-        module = importlib.import_module(f"{COMMANDS[name].package}.{COMMANDS[name].module}")
     from mi_splat.provenance import running_command
+
+    options = parse(name, rest)
+    check_names(options)
+    module = importlib.import_module(COMMANDS[name].module)
 
     with running_command(given):
         if most is None:
@@ -262,6 +162,71 @@ def _dispatch(words: list[str]) -> int:
 
         with pixel_limit(most):
             return int(module.run(options))
+
+
+def parse(name: str, words: Sequence[str]) -> Any:
+    """The options of a command from the words that the user typed; ends the process for --help.
+
+    Args:
+        name: Of the command.
+        words: What the user typed after its name.
+
+    Raises:
+        UsageError: The words are no options of the command, or a value is none that an option takes.
+    """
+    from mi_splat.cli import flags
+    from mi_splat.cli.options import as_one_word
+
+    module = importlib.import_module(COMMANDS[name].module)
+    given = as_one_word([_renamed(word, getattr(module, "ALIASES", {})) for word in words])
+    return flags.parse(_options(module), given, **_told(name, module, given))
+
+
+def parser_of(name: str) -> argparse.ArgumentParser:
+    """The options of a command as a parser, from which documentation can be written.
+
+    Args:
+        name: Of the command.
+    """
+    from mi_splat.cli import flags
+
+    module = importlib.import_module(COMMANDS[name].module)
+    return flags.parser_of(_options(module), **_told(name, module, ()))
+
+
+def _options(module: ModuleType) -> type:
+    """The dataclass of a command's options, the one in its module whose name says so."""
+    kinds: list[type] = [
+        value
+        for name, value in vars(module).items()
+        if name.endswith("Options") and value.__module__ == module.__name__
+    ]
+    (kind,) = kinds
+    return kind
+
+
+def _told(name: str, module: ModuleType, words: Sequence[str]) -> dict[str, Any]:
+    """What the parser of a command is told besides its options.
+
+    Args:
+        name: Of the command.
+        module: That has it.
+        words: What the user typed after its name.
+    """
+    parts = [
+        inspect.getdoc(_options(module)) or "",
+        "\n".join(["Examples:", *(f"  {PROGRAM} {line}" for line in module.EXAMPLES)]),
+        f"See also: {', '.join(f'{PROGRAM} {other}' for other in module.SEE_ALSO)}",
+    ]
+    defaults = module.defaults(words) if hasattr(module, "defaults") else {}
+    return {"program": f"{PROGRAM} {name}", "description": "\n\n".join(parts), "defaults": defaults}
+
+
+def _renamed(word: str, aliases: Mapping[str, str]) -> str:
+    """A word with the name of an option in the place of another name for it; --a-b and --a_b are the same."""
+    flag, equals, value = word.partition("=")
+    name = flag.removeprefix("--").replace("-", "_")
+    return f"--{aliases[name]}{equals}{value}" if flag.startswith("--") and name in aliases else word
 
 
 def _take_max_pixels(words: list[str]) -> int | None:

@@ -2,16 +2,48 @@
 
 from __future__ import annotations
 
-from attacks.cli.artifact_options import ArtifactOptions
-from attacks.report.checking import check_figures, read_result
-from attacks.report.packing import pack
-from attacks.report.results import story_of
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
 from mi_splat.cli.console import progress, show, show_json
-from mi_splat.io.folders import RECORD, check_new_folder
+from mi_splat.cli.flags import Positional
+from mi_splat.fields import Called, Folder
+
+EXAMPLES = (
+    "artifact out/cloak --out out/artifact",
+    "artifact out/layers --whole --out out/layers-artifact",
+)
+SEE_ALSO = ("artifact-check", "cloak", "dagger-eot")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArtifactOptions:
+    """Copy a finished result into a folder that others can check: its record, raw rows, cameras, and manifest.
+
+    Splats and pictures are left out unless --whole is given. Nothing is packed whose files were changed, or whose rows
+    do not give its figures. The manifest is copied as it is, so that the copy has the same name: the SHA-256 of it.
+    """
+
+    result: Positional[Annotated[Path, Called("RESULT")]]
+    """Folder of the finished result."""
+    out: Folder = Path("out/artifact")
+    """Folder for the copy: a new one, written whole."""
+    whole: bool = False
+    """Copy splats and pictures, too, so that others can score the splats again."""
+    force: bool = False
+    """Replace an older artifact in --out."""
+    json: bool = False
+    """Print what was packed as one JSON document on stdout."""
 
 
 def run(options: ArtifactOptions) -> int:
     """Copy the result, and say what the copy holds."""
+    from attacks.report.checking import check_figures, read_result
+    from attacks.report.packing import pack
+    from attacks.report.results import story_of
+    from mi_splat.io.folders import RECORD, check_new_folder
+
     check_new_folder(options.out, force=options.force, record=RECORD)
     with progress("packing", total=None):
         figures = story_of(read_result(options.result)).figures

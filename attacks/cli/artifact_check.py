@@ -3,15 +3,54 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from attacks.cli.artifact_options import ArtifactCheckOptions
-from attacks.cli.loading import load_detectors
-from attacks.report.checking import Check, Result, check_detections, check_figures, check_files, read_result
-from attacks.report.rescoring import fingerprints, rescore
-from attacks.report.results import Story, story_of
+from attacks.cli.options import Detectors
 from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import MiSplatError, message
+from mi_splat.fields import Called, Folder, Fraction, at_least
+
+if TYPE_CHECKING:
+    from attacks.report.checking import Check, Result
+    from attacks.report.results import Story
+
+
+EXAMPLES = (
+    "artifact-check out/artifact",
+    "artifact-check out/layers-artifact --rescore --every 8",
+)
+SEE_ALSO = ("artifact", "evaluate")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArtifactCheckOptions:
+    """Check results: the bytes of every file, and every figure, derived again from the raw rows alone.
+
+    Each file and each figure is a line, green, red, or grey where it was left out. The exit status is 1 if one is red.
+    With --rescore the splats are rendered and detectors look at them again.
+    """
+
+    folders: Positional[tuple[Folder, ...]] = ()
+    """Folders of results or of their copies; at least one."""
+    manifest: Annotated[tuple[str, ...], Called("SHA256")] = ()
+    """SHA-256 that the manifest of each folder has to have; none asks for none."""
+    rescore: bool = False
+    """Render the splats from cameras.json, let detectors look, and say how the rates moved."""
+    splats: Folder | None = None
+    """Folder with the splats of --rescore, for instance the result's; None takes those in the folder."""
+    detectors: Detectors = ()
+    """Names of detectors for --rescore; none takes the result's."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    every: Annotated[int, at_least(1, "cameras")] = 1
+    """Use each so manieth camera (--rescore)."""
+    rate_tolerance: Fraction = 0.02
+    """How far a rate may move (--rescore); on another machine scores differ in their last digits."""
+    json: bool = False
+    """Print the lines as one JSON document on stdout."""
 
 
 def run(options: ArtifactCheckOptions) -> int:
@@ -45,6 +84,9 @@ def run(options: ArtifactCheckOptions) -> int:
 
 def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) -> list[Check]:
     """Every line of one result; one that cannot be read is one red line, so that the others are still checked."""
+    from attacks.report.checking import Check, check_detections, check_figures, check_files, read_result
+    from attacks.report.results import story_of
+
     try:
         result = read_result(folder)
         story = story_of(result)
@@ -58,6 +100,9 @@ def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) ->
 
 def _rescored(result: Result, story: Story, options: ArtifactCheckOptions) -> list[Check]:
     """What detectors say today."""
+    from attacks.cli.loading import load_detectors
+    from attacks.report.rescoring import fingerprints, rescore
+
     limit_threads((os.cpu_count() or 1) // 2)
     with progress("loading the detectors", total=None) as advance:
         names = options.detectors or tuple(fingerprints(result.record))

@@ -2,42 +2,74 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.cli.experiment_options import CloakExperimentOptions
-from attacks.cli.loading import load_detectors, weights_of
-from attacks.cloak.config import StudyConfig, read_study
-from attacks.cloak.detection_curve import FILES, check_results, watch, write_detection_curve
-from attacks.cloak.elsewhere import (
-    measure_distances,
-    measure_formats,
-    measure_renderers,
-    measure_street,
-    measure_surroundings,
-    renderers_of,
-)
-from attacks.cloak.path_traced import measure_paint_directions, measure_perfect_splat
-from attacks.cloak.plots import need_matplotlib
-from attacks.cloak.setup import near_of, target_of
-from attacks.cloak.steps import StudySteps
-from attacks.cloak.study import SUMMARY
-from attacks.cloak.switch_limit import (
-    measure_band_limit,
-    measure_layer_limit,
-    measure_transition_limit,
-    write_limit_figure,
-)
-from attacks.detectors.base import Detector
+from attacks.cli.options import Detectors
 from mi_splat import provenance
 from mi_splat.cli.console import Advance, follow, limit_threads, progress, show_json
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat
-from mi_splat.io.documents import save_json
-from mi_splat.io.folders import check_new_file, check_new_folder, new_folder
+from mi_splat.fields import Called, Folder, at_least
 from mi_splat.io.parsing import read_json
-from mi_splat.rendering import Renderer, RenderSettings
+
+if TYPE_CHECKING:
+    from attacks.cloak.config import StudyConfig
+    from attacks.cloak.steps import StudySteps
+    from attacks.detectors.base import Detector
+
+
+EXAMPLES = (
+    "cloak-experiment surroundings scenes/cloak_demo.toml --results out/cloak",
+    "cloak-experiment detection-curve scenes/cloak_demo.toml --results out/cloak --every 1 --out out/curve",
+)
+SEE_ALSO = ("cloak",)
+
+
+ExperimentName = Literal[
+    "surroundings",
+    "distance",
+    "formats",
+    "renderers",
+    "street",
+    "transition-limit",
+    "paint-direction",
+    "perfect-splat",
+    "detection-curve",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloakExperimentOptions:
+    """Explain a figure of a CLOAK study.
+
+    surroundings: how far the cloaked splat is from the clean one beside the object. distance: from how many cameras the
+    object is found when they stand nearer or farther away. formats and renderers: whether the cloaked splat hides its
+    object after other file formats, and in other renderers. street: whether it does so on a path-traced street of
+    meshes, by the hour of the day. transition-limit: how sharply colour alone can switch. paint-direction: from where a
+    painted sign is seen best. perfect-splat: the rates of a splat that shows its attacks perfectly, from path-traced
+    pictures of them. detection-curve: from where detectors find the object in path-traced pictures, on the clean and on
+    the cloaked splats; writes a table, plots and pictures into --out.
+    """
+
+    experiment: Positional[ExperimentName]
+    """Which experiment."""
+    study: Positional[Path]
+    """TOML file of the study."""
+    results: Folder | None = None
+    """Folder that `mi-splat cloak` has written for this study; of transition-limit, what is drawn beside the limit."""
+    every: Annotated[int, at_least(1, "cameras")] = 4
+    """Use each so manieth of the held-out cameras, where an experiment looks from them."""
+    detectors: Detectors = ()
+    """Names of detectors in the place of those of the study, where an experiment has some."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    stages: Folder | None = None
+    """Folder of the study's stages; None is a folder in --results (detection-curve, perfect-splat)."""
+    out: Annotated[Path, Called("PATH")] | None = None
+    """What is written: a folder (detection-curve), a PNG file with the limit (transition-limit), or a JSON file."""
+
 
 JSON, PNG = ".json", ".png"
 _LOOKS = ("results", "every", "detectors")
@@ -57,6 +89,10 @@ _USED = {
 
 def run(options: CloakExperimentOptions) -> int:
     """Do one experiment, print what it found, and with --out keep it."""
+    from attacks.cloak.config import read_study
+    from mi_splat.io.documents import save_json
+    from mi_splat.io.folders import check_new_file
+
     limit_threads(1)
     study = read_study(options.study)
     out = None if options.experiment == "detection-curve" else options.out  # a folder, which it makes itself
@@ -90,6 +126,19 @@ def _origin(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, An
 
 def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> tuple[Any, dict[str, str]]:
     """What was found, and the fingerprints of the detectors that looked."""
+    from attacks.cloak.elsewhere import (
+        measure_distances,
+        measure_formats,
+        measure_renderers,
+        measure_street,
+        measure_surroundings,
+        renderers_of,
+    )
+    from attacks.cloak.path_traced import measure_paint_directions, measure_perfect_splat
+    from attacks.cloak.setup import near_of, target_of
+    from mi_splat.io import load_splat
+    from mi_splat.rendering import Renderer, RenderSettings
+
     if options.experiment == "paint-direction":
         return measure_paint_directions(study), {}
     if options.experiment == "transition-limit":
@@ -125,6 +174,15 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
 
 def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, Any]:
     """The limits, and with --out a figure of them, beside the transition of finished results if they are named."""
+    from attacks.cloak.plots import need_matplotlib
+    from attacks.cloak.study import SUMMARY
+    from attacks.cloak.switch_limit import (
+        measure_band_limit,
+        measure_layer_limit,
+        measure_transition_limit,
+        write_limit_figure,
+    )
+
     figure = options.out if options.out is not None and options.out.suffix == PNG else None
     measured = None
     if figure is not None:
@@ -141,6 +199,8 @@ def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> di
 
 
 def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Detector]:
+    from attacks.cli.loading import load_detectors
+
     return load_detectors(options.detectors or study.evaluation.detectors, options.weights)
 
 
@@ -148,6 +208,10 @@ def _detection_curve(
     options: CloakExperimentOptions, study: StudyConfig, results: Path, advance: Advance
 ) -> dict[str, Any]:
     """Look, write the folder, and return its rates by region; what was seen stays among the stages."""
+    from attacks.cloak.detection_curve import FILES, check_results, watch, write_detection_curve
+    from attacks.cloak.plots import need_matplotlib
+    from mi_splat.io.folders import check_new_folder, new_folder
+
     if options.out is None:
         raise InvalidValueError(message("--out", "a folder to write into", "none", "name one"))
     check_new_folder(options.out)
@@ -166,6 +230,9 @@ def _detection_curve(
 
 
 def _steps(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> StudySteps:
+    from attacks.cli.loading import weights_of
+    from attacks.cloak.steps import StudySteps
+
     names = options.detectors or study.evaluation.detectors
     weights = weights_of(names, options.weights)
     return StudySteps(study=study, folder=_stages(options), weights=weights, on_step=follow(advance))

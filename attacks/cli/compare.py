@@ -6,36 +6,83 @@ It stands here and not among the commands of mi_splat, since its page is made by
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from attacks.cli.compare_options import CompareOptions
-from attacks.report.charts import missing_packages
-from attacks.report.page import write_page
-from attacks.report.results import finished
-from attacks.report.stories import renderers
 from attacks.report.wording import number
 from mi_splat import provenance
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
-from mi_splat.comparison.compare import GRADIENT, CompareConfig, compare
-from mi_splat.comparison.methods import load_methods
-from mi_splat.comparison.results import as_dict
-from mi_splat.comparison.sheets import save_sheets
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import MiSplatError, install
-from mi_splat.io.camera_records import describe
-from mi_splat.io.documents import save_json
-from mi_splat.io.folders import RECORD, check_new_folder, new_folder
-from mi_splat.metrics import Perceptual, load_lpips
-from mi_splat.scene import scene_hash
-from mi_splat.scene_files import open_scene
+from mi_splat.fields import Called, Folder, Seed, between
+
+if TYPE_CHECKING:
+    from mi_splat.metrics import Perceptual
+
+
+EXAMPLES = (
+    "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
+    "compare desk.ply --methods tile,folder:pictures --cameras cameras.json --out out/theirs",
+)
+SEE_ALSO = ("render", "report")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareOptions:
+    """Compare renderers on one splat: pictures, gradients, time and memory.
+
+    Writes result.json, a sheet for each camera (the pictures side by side, and where each two differ), the pictures
+    of each method, and compare.html, a page that needs no network (it needs the extra `report`).
+
+    Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the same with the filter of
+    Mip-Splatting; ray meets each Gaussian at its peak along the ray, ray-to-mean is the same with the colours of tile;
+    volprim is Mitsuba's volprim_rf_basic; gsplat is the package of that name, on an NVIDIA GPU; folder:PATH is a folder
+    of pictures of any other program, called as the cameras.
+    """
+
+    scene: Positional[Path]
+    """A splat file, or a scene XML made of splats."""
+    methods: Annotated[tuple[str, ...], Called("METHOD")] = ("tile", "ray")
+    """Two or more of these methods, with commas or spaces between them."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where from."""
+    out: Folder = Path("out/compare")
+    """Folder for the results."""
+    gradients: bool = True
+    """Compare the gradients of methods that have them."""
+    rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
+    """How often each method is timed, in turn; 0 measures neither time nor memory."""
+    lpips: bool = False
+    """Measure LPIPS, too; its network is downloaded when it is first used."""
+    amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Called("FACTOR")] = 8.0
+    """By how much differences are multiplied in the pictures."""
+    seed: Seed = 0
+    """Of the random weights of the pixels whose weighted sum is differentiated."""
+    force: bool = False
+    """Replace a comparison that is in the folder."""
+    json: bool = False
+    """Print result.json on stdout."""
+
 
 PAGE = "compare.html"
 
 
 def run(options: CompareOptions) -> int:
     """Compare, and write what came of it."""
+    from mi_splat.cli.cameras import find_cameras, renderer_of
+    from mi_splat.comparison.compare import CompareConfig, compare
+    from mi_splat.comparison.methods import load_methods
+    from mi_splat.comparison.results import as_dict
+    from mi_splat.comparison.sheets import save_sheets
+    from mi_splat.io.camera_records import describe
+    from mi_splat.io.documents import save_json
+    from mi_splat.io.folders import RECORD, check_new_folder, new_folder
+    from mi_splat.scene import scene_hash
+    from mi_splat.scene_files import open_scene
+
     check_new_folder(options.out, force=options.force)
     with progress("loading") as advance:
         loaded = open_scene(options.scene)
@@ -81,6 +128,8 @@ def run(options: CompareOptions) -> int:
 
 def _lpips(warnings: list[str]) -> Perceptual | None:
     """LPIPS, or None with a warning where its network cannot be had."""
+    from mi_splat.metrics import load_lpips
+
     try:
         return load_lpips()
     except MiSplatError as error:
@@ -90,6 +139,11 @@ def _lpips(warnings: list[str]) -> Perceptual | None:
 
 def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
     """Write the page into the folder, which will be called `out`, where the packages for it are there."""
+    from attacks.report.charts import missing_packages
+    from attacks.report.page import write_page
+    from attacks.report.results import finished
+    from attacks.report.stories import renderers
+
     missing = missing_packages()
     if missing:
         warn(f"no page: {' and '.join(missing)} not installed; {install('report')}, then mi-splat report")
@@ -100,6 +154,8 @@ def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
 
 def _tell(document: Mapping[str, Any]) -> None:
     """A table for each two methods, and one of what they cost."""
+    from mi_splat.comparison.compare import GRADIENT
+
     for pair in document["pairs"]:
         show(" and ".join(pair["methods"]))
         rows = [("  PSNR", "the same pictures" if pair["psnr"] is None else number(pair["psnr"], unit="dB"))]

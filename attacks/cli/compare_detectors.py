@@ -10,6 +10,10 @@ from mi_splat.cli.console import show
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
 
+EXAMPLES = ("compare-detectors out/detector/held-out.json out/centernet.json",)
+SEE_ALSO = ("evaluate-detector", "detectors")
+
+
 ENDING = ".compared.json"
 """Of the file with the figures; never that of a file of `mi-splat evaluate-detector`."""
 

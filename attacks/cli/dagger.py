@@ -5,26 +5,80 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-from attacks.cli.aims import aim, chosen_object, object_name, sentence, write_parts
-from attacks.cli.loading import load_detectors
-from attacks.cli.options import DaggerOptions
-from attacks.dagger.attack import attack
+from attacks.cli.options import ClassName, Confidence, Detectors
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.report import summary, write_files
-from attacks.dagger.result import Result
-from attacks.pgd import Step
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.cli.selecting import Chosen, choose
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import check_new_folder, new_folder
-from mi_splat.scene_files import SplatScene, open_scene
-from mi_splat.selection.select import doubts, require_visible
+from mi_splat.fields import Folder
+from mi_splat.selection.config import Selection
+
+if TYPE_CHECKING:
+    from attacks.dagger.result import Result
+    from attacks.pgd import Step
+    from mi_splat.cli.selecting import Chosen
+    from mi_splat.scene_files import SplatScene
+
+
+EXAMPLES = (
+    "dagger scenes/car_street.xml --object car --target person --out out/dagger",
+    "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
+    "dagger desk.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
+)
+SEE_ALSO = ("select", "evaluate", "dagger-eot", "study", "detectors")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerOptions:
+    """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
+
+    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object) and result.json
+    into --out; of a scene XML also attacked.xml with its parts, which can be rendered and attacked again. The exit
+    status is 0 also when the attack fails: that is a result.
+    """
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats, or a splat file."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """The cameras attacked at once."""
+    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
+    """The aim: another class (--target), no detection at all, or any but the right class."""
+    target: ClassName | None = None
+    """Class that the detector shall see there (relabel); None is person."""
+    confidence: Confidence | None = None
+    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
+    detectors: Detectors = ("fasterrcnn_small",)
+    """Name of the detector, or names of several to deceive at once (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig)
+    """How to attack."""
+    out: Folder = Path("out/dagger")
+    """Folder for the results: a new one, written whole when the attack has ended."""
+    force: bool = False
+    """Replace an older result in --out."""
+    json: bool = False
+    """Print the result as one JSON document on stdout."""
 
 
 def run(options: DaggerOptions) -> int:
     """Attack, write the report, and say in three lines what happened."""
+    from attacks.cli.aims import aim, chosen_object, write_parts
+    from attacks.cli.loading import load_detectors
+    from attacks.dagger.attack import attack
+    from attacks.dagger.report import summary, write_files
+    from mi_splat.cli.selecting import choose
+    from mi_splat.io.folders import check_new_folder, new_folder
+    from mi_splat.scene_files import open_scene
+    from mi_splat.selection.select import doubts, require_visible
+
     check_new_folder(options.out, force=options.force)
     limit_threads((os.cpu_count() or 1) // 2)
     config = options.config
@@ -63,6 +117,8 @@ def run(options: DaggerOptions) -> int:
 
 def _origin(loaded: SplatScene, chosen: Chosen, options: DaggerOptions) -> dict[str, Any]:
     """What was attacked, and from which cameras, for the record."""
+    from attacks.cli.aims import chosen_object
+
     return {
         "scene": str(options.scene),
         "selection": chosen_object(loaded, options.selection).as_dict(),
@@ -84,6 +140,9 @@ def _follow(advance: Callable[..., None], label: str | None, config: DaggerConfi
 
 def _tell(result: Result, options: DaggerOptions) -> None:
     """What happened in three lines, warnings if there are some, and where to look."""
+    from attacks.cli.aims import object_name, sentence
+    from attacks.dagger.report import summary
+
     found = summary(result)
     radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
     several = len(result.detectors) > 1

@@ -5,29 +5,88 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
-from attacks.cli.aims import aim, chosen_object, object_name, sentence, write_parts
-from attacks.cli.eot_options import DaggerEotOptions
-from attacks.cli.loading import load_detectors
-from attacks.dagger.attack import attack_views
-from attacks.dagger.checkpoint import Checkpoint
-from attacks.dagger.report import CONTACT, summary, write_files
-from attacks.dagger.result import Result
-from attacks.dagger.views import ViewDistribution
-from attacks.pgd import NOT_JUDGED, Step
+from attacks.cli.options import ClassName, Confidence, Detectors
+from attacks.dagger.config import EotConfig
 from attacks.rate import Rate
-from attacks.transformations.config import Transformations
+from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.cli.selecting import choose
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.camera_records import describe
-from mi_splat.io.folders import check_new_folder, new_folder
-from mi_splat.scene_files import open_scene
+from mi_splat.fields import Folder
+from mi_splat.selection.config import Selection
+
+if TYPE_CHECKING:
+    from attacks.dagger.result import Result
+    from attacks.pgd import Step
+
+
+EXAMPLES = (
+    "dagger-eot scenes/car_street.xml --object car --target person --out out/dagger-eot",
+    "dagger-eot scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
+)
+SEE_ALSO = ("dagger", "evaluate", "study", "detectors")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerEotOptions:
+    """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
+
+    Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
+    attacked.ply, mask.npy (the object) and result.json into --out; of a scene XML also attacked.xml with its parts.
+    An attack that was interrupted goes on where it stopped when the same command is given again. The exit status is 0
+    also when the attack fails: that is a result.
+    """
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats, or a splat file."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
+    region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
+    """Where the object is looked at from."""
+    pictures: Unprefixed[PictureChanges] = field(default_factory=PictureChanges)
+    """What happens to the pictures between renderer and detector; by default nothing."""
+    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
+    """The aim: another class (--target), no detection at all, or any but the right class."""
+    target: ClassName | None = None
+    """Class that the detectors shall see there (relabel); None is person."""
+    confidence: Confidence | None = None
+    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
+    detectors: Detectors = ("fasterrcnn_small",)
+    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    config: Unprefixed[EotConfig] = field(default_factory=EotConfig)
+    """How to attack."""
+    checkpoint: Path | None = None
+    """File that keeps the search while it runs; None is one beside --out."""
+    out: Folder = Path("out/dagger-eot")
+    """Folder for the results: a new one, written whole when the attack has ended."""
+    force: bool = False
+    """Replace an older result in --out."""
+    json: bool = False
+    """Print the result as one JSON document on stdout."""
 
 
 def run(options: DaggerEotOptions) -> int:
     """Attack, write the report, and say in four lines what happened."""
+    from attacks.cli.aims import aim, chosen_object, write_parts
+    from attacks.cli.loading import load_detectors
+    from attacks.dagger.attack import attack_views
+    from attacks.dagger.checkpoint import Checkpoint
+    from attacks.dagger.report import summary, write_files
+    from attacks.dagger.views import ViewDistribution
+    from mi_splat.cli.selecting import choose
+    from mi_splat.io.camera_records import describe
+    from mi_splat.io.folders import check_new_folder, new_folder
+    from mi_splat.scene_files import open_scene
+
     if options.view.up != (0.0, 0.0, 1.0):
         raise InvalidValueError(message("up", "0 0 1", options.view.up, "turn the splat: regions have world z upwards"))
     check_new_folder(options.out, force=options.force)
@@ -76,6 +135,8 @@ def _beside(out: Path) -> Path:
 
 def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
     """A callback that shows each step of the attack, and how it did when it was last judged."""
+    from attacks.pgd import NOT_JUDGED
+
     judged = ""
 
     def note(step: Step) -> None:
@@ -89,6 +150,9 @@ def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
 
 def _tell(result: Result, options: DaggerEotOptions) -> None:
     """What happened, warnings if there are some, and where to look."""
+    from attacks.cli.aims import aim, object_name, sentence
+    from attacks.dagger.report import CONTACT
+
     radii = ", ".join(f"{name} {eps:g}" for name, eps in result.config.radius.items())
     objective = aim(options.objective, options.target, options.confidence)
     said = sentence(objective, options.detectors, object_name(options.selection), success=True)

@@ -3,25 +3,75 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from attacks.cli.aims import chosen_object
-from attacks.cli.loading import loadable
-from attacks.cli.sanity_options import DaggerSanityOptions
+from attacks.cli.options import ClassName, Confidence, OneDetector, PositiveRadius, Seeds
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.sanity.checks import CHECKS, Finding, run_checks, write_findings
-from attacks.dagger.sanity.runs import Case, Runs
 from attacks.detectors import load_detector
-from attacks.detectors.base import Detector
-from attacks.objectives import relabel
-from attacks.studies.scenes import jittered
+from attacks.limits import NormName
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.cli.selecting import choose
-from mi_splat.io.camera_records import describe
-from mi_splat.io.folders import RECORD, check_new_folder, new_folder
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
+from mi_splat.fields import Called, Folder, Steps
 from mi_splat.io.parsing import read_json
-from mi_splat.scene_files import open_scene
-from mi_splat.selection.select import require_visible
+from mi_splat.selection.config import Selection
+
+if TYPE_CHECKING:
+    from attacks.dagger.sanity.checks import Finding
+    from attacks.dagger.sanity.runs import Case
+    from attacks.detectors.base import Detector
+
+
+EXAMPLES = (
+    "dagger-sanity scenes/car_street.xml --object car --target person --out out/sanity",
+    "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
+)
+SEE_ALSO = ("dagger", "evaluate")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaggerSanityOptions:
+    """Check whether DAGGER is a sane attack on an object and a detector, so that its failures can be believed.
+
+    Success has to rise with the radius, many steps, white boxes and gradients have to do no worse than one step,
+    another detector and random search, gradients have to equal finite differences, and so on. Each check is a line,
+    green or red. Writes sanity.md and result.json into --out. The exit status is 1 if a line is red.
+    """
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats, or a splat file."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked. If nothing is said, the part called car."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """The camera; of several, the first. Each seed but 0 moves it about the object."""
+    target: ClassName = "person"
+    """Class that the detector shall see there."""
+    confidence: Confidence = 0.7
+    """Confidence in it that counts as success."""
+    detector: OneDetector = "fasterrcnn_small"
+    """Name of the detector (see `mi-splat detectors`)."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    surrogate: Annotated[str, Called("DETECTOR")] = "auto"
+    """Name of another detector, from which attacks are transferred; auto takes one that can be loaded, none leaves it
+    out."""
+    seeds: Seeds = 3
+    """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
+    eps: PositiveRadius = 5.0
+    """Radius of the ball over the object's SH coefficients; the checks also take fractions and multiples of it."""
+    norm: NormName = "l2"
+    """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
+    steps: Steps = 20
+    """Number of steps of an attack."""
+    out: Folder = Path("out/sanity")
+    """Folder for the results: a new one, written whole when the last check has ended."""
+    force: bool = False
+    """Replace an older result in --out."""
+    json: bool = False
+    """Print the findings as one JSON document on stdout."""
+
 
 ATTACKS = 13
 """Kinds of attacks in the suite, each once a seed; for the progress bar."""
@@ -29,6 +79,10 @@ ATTACKS = 13
 
 def run(options: DaggerSanityOptions) -> int:
     """Make the checks; 1 if one of them is red."""
+    from attacks.dagger.sanity.checks import CHECKS, run_checks, write_findings
+    from attacks.dagger.sanity.runs import Runs
+    from mi_splat.io.folders import RECORD, check_new_folder, new_folder
+
     check_new_folder(options.out, force=options.force)
     limit_threads((os.cpu_count() or 1) // 2)
     findings: list[Finding] = []
@@ -53,6 +107,15 @@ def run(options: DaggerSanityOptions) -> int:
 
 def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
     """What the options ask to check, and what the record has to say of it."""
+    from attacks.cli.aims import chosen_object
+    from attacks.dagger.sanity.runs import Case
+    from attacks.objectives import relabel
+    from attacks.studies.scenes import jittered
+    from mi_splat.cli.selecting import choose
+    from mi_splat.io.camera_records import describe
+    from mi_splat.scene_files import open_scene
+    from mi_splat.selection.select import require_visible
+
     loaded = open_scene(options.scene)
     selection = chosen_object(loaded, options.selection)
     chosen = choose(loaded, selection, options.view)
@@ -78,6 +141,8 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
 
 def _surrogate(options: DaggerSanityOptions) -> Detector | None:
     """The detector that attacks are transferred from; None if there is none."""
+    from attacks.cli.loading import loadable
+
     if options.surrogate == "none":
         return None
     if options.surrogate != "auto":

@@ -5,28 +5,51 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import Tensor
-
-from attacks.cli.loading import load_detectors
-from attacks.cli.options import DetectOptions
-from attacks.detectors.base import Detections, Detector
-from attacks.observe.drawing import annotated, listed
-from attacks.observe.views import detect_views
+from attacks.cli.options import Confidence, Detectors
 from mi_splat import provenance
-from mi_splat.cli.camera_options import CameraOptions
-from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.console import UsageError, progress, show, show_json
-from mi_splat.datasets.pictures import SUFFIXES, read_picture
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import message
-from mi_splat.io.camera_records import describe
-from mi_splat.io.documents import file_name, save_json, save_png
-from mi_splat.io.folders import RECORD, check_new_folder, new_folder
-from mi_splat.scene_files import open_scene
+from mi_splat.fields import Folder
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from attacks.detectors.base import Detections, Detector
+
+
+EXAMPLES = ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",)
+SEE_ALSO = ("detectors", "evaluate")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectOptions:
+    """Let detectors look at pictures, or at splats and scenes from cameras; draw the boxes and list them.
+
+    Writes a picture with boxes for each picture and detector, and result.json, into --out.
+    """
+
+    inputs: Positional[tuple[Path, ...]] = ()
+    """Pictures, splat files and scene XMLs; at least one."""
+    detectors: Detectors = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where splats and scenes are looked at from."""
+    min_confidence: Confidence = 0.3
+    """Confidence from which a detection is drawn and listed."""
+    out: Folder = Path("out/detect")
+    """Folder for the results; a new one."""
+    force: bool = False
+    """Replace a folder that an earlier call has written."""
+    json: bool = False
+    """Print the detections as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,12 +73,19 @@ class Seen:
     @property
     def name(self) -> str:
         """What the picture with boxes is called."""
+        from mi_splat.io.documents import file_name
+
         camera = "" if self.camera is None else f"-{self.camera['name']}"
         return file_name(f"{self.source.stem}{camera}-{self.detector}")
 
 
 def run(options: DetectOptions) -> int:
     """Detect, draw the boxes, and list them."""
+    from attacks.cli.loading import load_detectors
+    from attacks.observe.drawing import annotated
+    from mi_splat.io.documents import save_json, save_png
+    from mi_splat.io.folders import RECORD, check_new_folder, new_folder
+
     if not options.inputs:
         raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
     _check_idle(options)
@@ -109,6 +139,14 @@ def seen_in(source: Path, detectors: Callable[[], list[Detector]], view: CameraO
     Raises:
         MiSplatError: The file cannot be read, or a camera is not there.
     """
+    import torch
+
+    from attacks.observe.views import detect_views
+    from mi_splat.cli.cameras import find_cameras, renderer_of
+    from mi_splat.datasets.pictures import read_picture
+    from mi_splat.io.camera_records import describe
+    from mi_splat.scene_files import open_scene
+
     if _is_picture(source):
         image, _ = read_picture(source, downscale=1, background=view.background or (0.0, 0.0, 0.0))
         for detector in detectors():
@@ -149,11 +187,15 @@ def _given(view: CameraOptions) -> dict[str, Any]:
 
 
 def _is_picture(source: Path) -> bool:
+    from mi_splat.datasets.pictures import SUFFIXES
+
     return source.suffix.lower() in SUFFIXES
 
 
 def _row(seen: Seen, min_confidence: float) -> dict[str, Any]:
     """One picture and detector as JSON can hold it; boxes are x0, y0, x1, y1 in pixels."""
+    from attacks.observe.drawing import listed
+
     return {
         "source": str(seen.source),
         "camera": seen.camera,

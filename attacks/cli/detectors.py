@@ -19,6 +19,15 @@ from mi_splat.errors import message
 SHOWN = 8
 
 
+EXAMPLES = (
+    "detectors",
+    "detectors --json",
+    "detectors --get centernet_coco nanodet_coco",
+    "detectors --from vladmandic-human-3.3.6.tgz",
+)
+SEE_ALSO = ("dagger", "doctor")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorsOptions:
     """List the detectors, their classes, and whether their weights are here; or get some that others trained.

@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 from attacks.cli.checks import GROUPS, examine
-from attacks.cli.options import DoctorOptions
 from mi_splat.cli.console import progress, show, show_json
+
+EXAMPLES = ("doctor",)
+SEE_ALSO = ("detectors",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoctorOptions:
+    """Render one Gaussian, take one gradient, load one detector; say what works and what to do about what does not.
+
+    The exit status is 1 if something that `mi-splat dagger` needs does not work.
+    """
+
+    json: bool = False
+    """Print the findings as one JSON document on stdout."""
 
 
 def run(options: DoctorOptions) -> int:

@@ -3,26 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-
-from attacks.cli.loading import load_detectors
 from attacks.cli.names import check_class
-from attacks.cli.options import EvaluateOptions
-from attacks.observe.comparison import Comparison, changed_mask, compare, compared_rows, side_by_side
-from attacks.observe.views import CLEAN, ViewDetections, evaluate
+from attacks.cli.options import ClassName, Confidence, Detectors
 from mi_splat import provenance
-from mi_splat.cameras import Camera
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
-from mi_splat.cli.selecting import Chosen, choose, look_at_object
-from mi_splat.io.camera_records import describe, recorded_cameras
-from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.folders import RECORD, check_new_folder, new_folder
-from mi_splat.scene import scene_hash
-from mi_splat.scene_files import open_scene
-from mi_splat.selection.select import doubts
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
+from mi_splat.fields import Count, Folder
+from mi_splat.selection.config import Selection
+
+if TYPE_CHECKING:
+    from attacks.observe.comparison import Comparison
+    from attacks.observe.views import ViewDetections
+    from mi_splat.cameras import Camera
+    from mi_splat.cli.selecting import Chosen
+
+
+EXAMPLES = ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
+SEE_ALSO = ("dagger", "detect")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluateOptions:
+    """Look at a clean and an attacked splat from many cameras, and compare what detectors make of them.
+
+    Says how often the object is found, missed, or taken for the target, with 95 % intervals. The cameras should be
+    others than those that were attacked. Writes a picture of both splats side by side for each detector, and
+    result.json, into --out.
+    """
+
+    clean: Positional[Path]
+    """The splat or scene XML before the attack."""
+    attacked: Positional[Path]
+    """The splat or scene XML after it."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """The object in the clean splat; if nothing is said, the Gaussians that differ."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where both are looked at from."""
+    detectors: Detectors = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    original: ClassName | None = None
+    """Class that the object is; None is what each detector calls it in most views of the clean splat."""
+    target: ClassName | None = None
+    """Class that the attacker wants."""
+    min_confidence: Confidence = 0.5
+    """Confidence from which a detection counts."""
+    pictures: Count = 8
+    """Views shown side by side; 0 writes no pictures."""
+    out: Folder = Path("out/evaluate")
+    """Folder for the results; a new one."""
+    force: bool = False
+    """Replace a folder that an earlier call has written."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
+
 
 ATTACKED = "attacked"
 FEW = 10
@@ -38,6 +78,16 @@ WORDS = {
 
 def run(options: EvaluateOptions) -> int:
     """Evaluate, and write pictures and numbers."""
+    from attacks.cli.loading import load_detectors
+    from attacks.observe.comparison import changed_mask, compare, compared_rows
+    from attacks.observe.views import CLEAN, evaluate
+    from mi_splat.cli.selecting import choose, look_at_object
+    from mi_splat.io.documents import save_json
+    from mi_splat.io.folders import RECORD, check_new_folder, new_folder
+    from mi_splat.scene import scene_hash
+    from mi_splat.scene_files import open_scene
+    from mi_splat.selection.select import doubts
+
     check_new_folder(options.out, force=options.force)
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)
@@ -81,6 +131,8 @@ def run(options: EvaluateOptions) -> int:
 
 def _asked(options: EvaluateOptions, chosen: Chosen) -> dict[str, Any]:
     """What was evaluated, from where, and by which rule; a part of the record."""
+    from mi_splat.io.camera_records import describe
+
     return {
         "clean": str(options.clean),
         "attacked": str(options.attacked),
@@ -96,6 +148,10 @@ def _save_pictures(
     seen: Mapping[str, Sequence[ViewDetections]], names: list[str], detectors: Iterable[str], most: int, folder: Path
 ) -> None:
     """Both splats side by side with boxes, a picture for each detector; none where `most` is 0."""
+    from attacks.observe.comparison import side_by_side
+    from attacks.observe.views import CLEAN
+    from mi_splat.io.documents import save_png
+
     for detector in detectors if most else ():
         drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=detector, most=most, names=names)
         save_png(drawn, folder / f"{detector}.png")
@@ -120,6 +176,11 @@ def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Pa
 
 def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
     """How many cameras the record beside an attacked splat names as attacked; 0 without a record."""
+    import torch
+
+    from mi_splat.io.camera_records import recorded_cameras
+    from mi_splat.io.folders import RECORD
+
     found = recorded_cameras(attacked.parent / RECORD, reference=False) or {}
     poses = [camera.to_world for camera in found.values()]
     return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
@@ -127,6 +188,8 @@ def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
 
 def _tell(found: list[Comparison], reasons: list[str], options: EvaluateOptions) -> None:
     """A table for each detector, and where to look."""
+    from mi_splat.io.folders import RECORD
+
     for one in found:
         of = "any object" if one.original is None else one.original
         show(f"{one.detector}: {of}{'' if one.target is None else f', target {one.target}'}, {one.views} views")

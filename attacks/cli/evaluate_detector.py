@@ -20,6 +20,13 @@ if TYPE_CHECKING:
     from attacks.detectors.training.pictures import LabelledPicture
 
 
+EXAMPLES = (
+    "evaluate-detector --weights out/detector/best.safetensors",
+    "evaluate-detector --detectors centernet_coco --out out/centernet.json",
+)
+SEE_ALSO = ("compare-detectors", "train-detector")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvaluateDetectorOptions:
     """Score a detector on objects, cameras, lights and surroundings that the project's own were not trained on.

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+EXAMPLES = ("plot-detector-training out/detector/curves.json --out curves.png",)
+SEE_ALSO = ("train-detector",)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlotDetectorTrainingOptions:
     """Draw losses and validation mAP of a training by epoch; needs the extra `figures`."""
@@ -60,6 +64,8 @@ def draw_curves(path: Path) -> Figure:
         InvalidValueError: See `read_history`.
         MiSplatError: matplotlib is not installed.
     """
+    from matplotlib.figure import Figure
+
     epochs = read_history(path)
     try:
         from matplotlib.figure import Figure

@@ -2,18 +2,50 @@
 
 from __future__ import annotations
 
-from attacks.cli.report_options import ReportOptions
+from dataclasses import dataclass
+from pathlib import Path
+
 from attacks.report.charts import need_packages
-from attacks.report.page import ENDINGS, write_page
-from attacks.report.results import read_section
 from attacks.report.wording import FIXED, plural
 from mi_splat.cli.console import progress, show, show_json, warn
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import check_new_file
+from mi_splat.fields import Folder
+
+EXAMPLES = (
+    "report out/dagger --out dagger.html",
+    "report out/cloak out/dagger-eot --out page.html",
+)
+SEE_ALSO = ("view", "evaluate", "dagger", "cloak")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions:
+    """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
+
+    Takes folders that mi-splat dagger, dagger-eot, study, dagger-sanity, evaluate, compare, detect and cloak have
+    written, and the JSON files of evaluate-detector, compare-detectors and cloak-experiment. The page is one file
+    without a script, and asks nothing of any network.
+    """
+
+    results: Positional[tuple[Folder, ...]] = ()
+    """Folders or files of results; at least one. Those of one kind are compared."""
+    out: Path = Path("out/report.html")
+    """The page; its folder has to be there."""
+    title: str | None = None
+    """Heading of the page; None is made of the results."""
+    force: bool = False
+    """Replace the page if it is there."""
+    json: bool = False
+    """Print what is on the page as one JSON document on stdout."""
 
 
 def run(options: ReportOptions) -> int:
     """Read the results and write the page."""
+    from attacks.report.page import ENDINGS, write_page
+    from attacks.report.results import read_section
+    from mi_splat.io.folders import check_new_file
+
     if not options.results:
         raise InvalidValueError(message("results", "one folder or more", "none", "name what a command has written"))
     check_new_file(options.out, ENDINGS, force=options.force)

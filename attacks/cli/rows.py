@@ -9,6 +9,13 @@ from typing import Literal
 from mi_splat.cli.flags import Positional
 from mi_splat.fields import Folder
 
+EXAMPLES = (
+    "rows out/dagger",
+    "rows out/cloak --csv",
+    "rows out/cloak --table detections --json",
+)
+SEE_ALSO = ("report", "evaluate", "artifact")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowsOptions:

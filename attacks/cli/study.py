@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
+from attacks.studies.study_file import Study
 from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
@@ -16,12 +17,20 @@ from mi_splat.fields import Called, Folder, at_least, between
 if TYPE_CHECKING:
     from attacks.studies.cloak import CloakWork
     from attacks.studies.plan import Work
-    from attacks.studies.study_file import Study
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
     from mi_splat.ledger.plans import Result
 
+
 _FAILED = 1
+
+
+EXAMPLES = (
+    "study plan scenes/studies/dagger.toml",
+    "study run scenes/studies/pairs.toml --out out/studies/pairs",
+    "study run scenes/studies/dagger.toml --workers 4",
+)
+SEE_ALSO = ("dagger", "dagger-eot", "report")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,12 +86,14 @@ def _out(options: StudyOptions, study: Study) -> Path:
 
 
 def _work(study: Study) -> Work | CloakWork:
+    from attacks.studies.cloak import CloakWork
+    from attacks.studies.plan import Work
+
     limit_threads(1)
     if study.kind == "cloak":
         from attacks.studies.cloak import CloakWork
 
         return CloakWork(study)
-    from attacks.studies.plan import Work
 
     return Work(study)
 

@@ -14,6 +14,10 @@ from mi_splat.cli.flags import Flag
 from mi_splat.fields import Folder, at_least
 from mi_splat.io.locks import locked_folder
 
+EXAMPLES = ("train-detector --detectors fasterrcnn_small --out out/detector",)
+SEE_ALSO = ("evaluate-detector", "plot-detector-training")
+
+
 RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")
 """What a training leaves in its folder."""
 SmallDetector = Literal["fasterrcnn_small", "yolov8n_small"]

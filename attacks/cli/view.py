@@ -6,22 +6,76 @@ import os
 import sys
 import threading
 import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from attacks.cli.options import ViewOptions
 from attacks.detectors import load_detector
-from attacks.report.exhibits import detector_inspector, open_exhibit
 from mi_splat.cli.console import limit_threads, progress, show
+from mi_splat.cli.flags import Flag, Positional
+from mi_splat.cli.options import Colour, Size
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.rendering import Renderer
-from mi_splat.viewer.exhibit import Exhibit, Wishes
-from mi_splat.viewer.export import check_export, write_export
-from mi_splat.viewer.guard import checked_host, is_loopback
-from mi_splat.viewer.page import Page, check_port, need_viser, stopping
-from mi_splat.viewer.painter import Painter
+from mi_splat.fields import Called, Length, at_least, between
+
+if TYPE_CHECKING:
+    from mi_splat.viewer.exhibit import Exhibit
+    from mi_splat.viewer.painter import Painter
+
+
+EXAMPLES = (
+    "view desk.ply",
+    "view out/dagger --detectors fasterrcnn_small",
+    "view out/cloak --export cloak.html",
+)
+SEE_ALSO = ("render", "report", "dagger")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewOptions:
+    """Look at a splat or at the result of an attack on a page in the browser, or write such a page to a file.
+
+    Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger` or `mi-splat
+    cloak` has written, the clean and the attacked splat are shown from one camera. The page is served to this machine
+    alone until Ctrl-C; open it by the address that is printed.
+    """
+
+    path: Positional[Annotated[Path, Called("RESULT")]]
+    """Splat file of any format that is read, scene XML made of splats, or folder of results."""
+    clean: Path | None = None
+    """Splat or scene to compare with; of a folder of results it is found."""
+    detector: Annotated[str, Flag(name="detectors"), Called("DETECTOR")] | None = None
+    """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
+    weights: Path | None = None
+    """File with the detector's weights; None takes the shipped ones."""
+    size: Size | None = None
+    """Pixels of the picture that the detector sees, as 256 or 256x192; None is that of the scene's cameras."""
+    background: Colour | None = None
+    """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,
+    black for a bare splat file."""
+    near: Length | None = None
+    """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
+    host: Annotated[str, Called("HOST")] = "127.0.0.1"
+    """Name or address to serve on; one that other machines can reach needs --allow-remote."""
+    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] = 8080
+    """Port to serve on; 0 is any free one."""
+    allow_remote: bool = False
+    """Let other machines in that know the token in the address; nothing is encrypted. An SSH tunnel is better."""
+    no_open: bool = False
+    """Do not open a browser."""
+    export: Path | None = None
+    """Write one HTML file with pictures from all around instead, which needs no server and no network."""
+    views: Annotated[tuple[int, int], at_least(1, "pictures"), Called("AZIMUTHS ELEVATIONS")] = (24, 4)
+    """Azimuths and elevations of the pictures of --export."""
+    force: bool = False
+    """Replace the file of --export if it is there."""
 
 
 def run(options: ViewOptions) -> int:
     """Serve the page until Ctrl-C or SIGTERM, or write it."""
+    from mi_splat.viewer.export import check_export, write_export
+    from mi_splat.viewer.guard import checked_host
+    from mi_splat.viewer.page import check_port, need_viser
+
     limit_threads((os.cpu_count() or 1) // 2)
     if options.weights is not None and options.detector is None:
         raise InvalidValueError(
@@ -44,6 +98,11 @@ def run(options: ViewOptions) -> int:
 
 def _painter(options: ViewOptions) -> Painter:
     """What makes the pictures that the options ask for."""
+    from attacks.report.exhibits import detector_inspector, open_exhibit
+    from mi_splat.rendering import Renderer
+    from mi_splat.viewer.exhibit import Wishes
+    from mi_splat.viewer.painter import Painter
+
     wishes = Wishes(background=options.background, near=options.near, size=options.size)
     exhibit: Exhibit = wishes.applied(open_exhibit(options.path, clean=options.clean))
     inspector = None
@@ -54,6 +113,9 @@ def _painter(options: ViewOptions) -> Painter:
 
 def _serve(painter: Painter, options: ViewOptions) -> int:
     """Serve the page until it is to stop."""
+    from mi_splat.viewer.guard import is_loopback
+    from mi_splat.viewer.page import Page, stopping
+
     stop = threading.Event()
     with stopping(stop), Page(painter, host=options.host, port=options.port) as page:
         show(f"Open {page.address}")

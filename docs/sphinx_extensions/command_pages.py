@@ -6,6 +6,7 @@ The pages are reference/commands/NAME.rst and are not kept in the repository, so
 from __future__ import annotations
 
 import argparse
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,16 +48,15 @@ def page(name: str, command: Command) -> Iterator[str]:
         name: Of the command.
         command: Where its options are.
     """
-    from attacks.cli.examples import EXAMPLES, SEE_ALSO
-    from attacks.cli.parsing import argument_parser
+    from attacks.cli import parser_of
 
-    parser = argument_parser(name, command)
+    module, parser = importlib.import_module(command.module), parser_of(name)
     title = f"mi-splat {name}"
     yield from (title, "=" * len(title), "", f".. program:: {title}", "")
     for paragraph in re.split(r"\n\s*\n", parser.description or command.summary):
         yield from (marked_up(paragraph), "")
     yield from (".. code-block:: sh", "")
-    yield from (f"    mi-splat {line}" for line in EXAMPLES.get(name, (name,)))
+    yield from (f"    mi-splat {line}" for line in module.EXAMPLES)
     yield ""
     for group in parser._action_groups:
         actions = [action for action in group._group_actions if "--help" not in action.option_strings]
@@ -67,8 +67,7 @@ def page(name: str, command: Command) -> Iterator[str]:
                 yield from (marked_up(group.description), "")
             for action in actions:
                 yield from entry(action)
-    if SEE_ALSO.get(name):
-        yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{other}>`" for other in SEE_ALSO[name]) + "."
+    yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{other}>`" for other in module.SEE_ALSO) + "."
 
 
 def entry(action: argparse.Action) -> Iterator[str]:

@@ -13,8 +13,8 @@ from torch import Tensor
 from mi_splat.bounds import bounds, culled_in_view, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
 from mi_splat.cameras import Camera
-from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.console import warn
+from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.transforms import find_transforms

@@ -2,23 +2,69 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat import provenance
-from mi_splat.camera_sets import camera_set, framing, held_out_set
-from mi_splat.cameras import Camera
-from mi_splat.capture.record import RECORD, Inputs
-from mi_splat.capture.sources import CaptureSource, open_source
-from mi_splat.capture.writer import WrittenCapture, write_capture
+from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
 from mi_splat.cli.console import progress, show, show_json, warn
-from mi_splat.cli.options import CaptureOptions
-from mi_splat.datasets.transforms import read_world_offset
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import FieldOfView, Point, Size
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.folders import own_folder
+from mi_splat.fields import Called, Folder, Length, between
+
+if TYPE_CHECKING:
+    from mi_splat.cameras import Camera
+    from mi_splat.capture.record import Inputs
+    from mi_splat.capture.sources import CaptureSource
+    from mi_splat.capture.writer import WrittenCapture
+
+
+EXAMPLES = (
+    "capture truck.glb --cameras hemisphere:210 --test 20 --out out/truck",
+    "capture car:900004 --cameras orbit:36@20 --size 128 --samples 16 --out out/orbit",
+)
+SEE_ALSO = ("train", "render")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureOptions:
+    """Take path-traced pictures of a mesh scene from a set of cameras, for training a splat.
+
+    Writes images/, a list of them with their cameras, a point cloud and a record of the settings into --out. A capture
+    that was interrupted goes on where it stopped when the same command is given again.
+    """
+
+    scene: Positional[Annotated[str, Called("SCENE")]]
+    """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
+    the project's objects by name and seed, for instance car:900004."""
+    cameras: Annotated[str, Called("CAMERAS")] = "hemisphere:210"
+    """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
+    out: Folder = Path("out/capture")
+    """Folder to write: a new one, or that of the same capture, which then goes on."""
+    size: Size | None = None
+    """Pixels, as 256 or 256x192; 1 to 32768. None is 256, or what a transforms .json says."""
+    test: Annotated[int, between(0, 100_000, "pictures")] = 0
+    """Pictures held out, from other cameras over the same range; 0 or more."""
+    format: Literal["transforms", "colmap", "both"] = "transforms"
+    """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in sparse/0, or both."""
+    fov: FieldOfView | None = None
+    """Field of view in degrees over the shorter side of the picture; between 0 and 180. None is 45."""
+    centre: Point | None = None
+    """Point that cameras look at, in the coordinates of the mesh file as it is turned and scaled; None is the middle of
+    the scene or of its object."""
+    distance: Length | None = None
+    """World units between cameras and centre, more than 0; None is as near as shows the whole scene or its object."""
+    settings: Unprefixed[CaptureSettings] = field(default_factory=CaptureSettings)
+    """How pictures are taken."""
+    mesh: Unprefixed[MeshSettings] = field(default_factory=MeshSettings)
+    """How a mesh file is read and turned."""
+    surroundings: Unprefixed[SurroundingsSettings] = field(default_factory=SurroundingsSettings)
+    """What is around a mesh file, or around an object of the project."""
+    json: bool = False
+    """Print what was written as one JSON document on stdout."""
+
 
 SIZE, FOV = (256, 256), 45.0
 """Size in pixels and field of view in degrees that are taken where none are given."""
@@ -26,12 +72,19 @@ SIZE, FOV = (256, 256), 45.0
 
 def run(options: CaptureOptions) -> int:
     """Capture, or go on with a capture, and say what was written."""
+    from mi_splat.capture.record import RECORD
+    from mi_splat.io.folders import own_folder
+
     with own_folder(options.out, RECORD):
         return _capture(options)
 
 
 def _capture(options: CaptureOptions) -> int:
     """As `run`, in a folder that is this process's own."""
+    from mi_splat.camera_sets import camera_set, held_out_set
+    from mi_splat.capture.sources import open_source
+    from mi_splat.capture.writer import write_capture
+
     size, fov = options.size or SIZE, FOV if options.fov is None else options.fov
     _check_fov(fov)
     _check_meaning(options)
@@ -85,6 +138,8 @@ def _check_fov(fov: float) -> None:
 
 def _placement(options: CaptureOptions, source: CaptureSource, size: tuple[int, int], fov: float) -> dict[str, Any]:
     """Where cameras look, how far away they are, and their lens."""
+    from mi_splat.camera_sets import framing
+
     distance, focal = framing(source.radius, fov=fov, size=size)
     return {
         "centre": source.centre if options.centre is None else _moved(options.centre, source.world_offset, -1),
@@ -101,6 +156,10 @@ def _moved(point: tuple[float, ...], offset: tuple[float, ...], sign: int) -> tu
 
 def _in_coordinates_of(source: CaptureSource, cameras: list[Camera], spec: str) -> list[Camera]:
     """Cameras of a file in the coordinates of a source, either of which may lie far from the world's origin."""
+    import torch
+
+    from mi_splat.datasets.transforms import read_world_offset
+
     if not spec.lower().endswith(".json"):
         return cameras
     by = torch.tensor(_moved(read_world_offset(Path(spec)), source.world_offset, -1), dtype=torch.float64)

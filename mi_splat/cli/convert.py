@@ -5,24 +5,60 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-
-import torch
-from torch import Tensor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from mi_splat.cli.console import progress, show, show_json, show_table
-from mi_splat.cli.options import ConvertOptions
+from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat
-from mi_splat.io.folders import check_not_input, check_writable
 from mi_splat.io.formats.detection import format_to_write
-from mi_splat.io.formats.encoded import Encoded, Values, dropped_bands
-from mi_splat.io.splat_files import write_splat_file
-from mi_splat.scene import GaussianScene
-from mi_splat.sh import dc_to_colour
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from mi_splat.io.formats.encoded import Encoded
+    from mi_splat.scene import GaussianScene
+
+
+EXAMPLES = (
+    "convert desk.ply desk.spz",
+    "convert web.ksplat web.ply",
+    "convert desk.ply small.sog --sh-degree 1",
+)
+SEE_ALSO = ("info", "render")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConvertOptions:
+    """Convert a splat file to another format, which the ending of its name says.
+
+    Says what the new file does not hold, and how far its values are off.
+    """
+
+    source: Positional[Path]
+    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .splat or .ksplat."""
+    out: Positional[Path]
+    """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb or .splat."""
+    force: bool = False
+    """Replace a file that is there."""
+    sh_degree: Literal[0, 1, 2, 3] | None = None
+    """Cut spherical harmonics above this degree; None keeps what the format holds."""
+    spz_version: Literal[2, 3, 4] | None = None
+    """Version of an SPZ file; None is 3."""
+    drop_invalid: bool = False
+    """Leave out Gaussians that are not valid, instead of an error."""
+    json: bool = False
+    """Print what was written and lost as one JSON document on stdout."""
 
 
 def run(options: ConvertOptions) -> int:
     """Convert, read the new file back, and say how it differs."""
+    from mi_splat.io import load_splat
+    from mi_splat.io.folders import check_not_input, check_writable
+    from mi_splat.io.formats.encoded import Values, dropped_bands
+    from mi_splat.io.splat_files import write_splat_file
+
     suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
     if options.spz_version is not None and suffix != ".spz":
         raise InvalidValueError(message("--spz-version", "a file to write that ends in .spz", suffix, "leave it out"))
@@ -65,6 +101,8 @@ def run(options: ConvertOptions) -> int:
 
 def _as_written(scene: GaussianScene, encoded: Encoded) -> GaussianScene:
     """The scene in the order of the file."""
+    import torch
+
     return scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
 
 
@@ -73,6 +111,10 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
 
     Colours are those of the first SH coefficients, from 0 to 1. SH that only one scene has count as zero in the other.
     """
+    import torch
+
+    from mi_splat.sh import dc_to_colour
+
     degree = max(before.degree, after.degree)
     one, two = before.with_degree(degree), after.with_degree(degree)
     first, second = one.rotations.double(), two.rotations.double()

@@ -4,18 +4,38 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import progress, show_json, show_table
-from mi_splat.cli.options import InfoOptions
+from mi_splat.cli.flags import Positional
 from mi_splat.io.errors import SplatFileWarning
-from mi_splat.io.loaded import Arrays
-from mi_splat.io.reading import load_arrays
-from mi_splat.sh import colours_by_direction, degree_of, even_directions
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mi_splat.io.loaded import Arrays
+
+
+EXAMPLES = (
+    "info desk.ply",
+    "info scenes/car_street.xml --json",
+)
+SEE_ALSO = ("render", "select", "convert")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InfoOptions:
+    """Say what a splat file or a scene XML holds."""
+
+    file: Positional[Path]
+    """Splat file of any format that is read, or scene XML made of splats."""
+    json: bool = False
+    """Print it as one JSON document on stdout."""
+
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
@@ -33,6 +53,8 @@ def run(options: InfoOptions) -> int:
 
 def _file_facts(path: Path) -> dict[str, object]:
     """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
+    from mi_splat.io.reading import load_arrays
+
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SplatFileWarning)
         splat = load_arrays(path, on_invalid="drop")
@@ -61,6 +83,8 @@ def splat_facts(splat: Arrays) -> dict[str, object]:
     least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
     of what cameras saw alone.
     """
+    from mi_splat.sh import degree_of
+
     means = splat["means"]
     facts: dict[str, object] = {"gaussians": len(means), "sh_degree": degree_of(splat["sh"].shape[1])}
     if len(means):
@@ -77,12 +101,16 @@ def splat_facts(splat: Arrays) -> dict[str, object]:
 
 def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """The lower median along the first axis."""
+    import numpy as np
+
     last: NDArray[np.float32] = np.sort(values, axis=0)[(len(values) - 1) // 2]
     return last
 
 
 def _lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Lengths of rows, each sum rounded to float32 once, as torch's norm does it."""
+    import numpy as np
+
     squares = np.zeros(len(vectors), np.float32)
     for column in vectors.T.astype(np.float64):
         squares = (column**2 + squares).astype(np.float32)
@@ -91,6 +119,8 @@ def _lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _bounds(means: NDArray[np.float32], *, outside: float = 0.0) -> list[list[float]]:
     """Lower and upper corner of the box around the means, without so large a share at either end of each axis."""
+    import numpy as np
+
     ordered = np.sort(means, axis=0)
     last = len(ordered) - 1
     return [ordered[round(share * last)].tolist() for share in (outside, 1 - outside)]
@@ -98,6 +128,8 @@ def _bounds(means: NDArray[np.float32], *, outside: float = 0.0) -> list[list[fl
 
 def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
     """Minimum, 5 %, median, 95 % and maximum; each is one of the values."""
+    import numpy as np
+
     ordered = np.sort(values)
     rows = [round(q * (len(ordered) - 1)) for q in QUANTILES]
     return {f"{q:.0%}": float(ordered[row]) for q, row in zip(QUANTILES, rows, strict=True)}
@@ -105,6 +137,8 @@ def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
 
 def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
     """How bright the Gaussians are over all directions."""
+    from mi_splat.sh import colours_by_direction, even_directions
+
     means, most = colours_by_direction(sh, even_directions())
     return {"least mean": float(means.min()), "most mean": float(means.max()), "largest": float(most.max())}
 

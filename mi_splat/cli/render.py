@@ -5,25 +5,65 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-
-from mi_splat.cameras import Camera, RenderFn
-from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
 from mi_splat.cli.console import Advance, progress, show, show_json
-from mi_splat.cli.options import RenderOptions
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions, Samples
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.camera_records import describe
-from mi_splat.io.documents import file_name, save_json
-from mi_splat.io.folders import check_new_folder, check_not_input, check_writable, new_folder
-from mi_splat.io.images import to_bytes
-from mi_splat.io.pictures import check_animation, is_animation, is_picture, save_animation, save_picture
-from mi_splat.mixed_scenes import MixedScene, holds_surfaces
-from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, open_scene
+from mi_splat.fields import Called, Range
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mi_splat.cameras import Camera, RenderFn
+    from mi_splat.mixed_scenes import MixedScene
+    from mi_splat.scene import GaussianScene
+    from mi_splat.scene_files import SplatScene
+
+
+EXAMPLES = (
+    "render scenes/car_street.xml --out car.png",
+    "render desk.ply --azimuth 40 --elevation 15 --out desk.png",
+    "render desk.ply --cameras orbit:60@20 --out desk.gif",
+)
+SEE_ALSO = ("info", "compare", "train")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderOptions:
+    """Render a scene XML or a splat file: a picture, a picture from each of several cameras, or an animation.
+
+    A scene XML with meshes beside splats is path traced by its integrator splat_ray.
+
+    A scene XML is seen from its first camera, a bare splat file from an orbit around the middle of its Gaussians, at a
+    distance that shows all of them, unless the flags below say something else.
+    """
+
+    scene: Positional[Path]
+    """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
+    out: Annotated[Path, Called("PATH")] = Path("picture.png")
+    """What to write: NAME.png or NAME.jpg; NAME.gif or NAME.mp4 (needs the extra `video`) of several cameras one after
+    the other; a folder, or a name with {} for the camera's, for a picture from each."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where from."""
+    fps: Annotated[
+        float, Range(low=0, high=1000, open_low=True, unit="pictures a second", do="24 is usual"), Called("RATE")
+    ] = 24.0
+    """Pictures a second of an animation."""
+    method: Literal["tile", "ray"] | None = None
+    """How splats alone are rendered: tile is the picture of the reference 3DGS rasteriser, ray traces rays; without the
+    flag it is what the scene XML says, or tile."""
+    samples: Samples = 64
+    """Samples a pixel, for a scene with meshes; the other pictures need one."""
+    force: bool = False
+    """Replace a folder of pictures that an earlier call has written."""
+    json: bool = False
+    """Print what was rendered as one JSON document on stdout."""
+
 
 RECORD = "cameras.json"
 """In a folder of pictures, the camera of each."""
@@ -32,6 +72,10 @@ _PLACE = "{}"
 
 def run(options: RenderOptions) -> int:
     """Render and save."""
+    from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
+    from mi_splat.io.camera_records import describe
+    from mi_splat.io.folders import check_not_input
+
     check_not_input(options.out, options.scene)
     with progress("loading") as advance:
         mixed = _mixed_scene(options)
@@ -74,6 +118,8 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
     Raises:
         InvalidValueError: A flag is given that such a scene cannot follow.
     """
+    from mi_splat.mixed_scenes import MixedScene, holds_surfaces
+
     if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
         return None
     given = {"--method": options.method, "--background": options.view.background, "--near": options.view.near}
@@ -86,6 +132,8 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
 
 def _opened(options: RenderOptions) -> SplatScene:
     """A scene of splats alone, with the method that was asked for."""
+    from mi_splat.scene_files import open_scene
+
     loaded = open_scene(options.scene)
     if options.method is None:
         return loaded
@@ -94,6 +142,9 @@ def _opened(options: RenderOptions) -> SplatScene:
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     """Raise, before anything is rendered, unless --out can take these pictures."""
+    from mi_splat.io.folders import check_new_folder, check_writable
+    from mi_splat.io.pictures import check_animation, is_animation, is_picture
+
     out = options.out
     check_writable(out.parent)
     if is_animation(out):
@@ -122,6 +173,10 @@ def _pictures(
     scene: GaussianScene, cameras: Mapping[str, Camera], render: RenderFn, advance: Advance
 ) -> dict[str, NDArray[np.uint8]]:
     """The picture from each camera."""
+    import torch
+
+    from mi_splat.io.images import to_bytes
+
     found = {}
     for number, (name, camera) in enumerate(cameras.items(), 1):
         advance(f"rendering {number} of {len(cameras)}")
@@ -134,6 +189,11 @@ def _save(
     pictures: Mapping[str, NDArray[np.uint8]], cameras: Mapping[str, Camera], options: RenderOptions
 ) -> list[Path]:
     """Write what --out says, and name the files."""
+    from mi_splat.io.camera_records import describe
+    from mi_splat.io.documents import file_name, save_json
+    from mi_splat.io.folders import new_folder
+    from mi_splat.io.pictures import is_animation, is_picture, save_animation, save_picture
+
     out = options.out
     if is_animation(out):
         out.parent.mkdir(parents=True, exist_ok=True)

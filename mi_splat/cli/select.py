@@ -2,27 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
-
-from mi_splat.cameras import Camera, RenderFn
 from mi_splat.cli.console import progress, show, show_json, warn
-from mi_splat.cli.options import SelectOptions
-from mi_splat.cli.selecting import choose
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import save_splat
-from mi_splat.io.folders import check_not_input, check_writable
-from mi_splat.io.images import to_bytes
-from mi_splat.io.pictures import is_picture, save_picture
-from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import open_scene
-from mi_splat.selection.masks import save_mask
-from mi_splat.selection.select import SEEN, doubts
+from mi_splat.selection.config import Selection
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    from mi_splat.cameras import Camera, RenderFn
+    from mi_splat.scene import GaussianScene
+
+
+EXAMPLES = (
+    "select desk.ply --click 320,240 --out picked.png mask.npy",
+    "select desk.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
+    "select scenes/car_street.xml --object car --out car.ply",
+)
+SEE_ALSO = ("info", "render", "dagger")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectOptions:
+    """Select one object of a splat, and see whether it is the right one.
+
+    Prints how many Gaussians it has, where they are, how much of the picture it makes up, and what is doubtful about
+    it. The same flags choose the object of `mi-splat dagger` and `mi-splat evaluate`.
+    """
+
+    scene: Positional[Path]
+    """A splat file, or a scene XML made of splats."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """Which object."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
+    out: tuple[Path, ...] = ()
+    """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
+    json: bool = False
+    """Print what was selected as one JSON document on stdout."""
+
 
 LISTED = 6
 """Cameras with a line of their own at most."""
@@ -32,6 +57,12 @@ TINT = (1.0, 0.0, 0.8)
 
 def run(options: SelectOptions) -> int:
     """Select, save, and say what was selected."""
+    from mi_splat.cli.selecting import choose
+    from mi_splat.io.folders import check_not_input, check_writable
+    from mi_splat.io.pictures import is_picture
+    from mi_splat.scene_files import open_scene
+    from mi_splat.selection.select import doubts
+
     for path in options.out:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
             expected = "names that end in .png, .jpg, .npy or .ply"
@@ -69,6 +100,8 @@ def run(options: SelectOptions) -> int:
 
 def _facts(scene: GaussianScene, mask: Tensor, weights: dict[str, Tensor]) -> dict[str, Any]:
     """What was selected, in numbers."""
+    from mi_splat.selection.select import SEEN
+
     means = scene.means[mask]
     return {
         "gaussians": int(mask.sum()),
@@ -88,6 +121,10 @@ def _facts(scene: GaussianScene, mask: Tensor, weights: dict[str, Tensor]) -> di
 
 def _save(path: Path, scene: GaussianScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
     """Write one of the files, of the kind that its name says."""
+    from mi_splat.io import save_splat
+    from mi_splat.io.pictures import save_picture
+    from mi_splat.selection.masks import save_mask
+
     if path.suffix.lower() == ".npy":
         save_mask(mask, path)
     elif path.suffix.lower() == ".ply":
@@ -108,6 +145,10 @@ def tinted(scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderF
     Returns:
         (H, W, 3) uint8.
     """
+    import torch
+
+    from mi_splat.io.images import to_bytes
+
     with torch.no_grad():
         picture = render(scene, camera)[..., :3].clamp(0, 1)
     share = weight[..., None].to(picture)

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
+from mi_splat.cli.options import CameraOptions
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import SplatScene
 from mi_splat.selection.config import Selection

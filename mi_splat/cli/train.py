@@ -4,22 +4,122 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from mi_splat.bounds import culled_in_view, near_plane
-from mi_splat.cameras import View
-from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
-from mi_splat.cli.options import TrainOptions
-from mi_splat.datasets import Dataset, has_tests, load_dataset
+from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json, warn
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import Colour
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io import load_splat
-from mi_splat.io.folders import own_folder
+from mi_splat.fields import Called, Folder, Length, Seed, at_least, between, check, check_choice
 from mi_splat.io.parsing import read_json
-from mi_splat.metrics import load_lpips
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.scene import GaussianScene
-from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
-from mi_splat.training.loop import Progress, TrainState
-from mi_splat.training.resume import CHECKPOINT, CONFIG, METRICS, SPLAT, train
+from mi_splat.training.config import FitConfig
+from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
+
+if TYPE_CHECKING:
+    from mi_splat.cameras import View
+    from mi_splat.datasets import Dataset
+    from mi_splat.rendering import Renderer
+    from mi_splat.scene import GaussianScene
+    from mi_splat.training.loop import Progress, TrainState
+
+
+EXAMPLES = (
+    "train out/truck --out out/truck-splat --iterations 7000",
+    "train my_colmap_folder --out out/desk --downscale 2 --max-gaussians 200000",
+    "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
+)
+SEE_ALSO = ("capture", "render", "info")
+ALIASES = {
+    "position_lr_init": "lr-means",
+    "position_lr_final": "lr-means-final",
+    "feature_lr": "lr-sh",
+    "opacity_lr": "lr-opacities",
+    "scaling_lr": "lr-scales",
+    "rotation_lr": "lr-rotations",
+    "densify_from_iter": "densify-from",
+    "densify_until_iter": "densify-until",
+    "densification_interval": "densify-interval",
+    "cap_max": "max-gaussians",
+    "noise_lr": "noise-lr",
+}
+
+
+_STRATEGY = strategy_name(FitConfig().strategy)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainOptions:
+    """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
+
+    Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
+    when the same command is given again, and makes the bits that it would have made. A run also goes on with more
+    --iterations than it had.
+
+    Options of 3DGS are taken under its names, too: --position_lr_init, --feature_lr, --opacity_lr, --scaling_lr,
+    --rotation_lr, --densify_from_iter, --densification_interval, ...
+    """
+
+    dataset: Positional[Folder]
+    """Folder of the set."""
+    out: Folder
+    """Folder for the results; made if it is not there."""
+    strategy: Annotated[str, Called("|".join(strategy_names()))] = _STRATEGY
+    """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
+    of one add --help."""
+    fit: Unprefixed[FitConfig] = field(default_factory=FitConfig)
+    """How the splat is trained."""
+    start: Path | None = None
+    """Splat to begin with; None takes the points of the set."""
+    random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
+    """Begin with so many Gaussians anywhere instead."""
+    outliers: Annotated[int, between(0, 100_000_000, "Gaussians")] = 0
+    """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
+    downscale: Annotated[int, between(1, 64, "times smaller"), Called("FACTOR")] = 1
+    """Integer factor by which the pictures shrink."""
+    background: Colour = (0.0, 0.0, 0.0)
+    """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]. See also
+    --random-background."""
+    near: Length | None = None
+    """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
+    scene or the distance of its cameras is small."""
+    lpips: bool = False
+    """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
+    checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
+    """Steps between two checkpoints."""
+    seed: Seed = 0
+    """Seed of everything random."""
+    json: bool = False
+    """Print the figures as one JSON document on stdout."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        name = strategy_name(self.fit.strategy)
+        if self.strategy != name:
+            do = "pass both alike"
+            raise InvalidValueError(message("strategy", f"{name}, as in fit", self.strategy, do))
+
+
+def defaults(words: Sequence[str]) -> dict[str, Any]:
+    """The strategy and its options, which say what further flags there are.
+
+    Args:
+        words: What the user typed after the command.
+
+    Raises:
+        UsageError: There is no such strategy.
+    """
+    name = _STRATEGY
+    for word, following in zip(words, [*words[1:], ""], strict=False):
+        if word.partition("=")[0] == "--strategy":
+            name = word.partition("=")[2] or following
+    try:
+        check_choice("--strategy", name, strategy_names())
+    except InvalidValueError as error:
+        raise UsageError(str(error)) from None
+    return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
+
 
 _WORTH_A_WORD = 0.001
 """Share of the Gaussians from which it is said that the near plane hides them."""
@@ -27,12 +127,20 @@ _WORTH_A_WORD = 0.001
 
 def run(options: TrainOptions) -> int:
     """Train, or go on with a training, and say what came of it."""
+    from mi_splat.io.folders import own_folder
+    from mi_splat.training.resume import CHECKPOINT, CONFIG
+
     with own_folder(options.out, CONFIG, CHECKPOINT):
         return _train(options)
 
 
 def _train(options: TrainOptions) -> int:
     """As `run`, in a folder that is this process's own."""
+    from mi_splat.bounds import near_plane
+    from mi_splat.datasets import load_dataset
+    from mi_splat.metrics import load_lpips
+    from mi_splat.training.resume import METRICS, SPLAT, train
+
     limit_threads(1)
     config = options.fit
     with progress("loading the pictures"):
@@ -82,6 +190,8 @@ def _train(options: TrainOptions) -> int:
 
 
 def _held_out(options: TrainOptions) -> Sequence[View]:
+    from mi_splat.datasets import has_tests, load_dataset
+
     if not has_tests(options.dataset):
         return ()
     return load_dataset(options.dataset, split="test", downscale=options.downscale, background=options.background)
@@ -89,6 +199,8 @@ def _held_out(options: TrainOptions) -> Sequence[View]:
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:
     """The renderer that the training needs."""
+    from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+
     config = options.fit
     if config.random_background and any(options.background):
         do = "leave out --background or --random-background"
@@ -99,6 +211,8 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
 
 def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
     """Say how much of the start no picture will show, if it is worth a word."""
+    from mi_splat.bounds import culled_in_view
+
     culled = [culled_in_view(start, camera, near) for camera in views.cameras]
     if max(culled) > _WORTH_A_WORD * len(start):
         most = f"{max(culled):,} of {len(start):,} Gaussians"
@@ -114,6 +228,9 @@ def _resumed(state: TrainState, iterations: int) -> str:
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     """The Gaussians to begin with."""
+    from mi_splat.io import load_splat
+    from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
+
     if options.outliers and not (options.start is None and options.random is None):
         do = "leave out --start and --random"
         raise InvalidValueError(message("--outliers", "a start on the points of the set", "another", do))

@@ -113,7 +113,7 @@ def test_the_command_hands_its_options_on_and_prints_the_record(
         calls.append({"name": name, "folder": folder, **given})
         return dict(record)
 
-    monkeypatch.setattr("mi_splat.cli.example_scenes.make", fake)
+    monkeypatch.setattr("mi_splat.example_scenes.make", fake)
     words = ["example-scenes", "stop_sign", "--out", str(tmp_path), "--views", "5", "--samples", "2", "--steps", "7"]
     assert cli.main([*words, "--seed", "3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == record

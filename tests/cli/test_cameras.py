@@ -11,8 +11,8 @@ import torch
 
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at, project_points
-from mi_splat.cli.camera_options import CameraOptions
 from mi_splat.cli.cameras import find_cameras, render_settings
+from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import write_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError

@@ -9,7 +9,6 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -143,7 +142,7 @@ def test_warnings_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def command_that(action: Callable[[object], int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Put `action` in the place of `mi-splat doctor`."""
-    monkeypatch.setitem(sys.modules, "attacks.cli.doctor", SimpleNamespace(run=action))
+    monkeypatch.setattr("attacks.cli.doctor.run", action)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import json
 import math
 import typing
@@ -15,8 +16,7 @@ import numpy as np
 import pytest
 
 from attacks import cli
-from attacks.cli.examples import EXAMPLES, SEE_ALSO
-from attacks.cli.parsing import argument_parser, parse
+from attacks.cli import parse, parser_of
 from attacks.cloak.config import AttackConfig, CleaningConfig, LayersConfig, StudyConfig, SurrogateConfig
 from attacks.observe.conditions import SunTable
 from mi_splat.cli.console import UsageError
@@ -70,7 +70,7 @@ FILES = (
 
 
 def options_of(command: str, words: list[str]) -> Any:
-    return parse(command, cli.COMMANDS[command], [*NEEDED.get(command, []), *words])
+    return parse(command, [*NEEDED.get(command, []), *words])
 
 
 def configurations(value: Any) -> Iterator[Any]:
@@ -113,6 +113,7 @@ def right_value(allowed: Range, whole: bool) -> float:
 
 
 COMMANDS = {name: options_of(name, []) for name in cli.COMMANDS}
+MODULES = {name: importlib.import_module(command.module) for name, command in cli.COMMANDS.items()}
 PARTS = [
     *(part for options in COMMANDS.values() for part in configurations(options)),
     *(part for study in FILES for part in configurations(study)),
@@ -322,7 +323,7 @@ def test_help_begins_with_what_it_does_and_examples(command: str, capsys: pytest
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_help_says_of_every_flag_what_it_means_and_what_its_values_are_called(command: str) -> None:
-    for action in argument_parser(command, cli.COMMANDS[command])._actions:
+    for action in parser_of(command)._actions:
         assert action.help, action.dest
         assert action.metavar or action.nargs == 0, action.option_strings
         called = action.metavar if isinstance(action.metavar, tuple) else (str(action.metavar),)
@@ -350,16 +351,17 @@ def test_help_shows_ranges_units_and_defaults(command: str, shown: str, capsys: 
     assert shown in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+@pytest.mark.parametrize("line", [line for module in MODULES.values() for line in module.EXAMPLES])
 def test_examples_can_be_parsed(line: str) -> None:
     command, *words = line.split()
-    parse(command, cli.COMMANDS[command], words)
+    parse(command, words)
 
 
-def test_examples_and_neighbours_are_of_commands() -> None:
-    assert set(EXAMPLES) == set(SEE_ALSO) == set(cli.COMMANDS)
-    assert {other for others in SEE_ALSO.values() for other in others} <= set(cli.COMMANDS)
-    assert all(line.split()[0] == command for command, lines in EXAMPLES.items() for line in lines)
+@pytest.mark.parametrize(("command", "module"), MODULES.items())
+def test_examples_and_neighbours_are_of_commands(command: str, module: Any) -> None:
+    assert module.EXAMPLES
+    assert set(module.SEE_ALSO) <= {*MODULES} - {command}
+    assert all(line.split()[0] == command for line in module.EXAMPLES)
 
 
 def test_words_may_stand_in_any_order() -> None:

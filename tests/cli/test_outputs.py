@@ -21,26 +21,26 @@ from tests.gaussians import random_scene
 from tests.training.sets import write_set
 
 COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
-    "capture": (["capture", "truck.glb", "--size", "16"], "{}", ("mi_splat.cli.capture.write_capture",)),
-    "train": (["train", "set"], "{}", ("mi_splat.cli.train.train",)),
-    "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.render.renderer_of",)),
-    "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.render.renderer_of",)),
+    "capture": (["capture", "truck.glb", "--size", "16"], "{}", ("mi_splat.capture.writer.write_capture",)),
+    "train": (["train", "set"], "{}", ("mi_splat.training.resume.train",)),
+    "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.cameras.renderer_of",)),
+    "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.cameras.renderer_of",)),
     "render, a film": (
         ["render", "a.ply", "--cameras", "orbit:3@20"],
         "{}/a.gif",
-        ("mi_splat.cli.render.renderer_of",),
+        ("mi_splat.cli.cameras.renderer_of",),
     ),
-    "compare": (["compare", "a.ply"], "{}", ("attacks.cli.compare.compare",)),
-    "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.select.choose",)),
-    "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.cli.example_scenes.make",)),
-    "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger.attack",)),
+    "compare": (["compare", "a.ply"], "{}", ("mi_splat.comparison.compare.compare",)),
+    "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.selecting.choose",)),
+    "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.example_scenes.make",)),
+    "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack",)),
     "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.plan.Work",)),
-    "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity.run_checks",)),
-    "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_eot.attack_views",)),
-    "artifact": (["artifact", "set"], "{}", ("attacks.cli.artifact.pack",)),
-    "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.cloak.run_study",)),
-    "detect": (["detect", "a.ply"], "{}", ("attacks.cli.detect.load_detectors",)),
-    "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.evaluate.load_detectors",)),
+    "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.sanity.checks.run_checks",)),
+    "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack_views",)),
+    "artifact": (["artifact", "set"], "{}", ("attacks.report.packing.pack",)),
+    "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),
+    "detect": (["detect", "a.ply"], "{}", ("attacks.cli.loading.load_detectors",)),
+    "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.loading.load_detectors",)),
     "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.train.training_pictures",)),
     "evaluate-detector": (["evaluate-detector"], "{}/x.json", ("attacks.detectors.evaluation.held_out.held_out_sets",)),
 }
@@ -165,7 +165,7 @@ def test_a_result_is_replaced_only_when_forced(
     words = ["dagger", "a.ply", "--cluster", "1", "--out", "out"]
     (folder / "out").mkdir()
     (folder / "out" / "result.json").write_text("{}")
-    forbid(("attacks.cli.dagger.attack",), monkeypatch)
+    forbid(("attacks.dagger.attack.attack",), monkeypatch)
     assert cli.main(words) == 1
     assert "replace this result with force (--force)" in capsys.readouterr().err
     with pytest.raises(AssertionError, match="work was begun"):

@@ -12,7 +12,6 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cli import dagger
 from attacks.dagger.config import DaggerConfig
 from mi_splat import scene_files
 from mi_splat.bounds import bounds
@@ -178,9 +177,9 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     objects = {"rest": slice(0, 10), "thing": slice(10, 40)}
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
-    monkeypatch.setattr(dagger, "open_scene", lambda path: loaded)
+    monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda path: loaded)
     monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
-    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [ColourDetector()])
     return loaded
 
 

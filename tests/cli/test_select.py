@@ -12,7 +12,6 @@ from PIL import Image
 from torch import Tensor
 
 from attacks import cli
-from attacks.cli import dagger
 from mi_splat.io import load_splat, save_splat
 from tests.fakes import ColourDetector, toy_scene
 from tests.selection.bare import CAR, bare_scene, iou
@@ -114,7 +113,7 @@ def test_dagger_attacks_a_selection_and_its_cameras_come_back(
     scene, mask = toy_scene()
     save_splat(scene, tmp_path / "toy.ply")
     np.save(tmp_path / "mask.npy", mask.numpy())
-    monkeypatch.setattr(dagger, "load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [ColourDetector()])
     out = tmp_path / "out"
     words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--cameras", "orbit:2@0"]
     words += ["--distance", "3", "--fov", "50", "--size", "32", "--eps", "20", "--noise-draws", "0"]

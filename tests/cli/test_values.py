@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.cli.parsing import argument_parser, parse
+from attacks.cli import parse, parser_of
 
 
 @pytest.mark.parametrize("command", ["render", "capture", "view", "dagger", "train"])
 def test_values_have_one_spelling_in_every_command(command: str) -> None:
     def option(name: str, *words: str) -> object:
         needed = {"train": ["set", "--out", "out"], "dagger": [], "view": ["a"], "render": ["a"], "capture": ["a"]}
-        options = parse(command, cli.COMMANDS[command], [*needed[command], f"--{name}", *words])
+        options = parse(command, [*needed[command], f"--{name}", *words])
         return getattr(options, name, None) or getattr(getattr(options, "view", options), name)
 
     if command != "train":
@@ -27,7 +27,7 @@ def test_values_have_one_spelling_in_every_command(command: str) -> None:
 
 
 def options_of(command: str, *words: str) -> Any:
-    return parse(command, cli.COMMANDS[command], words)
+    return parse(command, words)
 
 
 def test_an_axis_is_a_letter_or_three_numbers() -> None:
@@ -43,7 +43,5 @@ def test_an_axis_is_a_letter_or_three_numbers() -> None:
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_detectors_are_named_by_one_flag(command: str) -> None:
-    flags = {
-        flag for action in argument_parser(command, cli.COMMANDS[command])._actions for flag in action.option_strings
-    }
+    flags = {flag for action in parser_of(command)._actions for flag in action.option_strings}
     assert "--detector" not in flags

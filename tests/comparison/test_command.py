@@ -12,7 +12,6 @@ pytest.importorskip("jinja2", reason="pages need the extra report")
 pytest.importorskip("matplotlib", reason="pages need the extra report")
 
 from attacks import cli
-from attacks.cli import compare as command
 from attacks.report.results import read_section
 from mi_splat.errors import MiSplatError
 from mi_splat.io import save_splat
@@ -106,7 +105,7 @@ def test_a_failure_on_the_way_leaves_nothing(toy: Path, monkeypatch: pytest.Monk
     def broken(*_: object, **__: object) -> None:
         raise MiSplatError("broken")
 
-    monkeypatch.setattr(command, "write_page", broken)
+    monkeypatch.setattr("attacks.report.page.write_page", broken)
     before = sorted(toy.rglob("*"))
     words = ["compare", "toy.ply", "--size", "16", "--no-gradients", "--rounds", "0", "--out", "found"]
     assert cli.main(words) == 1
@@ -119,8 +118,8 @@ def test_lpips_without_its_network_is_not_measured(
     def unreachable() -> None:
         raise MiSplatError("lpips: expected the weights, got none")
 
-    monkeypatch.setattr(command, "load_lpips", unreachable)
-    monkeypatch.setattr(command, "missing_packages", lambda: ["Jinja2"])
+    monkeypatch.setattr("mi_splat.metrics.load_lpips", unreachable)
+    monkeypatch.setattr("attacks.report.charts.missing_packages", lambda: ["Jinja2"])
     words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "found"]
     assert cli.main(words) == 0
     said = capsys.readouterr()

@@ -236,7 +236,7 @@ class TestCommand:
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         few = [check for check in CHECKS if check.__name__ in ("clean", "gradient")]
-        monkeypatch.setattr(dagger_sanity, "CHECKS", few)
+        monkeypatch.setattr("attacks.dagger.sanity.checks.CHECKS", few)
         assert self.call("--detectors", "flipped", "--surrogate", "none", "--json") == 1
         values = json.loads(capsys.readouterr().out)
         assert values["passed"] is False

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from attacks import cli
-from attacks.cli import artifact_check
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
@@ -71,10 +70,10 @@ def test_the_command_scores_again(
     class Blind(ColourDetector):
         min_confidence = 2.0
 
-    monkeypatch.setattr(artifact_check, "load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [ColourDetector()])
     assert cli.main(["artifact-check", str(attacked), "--rescore"]) == 0
     assert "moved by 0.0%, may move by 2.0%" in capsys.readouterr().out
-    monkeypatch.setattr(artifact_check, "load_detectors", lambda names, weights: [Blind()])
+    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [Blind()])
     assert cli.main(["artifact-check", str(attacked), "--rescore"]) == 1
 
 

@@ -13,8 +13,8 @@ from PIL import Image, ImageOps
 from plyfile import PlyData
 
 from attacks import cli
-from attacks.cli.parsing import parse
-from mi_splat.cli.options import TrainOptions
+from attacks.cli import parse
+from mi_splat.cli.train import TrainOptions
 from mi_splat.datasets import has_tests, load_dataset
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import Split
@@ -141,11 +141,11 @@ def test_flags_are_the_fields_of_the_configs(capsys: pytest.CaptureFixture[str])
 
 
 def test_flags_become_the_configs() -> None:
-    plain = parse("train", cli.COMMANDS["train"], ["set", "--out", "out"])
+    plain = parse("train", ["set", "--out", "out"])
     assert isinstance(plain, TrainOptions)
     assert plain.fit == FitConfig()
     words = ["--strategy", "mcmc", "--noise-lr", "3", "--max-gaussians", "7", "--lr-sh", "0.1", "--iterations", "9"]
-    given = parse("train", cli.COMMANDS["train"], ["set", "--out", "out", *words])
+    given = parse("train", ["set", "--out", "out", *words])
     assert isinstance(given, TrainOptions)
     assert given.fit == FitConfig(strategy=MCMCConfig(noise_lr=3.0, max_gaussians=7), lr_sh=0.1, iterations=9)
     with pytest.raises(InvalidValueError, match="expected classic, as in fit, got mcmc"):

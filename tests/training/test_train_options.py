@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cli.parsing import parse
+from attacks.cli import parse
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.cli import console
@@ -123,7 +123,7 @@ def test_progress_without_a_terminal_is_plain_lines(
 
 def test_options_have_their_names_of_3dgs_too() -> None:
     words = ["--position_lr_init", "0.1", "--opacity-lr", "0.2", "--densification_interval=7", "--iterations", "9"]
-    options: Any = parse("train", cli.COMMANDS["train"], ["set", "--out", "out", *words])
+    options: Any = parse("train", ["set", "--out", "out", *words])
     assert (options.fit.lr_means, options.fit.lr_opacities, options.fit.strategy.densify_interval) == (0.1, 0.2, 7)
 
 
