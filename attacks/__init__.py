@@ -13,9 +13,10 @@ from mi_splat import _lazy
 if TYPE_CHECKING:
     from attacks.cloak.poisoning import Poisoning, poison
     from attacks.cloak.triggers import Azimuth, Elevation
-    from attacks.dagger.attack import attack
-    from attacks.dagger.config import DaggerConfig
+    from attacks.dagger.attack import attack, attack_views
+    from attacks.dagger.config import DaggerConfig, EotConfig
     from attacks.dagger.report import write_report
+    from attacks.dagger.views import ViewDistribution
     from attacks.detectors import load_detector
     from attacks.objectives import hide, relabel, untargeted
     from attacks.observe.comparison import compare, compared_rows
@@ -27,8 +28,11 @@ __all__ = [
     "Azimuth",
     "DaggerConfig",
     "Elevation",
+    "EotConfig",
     "Poisoning",
+    "ViewDistribution",
     "attack",
+    "attack_views",
     "compare",
     "compared_rows",
     "count",
@@ -48,9 +52,10 @@ __getattr__, __dir__ = _lazy.attach(
     {
         "attacks.cloak.poisoning": ("Poisoning", "poison"),
         "attacks.cloak.triggers": ("Azimuth", "Elevation"),
-        "attacks.dagger.attack": ("attack",),
-        "attacks.dagger.config": ("DaggerConfig",),
+        "attacks.dagger.attack": ("attack", "attack_views"),
+        "attacks.dagger.config": ("DaggerConfig", "EotConfig"),
         "attacks.dagger.report": ("write_report",),
+        "attacks.dagger.views": ("ViewDistribution",),
         "attacks.detectors": ("load_detector",),
         "attacks.observe.comparison": ("compare", "compared_rows"),
         "attacks.observe.rates": ("count",),
