@@ -122,9 +122,10 @@ def _plan(options: StudyOptions, study: Study) -> int:
     show(f"{document['jobs']} jobs, {document['done']} of them done.")
     if work.searches:
         show(f"Of {len(work.searches)} searches some of the jobs: which ones, their results say.")
-    show(
-        f"About {_words(seconds / max(1, options.workers))} by what was measured, on {max(1, options.workers)} workers."
-    )
+    workers = max(1, options.workers)
+    if seconds:
+        on = "" if workers == 1 else f", on {workers} workers"
+        show(f"About {_words(seconds / workers)} by what was measured{on}.")
     if unknown:
         show(f"Of {unknown} jobs no like was done yet, so their time is not known.")
     return 0
