@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -105,6 +105,12 @@ class Line:
     name: str
     role: Role
     points: tuple[Point, ...]
+
+    @classmethod
+    def of(cls, name: str, role: Role, rates: Iterable[Rate | None]) -> Line:
+        """Rates at the places 0, 1, ..., those apart that are none or count nothing."""
+        points = tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate is not None and rate.total)
+        return cls(name=name, role=role, points=points)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

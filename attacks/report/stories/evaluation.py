@@ -11,7 +11,7 @@ from attacks.observe.comparison import compare
 from attacks.observe.measures import comparison_measures
 from attacks.observe.rows import ROWS
 from attacks.report.checking import Tables
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of
+from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, Table, doubts_of
 from attacks.report.stories.thresholds import threshold_charts
 from attacks.report.wording import counted, known, listed, number, plural, rate_of, settings
 
@@ -117,9 +117,8 @@ def _headline(name: str, rates: Mapping[str, Any]) -> tuple[Figure, Figure | Non
 
 
 def _charts(detectors: Mapping[str, Any]) -> tuple[Chart, ...]:
-    def points(which: str) -> tuple[Point, ...]:
-        rates = [rate_of(one.get(which)) for one in detectors.values()]
-        return tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate is not None and rate.total)
+    def line(name: str, role: Role, key: str) -> Line:
+        return Line.of(name, role, [rate_of(one.get(key)) for one in detectors.values()])
 
     targeted = any(one.get("target") for one in detectors.values())
     which, words = ("target", "target reported") if targeted else ("found", "object found")
@@ -130,8 +129,8 @@ def _charts(detectors: Mapping[str, Any]) -> tuple[Chart, ...]:
             x_label="detector",
             y_label="views",
             lines=(
-                Line(name="attacked", role="attack", points=points(f"{which}_attacked")),
-                Line(name="clean (control)", role="control", points=points(f"{which}_clean")),
+                line("attacked", "attack", f"{which}_attacked"),
+                line("clean (control)", "control", f"{which}_clean"),
             ),
             ticks=tuple(detectors),
             connected=False,

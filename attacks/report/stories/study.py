@@ -9,7 +9,7 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.report import section
-from attacks.report.section import Chart, Figure, Line, Point, Role, Section, doubts_of
+from attacks.report.section import Chart, Figure, Line, Section, doubts_of
 from attacks.report.wording import capital, counted, counts, known, listed, plural, pooled, sentence, shared
 from attacks.studies.table import KINDS, by_part, tables, title_of
 
@@ -160,11 +160,7 @@ def _chart(
         caption="Bars are 95 % intervals.",
         x_label=x_label,
         y_label=y_label,
-        lines=(_line("attack", "attack", rates), _line("random noise", "control", noise)),
+        lines=(Line.of("attack", "attack", rates), Line.of("random noise", "control", noise)),
         ticks=ticks or tuple(map(str, range(1, len(rates) + 1))),
         connected=False,
     )
-
-
-def _line(name: str, role: Role, rates: Sequence[Rate]) -> Line:
-    return Line(name=name, role=role, points=tuple(Point.of(x, rate) for x, rate in enumerate(rates) if rate.total))

@@ -8,7 +8,7 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.report.checking import Tables
-from attacks.report.section import FEW, Chart, Figure, Line, Point, Role, Section, Table
+from attacks.report.section import FEW, Chart, Figure, Line, Role, Section, Table
 from attacks.report.stories.cloak import figures as cloak_figures
 from attacks.report.stories.cloak import headline_of, spread
 from attacks.report.wording import (
@@ -125,11 +125,8 @@ def _controls(studies: list[tuple[str, str, Mapping[str, Any]]]) -> str:
 
 
 def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
-    lines = []
-    for key, name, role in _LINES:
-        rates = [rate_of(one["by_detector"][detector][key]) for one in values.values()]
-        points = tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate is not None and rate.total)
-        lines.append(Line(name=name, role=role, points=points))
+    rates = [one["by_detector"][detector] for one in values.values()]
+    lines = [Line.of(name, role, [rate_of(one[key]) for one in rates]) for key, name, role in _LINES]
     title = group.replace("_", " ")
     return Chart(
         title=f"{title}, {detector}",

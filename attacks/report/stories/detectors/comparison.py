@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Point, Section, Table
+from attacks.report.section import Chart, Figure, Line, Section, Table
 from attacks.report.stories.detectors.held_out import (
     CONDITIONS,
     bin_name,
@@ -98,11 +98,7 @@ def _charts(several: Sequence[Document], sets: Sequence[str]) -> Iterator[Chart]
         members = [one for one in several if bins_of(one["sets"].get(name, {}), "elevation")]
         if not members:
             continue
-        lines = []
-        for one in members:
-            rates = [known(entry) for entry in bins_of(one["sets"][name], "elevation")]
-            points = tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate.total)
-            lines.append(Line(name=_name(one), role="other", points=points))
+        lines = [Line.of(_name(one), "other", map(known, bins_of(one["sets"][name], "elevation"))) for one in members]
         if any(line.points for line in lines):
             yield Chart(
                 title=f"Objects that are found, by elevation, {name}",

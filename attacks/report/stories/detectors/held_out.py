@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Point, Section, Table
+from attacks.report.section import Chart, Figure, Line, Section, Table
 from attacks.report.wording import counted, known, listed, number, plural, pooled, settings
 
 KIND = "a detector on held-out pictures"
@@ -137,9 +137,7 @@ def _charts(sets: Mapping[str, Document]) -> Iterator[Chart]:
         for name, one in sets.items():
             bins = bins_of(one, condition)
             ticks = ticks or tuple(map(bin_name, bins))
-            rates = [known(one) for one in bins]
-            points = tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate.total)
-            lines.append(Line(name=name, role="other", points=points))
+            lines.append(Line.of(name, "other", map(known, bins)))
         if any(line.points for line in lines):
             yield Chart(
                 title=f"Objects that are found, by {condition.replace('_', ' ')}",
