@@ -276,7 +276,7 @@ def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ..
 
 
 def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole: bool = False) -> Any:
-    """A number in a range; those of Python stay as they are.
+    """A number in a range.
 
     Args:
         name: Of it, for the error.
@@ -290,7 +290,10 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # of NumPy or torch
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, Real) or (whole and not hasattr(value, "__index__")):
-        raise FieldError.of(name, "a whole number" if whole else "a number", repr(value), "change it")
+        expected = str(allowed or Range())
+        raise FieldError.of(
+            name, expected.replace("a number", "a whole number") if whole else expected, repr(value), "change it"
+        )
     number: Any = operator.index(value) if whole else value if isinstance(value, (int, float)) else float(value)  # type: ignore[arg-type]  # it has __index__
     allowed = allowed or Range()
     if not allowed.holds(number):
@@ -333,7 +336,7 @@ def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read
         if not isinstance(value, Mapping):
             raise FieldError.of(name, "a table", repr(value), "write [section] above its keys")
         return decode(typing.cast(type, kind), value, name)
-    return _single(kind, value, name, marks, read=read)
+    return _single(kind, value, name, marks)
 
 
 def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> tuple[Any, ...]:
@@ -373,7 +376,7 @@ def _member(parts: tuple[Any, ...], value: Any) -> Any:
     return plain[0] if plain and len(plain) + len(listed) == len(kinds) else None
 
 
-def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> Any:
+def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
     """One number, text, path or truth; anything else is left alone.
 
     Args:
@@ -381,12 +384,11 @@ def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...], *, read: b
         value: What is given.
         name: For the error.
         marks: What is said of it.
-        read: Whether it comes from a file.
     """
     if kind in (int, float):
         allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
         number = checked_number(name, value, allowed, whole=kind is int)
-        return float(number) if read and kind is float else number
+        return float(number) if kind is float else number
     if kind is Path and isinstance(value, (str, os.PathLike)):
         return Path(value)
     if kind in (str, bool, Path) and not isinstance(value, kind):

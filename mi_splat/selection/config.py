@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     )  # fmt: skip
     Click = str | tuple[int, int]
 else:  # what the command line makes of words
-    MaskValue, Click = Path, str
+    MaskValue, Click = Path | tuple, str
 
 Box = Annotated[tuple[float, float, float, float, float, float], Range(unit="world units"), Called("X0 Y0 Z0 X1 Y1 Z1")]
 Rotation = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Called("YAW PITCH ROLL")]

@@ -92,8 +92,8 @@ def test_wrong_usage_exits_with_2(words: list[str], capsys: pytest.CaptureFixtur
         (["info"], "arguments: expected FILE, got none; add it"),
         (["info", "a.ply", "--nonsense"], "options: expected those of the command, got --nonsense"),
         (["train", "s", "--out", "o", "--iteratons", "5"], "did you mean --iterations?"),
-        (["dagger", "--steps", "many"], "--steps: expected a whole number, got 'many'"),
-        (["dagger", "--confidence", "much"], "--confidence: expected a number, got 'much'"),
+        (["dagger", "--steps", "many"], "--steps: expected a whole number >= 1 (steps), got 'many'"),
+        (["dagger", "--confidence", "much"], "--confidence: expected a number in [0, 1], got 'much'"),
         (["dagger", "--steps", "0"], "dagger: --steps: expected a number >= 1 (steps), got 0"),
         (["dagger", "--norm", "l7"], "--norm: expected one of linf, l2, l2_per_gaussian, got l7"),
         (

@@ -284,8 +284,8 @@ def test_values_become_those_of_python() -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"size": True}, "size: expected a number, got True"),
-        ({"corners": (1, 2.0)}, "corners: expected a whole number, got 2.0"),
+        ({"size": True}, "size: expected a number > 0 \\(metres\\), got True"),
+        ({"corners": (1, 2.0)}, "corners: expected a whole number >= 0, got 2.0"),
         ({"at": (1, 2, 3)}, r"at: expected 2 values, got \(1, 2, 3\)"),
         ({"kind": "squar"}, "kind: expected one of round, square, got squar; did you mean square?"),
         ({"width": (1, -1)}, "width: expected a number >= 0, got -1"),

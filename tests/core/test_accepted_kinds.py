@@ -75,7 +75,7 @@ def test_a_box_may_be_an_array() -> None:
     selection = Selection(box=box, box_rotation=np.zeros(3))  # type: ignore[arg-type]
     assert selection == Selection(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))
     assert json.dumps(selection.as_dict())
-    with pytest.raises(InvalidValueError, match="box: expected 6 numbers"):
+    with pytest.raises(InvalidValueError, match="box: expected 6 values"):
         Selection(box=(0.0, 1.0))  # type: ignore[arg-type]
 
 

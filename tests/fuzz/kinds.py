@@ -30,6 +30,7 @@ from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
 from attacks.report.checking import check_detections, check_figures, check_files, read_result
 from attacks.report.results import STORIES, read_section, story_of
+from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder
 from mi_splat.datasets.pictures import read_mask, read_picture
@@ -300,12 +301,20 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     for name in ("rows.csv", "rows.csv.gz"):
         yield f"rows {name}", Kind(make=partial(_rows, name), read=read_rows)
     yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
+    yield "study of attacks", Kind(make=_copied("scenes/studies/transfer.toml"), read=_plan)
     gltf = _written("a.gltf", lambda: GLB.get(valid("a.glb")))
     yield "mesh a.gltf", Kind(make=gltf, read=gltf_notes, document=PLAIN_JSON)
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
     yield from ((f"picture {name}", Kind(make=partial(_picture, name), read=_see)) for name in ("p.png", "p.jpg"))
     parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
     yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
+
+
+def _plan(path: Path) -> None:
+    """Everything that a study file says, down to the settings of each of its jobs."""
+    study = study_file.read_study(path)
+    list(study.points())
+    list(study.judges())
 
 
 def _apply(path: Path) -> None:

@@ -115,7 +115,7 @@ def test_broken_documents_are_refused_in_words(name: str, change: Change, tmp_pa
         kind.read(path)
 
 
-@pytest.mark.parametrize("name", ["study"])
+@pytest.mark.parametrize("name", ["study", "study of attacks"])
 @pytest.mark.parametrize(
     "text", ["x = " + "[" * 5000, "x." * 2000 + "y = 1", "seeds = " + "9" * 10_000, "\xff", "a = nan"]
 )

@@ -58,11 +58,11 @@ def test_a_killed_process_has_nothing(tmp_path: Path) -> None:
     assert names(tmp_path / "out") == [LOCK]
     with new_folder(tmp_path / "out") as place:  # what is left there does not count
         (place / "result.json").write_text("")
-    assert names(tmp_path / "out") == ["result.json"]
+    assert names(tmp_path / "out") == ["manifest.json", "result.json"]
     (tmp_path / "out" / LOCK).write_text("")
     with own_folder(tmp_path / "out", "result.json"):
         pass
-    assert names(tmp_path / "out") == ["result.json"]
+    assert names(tmp_path / "out") == ["manifest.json", "result.json"]
 
 
 def test_a_thread_may_take_what_it_has_and_another_thread_may_not(tmp_path: Path) -> None:
