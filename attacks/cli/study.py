@@ -86,14 +86,12 @@ def _out(options: StudyOptions, study: Study) -> Path:
 
 
 def _work(study: Study) -> Work | CloakWork:
-    from attacks.studies.cloak import CloakWork
-    from attacks.studies.plan import Work
-
     limit_threads(1)
     if study.kind == "cloak":
         from attacks.studies.cloak import CloakWork
 
         return CloakWork(study)
+    from attacks.studies.plan import Work
 
     return Work(study)
 
@@ -140,13 +138,16 @@ def _words(seconds: float) -> str:
 def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
     from attacks.studies.result import STUDY_FILE
-    from mi_splat.io.folders import own_folder
+    from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.io.manifest import write_manifest
     from mi_splat.ledger.plans import Driver
 
     out = _out(options, study)
+    check_own_folder(out, STUDY_FILE)
+    work = _work(study)
+    if study.kind == "cloak":
+        cast("CloakWork", work).check_room(options.store)
     with own_folder(out, STUDY_FILE):
-        work = _work(study)
         with progress("preparing", total=None if work.searches else work.size) as advance:
             engine = _engine(options, _follow(advance))
             driver = Driver(options.store, engine, name=work.study.name, on_event=_follow(advance))

@@ -9,7 +9,7 @@ the study says comes in the place of what stands there. Every point is done with
     [[case]]
     name = "cleaning"
     [case.matrix]
-    cleaning = ["none", { name = "SH degree 1", sh_degree = 1 }]
+    cleaning = ["none", { name = "SH degree 1", cleaning = { sh_degree = 1 } }]
     "attack.overhead.emphasis" = [1.0, 3.0]
 """
 
@@ -29,7 +29,7 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.plots import new_axes, save_figure
 from attacks.cloak.rates import figures, spread_of, words_of
 from attacks.cloak.steps import StudySteps
-from attacks.cloak.study import check_study, detectors_of, listed, observe
+from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, listed, observe
 from attacks.detectors.base import Detector
 from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, TRANSITION, write_rows
 from attacks.studies.study_file import Point, Search, Settings, Study, merged
@@ -146,6 +146,11 @@ class CloakPoint:
         done = {identity: result for identity, result in ended.items() if isinstance(result, Done)}
         return done if len(done) == len(ended) else None
 
+    def is_trained(self, store: Path) -> bool:
+        """Whether all of its splats are in a store."""
+        steps = replace(self.steps, folder=store)
+        return all(steps.finished(steps.trained(*name)) is not None for name in steps.names())
+
     @cached_property
     def _labelled(self) -> list[tuple[str, Job]]:
         return [*self.steps.made(), *self.steps.looked(self.detectors)]
@@ -191,6 +196,20 @@ class CloakWork:
     def plans(self) -> list[Plan]:
         """Plans for a driver of the ledger."""
         return [grid(self.jobs())]
+
+    def check_room(self, store: Path) -> None:
+        """Refuse a disk without room for all points whose splats are not there; a cleaning needs no more of it.
+
+        Args:
+            store: Folder of the ledger, which need not be there.
+
+        Raises:
+            InvalidValueError: The disk is too small.
+        """
+        missing = {
+            replace(point.steps.study, cleaning=None): None for point in self.attempts if not point.is_trained(store)
+        }
+        check_disk(sum(forecast(study).megabytes for study in missing), store)
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """Write result.json, the tables of rows, study.toml, table.md and a plot for each part.

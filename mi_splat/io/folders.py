@@ -88,14 +88,18 @@ def own_folder(out: str | os.PathLike[str], *records: str) -> Iterator[None]:
     Raises:
         SplatFileError: `out` is a file, holds something else, cannot be written, or another process has it.
     """
-    _check_own(out, records)
+    check_own_folder(out, *records)
     with locked_folder(out):
-        _check_own(out, records)  # as whoever had it before us left it
+        check_own_folder(out, *records)  # as whoever had it before us left it
         yield
 
 
-def _check_own(out: str | os.PathLike[str], records: Sequence[str]) -> None:
-    """Raise unless a folder is new, empty, or known by one of `records`."""
+def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
+    """Raise, before any work is done, unless a folder is new, empty, or known by one of `records`; see `own_folder`.
+
+    Raises:
+        SplatFileError: It is not.
+    """
     check_writable(out)
     names = _names_in(Path(out))
     if names and not set(records) & set(names):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
@@ -12,12 +14,13 @@ from PIL import Image
 
 from attacks import cli
 from attacks.cloak.config import StudyConfig, read_study
+from attacks.cloak.study import forecast
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.results import read_section
 from attacks.report.stories import variations
-from attacks.studies.cloak import CloakWork, config_of, tables, write_variation
+from attacks.studies.cloak import CloakPoint, CloakWork, config_of, tables, write_variation
 from attacks.studies.study_file import read_study as read_file
 from attacks.studies.study_file import study_of
 from mi_splat.errors import InvalidValueError
@@ -76,6 +79,36 @@ def test_what_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
         CloakWork(study_of({"study": "cloak", **table}, "x"))
 
 
+@pytest.fixture
+def tiny(tmp_path: Path) -> Path:
+    """A study of four trainings, of which two points each differ in their cleaning."""
+    (tmp_path / "base.toml").write_text(study_toml(asdict(STUDY)))
+    file = tmp_path / "tiny.toml"
+    file.write_text(
+        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\n[matrix]\n"training.sh_degree" = [0, 1, 2, 3]\n'
+        'cleaning = ["none", { name = "SH degree 0", cleaning = { sh_degree = 0 } }]\n'
+    )
+    return file
+
+
+def test_the_disk_has_room_for_all_points(
+    tiny: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Four studies want four times the room of one, and nothing is written where it is not there."""
+    one = forecast(STUDY).megabytes
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3.9e6 * one))
+    folder, before = tiny.parent, sorted(tiny.parent.iterdir())
+    words = ["study", "run", str(tiny), "--store", str(folder / "store"), "--out", str(folder / "out")]
+    with patch.dict(registry._REGISTRY._specs, KNOWN):
+        assert cli.main(words) == 1
+        assert sorted(folder.iterdir()) == before
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert f"expected {4 * one:.0f} MB" in error
+        monkeypatch.setattr(CloakPoint, "is_trained", lambda point, store: point.steps.study.training.sh_degree < 2)
+        CloakWork(read_file(tiny)).check_room(folder / "store")
+
+
 @pytest.mark.slow
 def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     """A cleaning needs no training of its own, so that two points have the trainings of one."""
@@ -90,6 +123,8 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     words = ["study", "run", str(file), "--store", str(store), "--out", str(out), "--workers", "0"]
     with patch.dict(registry._REGISTRY._specs, KNOWN):
         assert cli.main(words) == 0
+        with patch.object(shutil, "disk_usage", lambda path: SimpleNamespace(free=0)):
+            CloakWork(read_file(file)).check_room(store)  # what is done wants none
     records = map(Store(store).record, Store(store).keys())
     assert sum(record["kind"].endswith(".trained") for record in records) == 4
     record = json.loads((out / "result.json").read_text())
