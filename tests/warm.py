@@ -81,7 +81,7 @@ class Warm:
 
 def serve() -> None:
     """Fork for each request on stdin, and say its exit status on stdout."""
-    from attacks.cli.checks import EXTRAS
+    from attacks.cli.doctor import EXTRAS
 
     if FORKS:
         sys.modules.update(dict.fromkeys(EXTRAS.values()))  # type: ignore[arg-type]  # None: not to be imported

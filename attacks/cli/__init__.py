@@ -79,9 +79,6 @@ COMMANDS = {
         "attacks.cli.evaluate_detector", "mAP, recall and false positives of a detector on held-out pictures"
     ),
     "compare-detectors": Command("attacks.cli.compare_detectors", "the figures of several detectors side by side"),
-    "plot-detector-training": Command(
-        "attacks.cli.plot_detector_training", "draw losses and validation mAP of a detector's training"
-    ),
     "doctor": Command("attacks.cli.doctor", "check that everything works here, and say what to do where it does not"),
 }
 

@@ -100,7 +100,7 @@ def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) ->
 
 def _rescored(result: Result, story: Story, options: ArtifactCheckOptions) -> list[Check]:
     """What detectors say today."""
-    from attacks.cli.loading import load_detectors
+    from attacks.cli.names import load_detectors
     from attacks.report.rescoring import fingerprints, rescore
 
     limit_threads((os.cpu_count() or 1) // 2)

@@ -53,7 +53,7 @@ _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")
 
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
-    from attacks.cli.loading import weights_of
+    from attacks.cli.names import weights_of
     from attacks.cloak.study import check, detectors_of, forecast, run_study
 
     limit_threads(1)

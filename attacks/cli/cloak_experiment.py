@@ -199,7 +199,7 @@ def _transition_limit(options: CloakExperimentOptions, study: StudyConfig) -> di
 
 
 def _detectors(options: CloakExperimentOptions, study: StudyConfig) -> list[Detector]:
-    from attacks.cli.loading import load_detectors
+    from attacks.cli.names import load_detectors
 
     return load_detectors(options.detectors or study.evaluation.detectors, options.weights)
 
@@ -230,7 +230,7 @@ def _detection_curve(
 
 
 def _steps(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> StudySteps:
-    from attacks.cli.loading import weights_of
+    from attacks.cli.names import weights_of
     from attacks.cloak.steps import StudySteps
 
     names = options.detectors or study.evaluation.detectors

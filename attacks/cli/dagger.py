@@ -21,7 +21,7 @@ from mi_splat.selection.config import Selection
 if TYPE_CHECKING:
     from attacks.dagger.result import Result
     from attacks.pgd import Step
-    from mi_splat.cli.selecting import Chosen
+    from mi_splat.cli.cameras import Chosen
     from mi_splat.scene_files import SplatScene
 
 
@@ -71,10 +71,10 @@ class DaggerOptions:
 def run(options: DaggerOptions) -> int:
     """Attack, write the report, and say in three lines what happened."""
     from attacks.cli.aims import aim, chosen_object, write_parts
-    from attacks.cli.loading import load_detectors
+    from attacks.cli.names import load_detectors
     from attacks.dagger.attack import attack
     from attacks.dagger.report import summary, write_files
-    from mi_splat.cli.selecting import choose
+    from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_new_folder, new_folder
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import doubts, require_visible

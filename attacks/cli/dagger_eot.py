@@ -77,12 +77,12 @@ class DaggerEotOptions:
 def run(options: DaggerEotOptions) -> int:
     """Attack, write the report, and say in four lines what happened."""
     from attacks.cli.aims import aim, chosen_object, write_parts
-    from attacks.cli.loading import load_detectors
+    from attacks.cli.names import load_detectors
     from attacks.dagger.attack import attack_views
     from attacks.dagger.checkpoint import Checkpoint
     from attacks.dagger.report import summary, write_files
     from attacks.dagger.views import ViewDistribution
-    from mi_splat.cli.selecting import choose
+    from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe
     from mi_splat.io.folders import check_new_folder, new_folder
     from mi_splat.scene_files import open_scene

@@ -111,7 +111,7 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
     from attacks.dagger.sanity.runs import Case
     from attacks.objectives import relabel
     from attacks.studies.scenes import jittered
-    from mi_splat.cli.selecting import choose
+    from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import require_visible
@@ -141,7 +141,7 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
 
 def _surrogate(options: DaggerSanityOptions) -> Detector | None:
     """The detector that attacks are transferred from; None if there is none."""
-    from attacks.cli.loading import loadable
+    from attacks.cli.names import loadable
 
     if options.surrogate == "none":
         return None

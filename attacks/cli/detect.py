@@ -81,7 +81,7 @@ class Seen:
 
 def run(options: DetectOptions) -> int:
     """Detect, draw the boxes, and list them."""
-    from attacks.cli.loading import load_detectors
+    from attacks.cli.names import load_detectors
     from attacks.observe.drawing import annotated
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder

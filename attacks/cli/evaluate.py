@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from attacks.observe.comparison import Comparison
     from attacks.observe.views import ViewDetections
     from mi_splat.cameras import Camera
-    from mi_splat.cli.selecting import Chosen
+    from mi_splat.cli.cameras import Chosen
 
 
 EXAMPLES = ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
@@ -78,10 +78,10 @@ WORDS = {
 
 def run(options: EvaluateOptions) -> int:
     """Evaluate, and write pictures and numbers."""
-    from attacks.cli.loading import load_detectors
+    from attacks.cli.names import load_detectors
     from attacks.observe.comparison import changed_mask, compare, compared_rows
     from attacks.observe.views import CLEAN, evaluate
-    from mi_splat.cli.selecting import choose, look_at_object
+    from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
     from mi_splat.scene import scene_hash

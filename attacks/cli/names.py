@@ -1,21 +1,26 @@
-"""What the options of a command say together, checked before torch or any weights are loaded: detectors, classes, aims.
+"""The detectors, classes and aims that a command's options name: checked together before torch is loaded, then loaded.
 
-As the table of ranges, one set of rules for every command, by the name of the option.
+One set of rules for every command, by the name of the option.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mi_splat.cli.console import UsageError
+from mi_splat.cli.console import UsageError, warn
 from mi_splat.errors import InvalidValueError, message, nearest
+
+if TYPE_CHECKING:
+    from attacks.detectors.base import Detector
 
 DEFAULT_OBJECT = "car"
 """Part that is attacked if nothing else is said."""
 DEFAULT_TARGET = "person"
 """Class that detectors shall see there if nothing else is said."""
+ENDINGS = ("_small", "_coco")
+"""Of the names of the project's own detectors, and of those that `mi-splat detectors --get` fetches."""
 
 
 def check_names(options: object) -> None:
@@ -86,6 +91,53 @@ def check_class(name: str | None, detector: str, classes: Sequence[str], *, what
     if name is not None and name not in classes:
         expected, do = f"one of {', '.join(classes)} for {detector}", "name a class that it knows"
         raise InvalidValueError(message(what, expected, name, nearest(name, classes, do)))
+
+
+def load_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> list[Detector]:
+    """Detectors by name, each with its file of weights if there are any.
+
+    Args:
+        names: As `mi-splat detectors` lists them.
+        weights: As many files, or none for the shipped or published weights.
+
+    Raises:
+        InvalidValueError: There are other numbers of files, no names, or the same twice.
+        DetectorError: A detector cannot be loaded.
+    """
+    from attacks.detectors import load_detector
+
+    files = weights_of(names, weights)
+    return [load_detector(name, weights=files.get(name)) for name in names]
+
+
+def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]:
+    """The files of weights by the names of their detectors; empty for the shipped or published ones.
+
+    Raises:
+        InvalidValueError: As in `load_detectors`.
+    """
+    if not names:
+        raise InvalidValueError(message("--detectors", "one name or more", "none", "see `mi-splat detectors`"))
+    check_detectors(names, weights)
+    return dict(zip(names, weights, strict=True)) if weights else {}
+
+
+def loadable() -> list[str]:
+    """Names of the project's own detectors, and of those that others trained, that can be loaded here.
+
+    Says which cannot, and why.
+    """
+    from attacks.detectors.registry import DETECTORS
+
+    names = []
+    for name in DETECTORS:
+        if name.endswith(ENDINGS):
+            missing = DETECTORS[name].missing()
+            if missing:
+                warn(f"{name} is left out: {missing}")
+            else:
+                names.append(name)
+    return names
 
 
 def _detectors(options: object) -> tuple[str, ...]:

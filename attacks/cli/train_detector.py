@@ -15,7 +15,7 @@ from mi_splat.fields import Folder, at_least
 from mi_splat.io.locks import locked_folder
 
 EXAMPLES = ("train-detector --detectors fasterrcnn_small --out out/detector",)
-SEE_ALSO = ("evaluate-detector", "plot-detector-training")
+SEE_ALSO = ("evaluate-detector",)
 
 
 RECORDS = ("checkpoint.safetensors", "curves.json", "best.safetensors")

@@ -1,10 +1,11 @@
-"""The cameras that a command's options describe, with a name for each, and how their pictures are made."""
+"""The object and the cameras that a command's options describe, a name for each camera, and how pictures are made."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -24,6 +25,9 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import is_rotation
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, orbit_camera, resized
+from mi_splat.selection.config import Selection
+from mi_splat.selection.select import select
+from mi_splat.selection.visibility import object_weight
 
 ALL = "all"
 """Names all cameras of a scene."""
@@ -232,3 +236,68 @@ def _from_z(up: Tensor) -> Tensor:
     )
     assert is_rotation(turn)
     return turn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chosen:
+    """An object, and where it is looked at from.
+
+    Attributes:
+        mask: (N,) bool, the object's Gaussians.
+        cameras: By name.
+        render: Makes their pictures.
+    """
+
+    mask: Tensor
+    cameras: dict[str, Camera]
+    render: Renderer
+
+    def weights(self, loaded: SplatScene) -> dict[str, Tensor]:
+        """(H, W) share of each pixel that the object makes up, by the camera's name."""
+        return {
+            name: object_weight(loaded.scene, self.mask, camera, self.render) for name, camera in self.cameras.items()
+        }
+
+
+def choose(loaded: SplatScene, selection: Selection, options: CameraOptions) -> Chosen:
+    """The object and the cameras.
+
+    A click is on the picture that `mi-splat render` makes with the same flags, so with one the cameras come first.
+    Otherwise the object does, and cameras that nothing else is said of look at it.
+
+    Args:
+        loaded: The scene.
+        selection: Which object.
+        options: Which cameras.
+
+    Raises:
+        InvalidValueError: As in `select` and `find_cameras`.
+        DatasetError: As in `find_cameras`.
+        SplatFileError: A mask file cannot be read.
+    """
+    if selection.click:
+        cameras = find_cameras(loaded, options)
+        render = renderer_of(loaded, options, cameras)
+        first = next(iter(cameras.values()))
+        mask = select(loaded.scene, selection, objects=loaded.objects, camera=first, render=render)
+        return Chosen(mask=mask, cameras=cameras, render=render)
+    mask = select(loaded.scene, selection, objects=loaded.objects)
+    return look_at_object(loaded, mask, options)
+
+
+def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions) -> Chosen:
+    """An object that is known, and the cameras.
+
+    Args:
+        loaded: The scene.
+        mask: (N,) bool, the object's Gaussians.
+        options: Which cameras; those that nothing else is said of look at the object, from where most of it shows.
+    """
+
+    def shows(camera: Camera) -> float:
+        small = Renderer(render_settings(loaded, options, {"": camera}))
+        with torch.no_grad():
+            return float(object_weight(loaded.scene, mask, camera, small).mean())
+
+    cameras = find_cameras(loaded, options, focus=loaded.scene.select(mask), shows=shows)
+    return Chosen(mask=mask, cameras=cameras, render=renderer_of(loaded, options, cameras))

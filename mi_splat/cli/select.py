@@ -57,7 +57,7 @@ TINT = (1.0, 0.0, 0.8)
 
 def run(options: SelectOptions) -> int:
     """Select, save, and say what was selected."""
-    from mi_splat.cli.selecting import choose
+    from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_not_input, check_writable
     from mi_splat.io.pictures import is_picture
     from mi_splat.scene_files import open_scene

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cli.loading import load_detectors
+from attacks.cli.names import load_detectors
 from attacks.observe.comparison import compare
 from attacks.observe.rows import read_rows
 from mi_splat.errors import InvalidValueError
@@ -36,7 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     scene, mask = toy_scene()
     save_splat(scene, tmp_path / "clean.ply")
     save_splat(painted(scene, mask, (0.1, 0.9, 0.1)), tmp_path / "attacked.ply")
-    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda names, weights: [ColourDetector()])
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -159,6 +159,6 @@ def test_detectors_and_weights_go_in_pairs(tmp_path: Path) -> None:
 def test_a_wrong_camera_is_told_before_a_detector_is_loaded(
     command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: pytest.fail("loaded"))
+    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda names, weights: pytest.fail("loaded"))
     assert cli.main([*command.split(), "--cameras", "behind", "--out", "none"]) == 1
     assert "camera: expected no name" in capsys.readouterr().err

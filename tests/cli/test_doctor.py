@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from attacks import cli
-from attacks.cli import checks
-from attacks.cli.checks import Finding, Probe
+from attacks.cli import doctor
+from attacks.cli.doctor import Finding, Probe
 
 PROBES = tuple(
     Probe(name=name, run=lambda: "", advice=f"mend {name}", required=name != "third")
@@ -20,8 +20,8 @@ REPORT = "import os; os.write(1, b'" + '{"detail": "fine", "absent": false}\\n' 
 
 def examined(code: str, monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
     """Findings of a group of three probes whose child runs `code`."""
-    monkeypatch.setitem(checks.GROUPS, "group", PROBES)
-    return checks.examine_group("group", [sys.executable, "-c", code])
+    monkeypatch.setitem(doctor.GROUPS, "group", PROBES)
+    return doctor.examine_group("group", [sys.executable, "-c", code])
 
 
 def test_all_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,7 +46,7 @@ def test_a_child_that_raises(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_child_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checks, "TIME_LIMIT", 0.5)
+    monkeypatch.setattr(doctor, "TIME_LIMIT", 0.5)
     findings = examined("import time; time.sleep(60)", monkeypatch)
     assert findings[0].state == "fails"
     assert "no answer" in findings[0].detail
@@ -54,20 +54,20 @@ def test_a_child_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_optional_may_be_absent(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     def missing() -> str:
-        raise checks.AbsentError("no such thing")
+        raise doctor.AbsentError("no such thing")
 
     probes = (Probe(name="extra", run=missing, advice="get it", required=False),)
-    monkeypatch.setitem(checks.GROUPS, "group", probes)
-    checks.report_group("group")
+    monkeypatch.setitem(doctor.GROUPS, "group", probes)
+    doctor.report_group("group")
     assert json.loads(capfd.readouterr().out) == {"detail": "no such thing", "absent": True}
     code = "import os; os.write(1, b'" + '{"detail": "no such thing", "absent": true}\\n' + "')"
-    (finding,) = checks.examine_group("group", [sys.executable, "-c", code])
+    (finding,) = doctor.examine_group("group", [sys.executable, "-c", code])
     assert (finding.state, finding.advice) == ("absent", "get it")
 
 
 def test_an_old_llvm_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM-14.so.1")
-    findings = checks.examine_group("renderer", [sys.executable, "-m", "attacks.cli.checks", "renderer"])
+    findings = doctor.examine_group("renderer", [sys.executable, "-m", "attacks.cli.doctor", "renderer"])
     assert [finding.state for finding in findings] == ["fails", "skipped", "skipped", "skipped"]
     assert "/nowhere/libLLVM-14.so.1" in findings[0].detail
     assert "apt install" in findings[0].advice

@@ -16,7 +16,7 @@ from attacks.dagger.config import DaggerConfig
 from mi_splat import scene_files
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, look_at, project_points
-from mi_splat.cli import selecting
+from mi_splat.cli import cameras as cli_cameras
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import RenderSettings
@@ -178,8 +178,8 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda path: loaded)
-    monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
-    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
+    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda names, weights: [ColourDetector()])
     return loaded
 
 

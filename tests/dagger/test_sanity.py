@@ -24,7 +24,7 @@ from attacks.detectors import load_detector
 from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
 from mi_splat.cameras import Camera
-from mi_splat.cli import selecting
+from mi_splat.cli import cameras as cli_cameras
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.rendering import Renderer
@@ -215,7 +215,7 @@ class TestCommand:
         known = {"fasterrcnn_small": ColourDetector(), "other": CoarseDetector(), "flipped": FlippedDetector()}
         monkeypatch.setattr(dagger_sanity, "load_detector", lambda name, weights=None: known[name])
         register(monkeypatch, known)
-        monkeypatch.setattr(selecting, "Renderer", lambda settings: blobs)
+        monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
 
     def call(self, *words: str) -> int:
         return cli.main(["dagger-sanity", "toy.ply", *self.WORDS, *self.VIEW, "--out", "out", *words])

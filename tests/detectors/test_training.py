@@ -307,15 +307,3 @@ def test_the_command_trains_from_nothing(tmp_path: Path, capsys: pytest.CaptureF
         assert (tmp_path / "out" / name).is_file()
     assert cli.main(words) == 0, "nothing is left to do"
     assert "epoch" not in capsys.readouterr().err
-    curves = str(tmp_path / "out" / "curves.json")
-    assert cli.main(["plot-detector-training", curves, "--out", str(tmp_path / "curves.png")]) == 0
-    assert (tmp_path / "curves.png").stat().st_size > 1000
-
-
-def test_a_file_without_history_is_not_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "x.json").write_text("{}")
-    assert cli.main(["plot-detector-training", str(tmp_path / "x.json")]) == 1
-    assert "expected JSON with a history" in capsys.readouterr().err
-    (tmp_path / "x.json").write_text('{"history": [{"epoch": 1, "losses": {}}]}')
-    assert cli.main(["plot-detector-training", str(tmp_path / "x.json")]) == 1
-    assert "an epoch with a validation" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cli.checks import EXTRAS
+from attacks.cli.doctor import EXTRAS
 from tests.project.layers import PACKAGES, ROOT, edges
 from tests.training.sets import write_set
 from tests.warm import Warm

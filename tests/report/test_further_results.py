@@ -55,7 +55,7 @@ def test_what_detectors_report(tmp_path: Path) -> None:
 def test_detect_stores_what_its_page_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("attacks.cli.loading.load_detectors", lambda names, weights: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda names, weights: [ColourDetector()])
     monkeypatch.chdir(tmp_path)
     save_splat(toy_scene()[0], tmp_path / "a.ply")
     words = ["a.ply", "--cameras", "orbit:2@0", "--distance", "3", "--size", "24", "--background", "1", "1", "1"]
