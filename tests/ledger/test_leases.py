@@ -106,23 +106,23 @@ def test_a_broken_lease_is_that_of_another_machine(leases: Leases, monkeypatch: 
 def test_of_many_that_take_a_dead_ones_job_one_has_it(leases: Leases) -> None:
     for _ in range(20):
         lease(leases, start="another")
-        holders, together = list[int](), threading.Barrier(8)
+        holders, refused = list[int](), threading.Semaphore(0)
 
-        def take(number: int, holders: list[int] = holders, together: threading.Barrier = together) -> None:
-            together.wait()
+        def take(number: int, holders: list[int] = holders, refused: threading.Semaphore = refused) -> None:
             try:
                 with Leases(folder=leases.folder).held(KEY):
                     holders.append(number)
-                    time.sleep(0.01)
+                    for _ in range(7):  # all others come while it is held
+                        refused.acquire(timeout=60)
             except HeldError:
-                holders.append(-1)
+                refused.release()
 
         threads = [threading.Thread(target=take, args=(number,)) for number in range(8)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        assert sum(number >= 0 for number in holders) == 1
+        assert len(holders) == 1
         (leases.folder / KEY).unlink(missing_ok=True)
 
 
