@@ -176,15 +176,7 @@ def derive(result: Result, figures: Figures) -> Mapping[str, Any]:
     """
     try:
         return figures(result.record, result.tables)
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        IndexError,
-        ArithmeticError,
-        pl.exceptions.PolarsError,
-    ) as error:
+    except _BROKEN as error:
         if isinstance(error, InvalidValueError):
             raise
         got, do = f"{type(error).__name__}: {error}"[:200], "get the result again"
