@@ -226,18 +226,21 @@ def _export(options: StudyOptions, study: Study) -> int:
 def _reuse(options: StudyOptions, study: Study) -> int:
     """Take over what older code has made."""
     from mi_splat.ledger import Store
+    from mi_splat.ledger.job import by_depth
     from mi_splat.ledger.reuse import reuse
 
     if options.reason is None:
         do = "say why the change of the code changes no result"
         raise InvalidValueError(message("--reason", "a reason", "none", do))
-    kinds = dict.fromkeys(job.kind for attempt in _work(study).attempts for job in attempt.jobs().values())
     taken = {}
-    for kind in kinds:
+    for kind in dict.fromkeys(job.kind for level in by_depth(_work(study).jobs().values()) for job in level):
         with progress("making some again") as advance:
             engine = _engine(options, _follow(advance))
-            found = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
-        taken[kind] = {"verified": len(found.verified), "taken": len(found.taken)}
+            reused = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
+        if reused.verified:
+            taken[kind] = {"verified": len(reused.verified), "taken": len(reused.taken)}
+    if not taken:
+        raise InvalidValueError(message(study.name, "results of older code", "none", "run the study"))
     if options.json:
         show_json(taken)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -77,6 +77,23 @@ def _identity(source: Job | Part | Path) -> str:
     if isinstance(source, Part):
         return f"{source.job.identity}/{source.pattern}"
     return source.identity if isinstance(source, Job) else f"path {source.absolute()}"
+
+
+def by_depth(jobs: Iterable[Job]) -> list[list[Job]]:
+    """Jobs and all before them, by the longest way that leads to each."""
+    depths: dict[str, int] = {}
+    levels: list[list[Job]] = []
+
+    def depth(job: Job) -> int:
+        if job.identity not in depths:
+            depths[job.identity] = number = 1 + max((depth(needed) for needed in job.before), default=-1)
+            levels.extend([] for _ in range(len(levels), number + 1))
+            levels[number].append(job)
+        return depths[job.identity]
+
+    for job in jobs:
+        depth(job)
+    return levels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,7 @@ class Reuse:
     """What was taken over.
 
     Attributes:
-        code: Digest of the code that made it.
+        code: Digest of the code that made it; empty if there was nothing of older code.
         verified: Keys of the jobs that were made again.
         taken: Keys of those that were not.
     """
@@ -43,11 +43,12 @@ def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) 
         reason: Why the change of the code changes no result; it stands in the records.
 
     Raises:
-        InvalidValueError: There are none, or one that was made again has other bytes or has failed.
+        InvalidValueError: One that was made again has other bytes or has failed.
     """
     older = _older(store, kind)
     if not older:
-        raise InvalidValueError(message(kind, "results of older code", "none", "run the study"))
+        engine.close()
+        return Reuse(code="", verified=(), taken=())
     code = Counter(record_code for _, _, record_code in older).most_common(1)[0][0]
     pairs = [(key, task) for key, task, record_code in older if record_code == code]
     chosen = {number * len(pairs) // max(1, verify) for number in range(verify)} if verify < len(pairs) else None

@@ -17,7 +17,7 @@ from mi_splat.import_closure import closure
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.engines import Processes
-from mi_splat.ledger.job import Job, Part
+from mi_splat.ledger.job import Job, Part, by_depth
 from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.values import decoded
 
@@ -39,7 +39,7 @@ def export(jobs: Iterable[Job], folder: Path, store: Path, *, options: Sequence[
     Returns:
         How many jobs each level has.
     """
-    levels = _levels(jobs)
+    levels = by_depth(jobs)
     ordered = [job for level in levels for job in level]
     numbers = {job.identity: number for number, job in enumerate(ordered)}
     folder.mkdir(parents=True, exist_ok=True)
@@ -98,23 +98,6 @@ def run(store: Path, jobs: Path, first: int, last: int) -> int:
     for number, text in failed.items():
         sys.stderr.write(f"job {number}: {text}\n")
     return len(failed)
-
-
-def _levels(jobs: Iterable[Job]) -> list[list[Job]]:
-    """Jobs and all before them, by the longest way that leads to each."""
-    depths: dict[str, int] = {}
-    levels: list[list[Job]] = []
-
-    def depth(job: Job) -> int:
-        if job.identity not in depths:
-            depths[job.identity] = number = 1 + max((depth(needed) for needed in job.before), default=-1)
-            levels.extend([] for _ in range(len(levels), number + 1))
-            levels[number].append(job)
-        return depths[job.identity]
-
-    for job in jobs:
-        depth(job)
-    return levels
 
 
 def _as_json(job: Job, numbers: Mapping[str, int]) -> list[Any]:
