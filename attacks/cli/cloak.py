@@ -45,7 +45,7 @@ class CloakOptions:
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
     json: bool = False
-    """Print the summary as one JSON document on stdout."""
+    """Print result.json as one JSON document on stdout."""
 
 
 _SHOWN = ("control_recall", "trigger_miss_rate", "benign_recall", "target_rate")

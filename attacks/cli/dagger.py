@@ -37,9 +37,9 @@ SEE_ALSO = ("select", "evaluate", "dagger-eot", "study", "detectors")
 class DaggerOptions:
     """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
 
-    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object) and result.json
-    into --out; of a scene XML also attacked.xml with its parts, which can be rendered and attacked again. The exit
-    status is 0 also when the attack fails: that is a result.
+    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object), cameras.json,
+    the rows and result.json into --out; of a scene XML also attacked.xml with its parts, which can be rendered and
+    attacked again. The exit status is 0 also when the attack fails: that is a result.
     """
 
     scene: Positional[Path] = Path("scenes/car_street.xml")

@@ -37,9 +37,9 @@ class DaggerEotOptions:
     """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
 
     Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
-    attacked.ply, mask.npy (the object) and result.json into --out; of a scene XML also attacked.xml with its parts.
-    An attack that was interrupted goes on where it stopped when the same command is given again. The exit status is 0
-    also when the attack fails: that is a result.
+    attacked.ply, mask.npy (the object), cameras.json, the rows and result.json into --out; of a scene XML also
+    attacked.xml with its parts. An attack that was interrupted goes on where it stopped when the same command is given
+    again. The exit status is 0 also when the attack fails: that is a result.
     """
 
     scene: Positional[Path] = Path("scenes/car_street.xml")

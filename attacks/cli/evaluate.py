@@ -32,8 +32,8 @@ class EvaluateOptions:
     """Look at a clean and an attacked splat from many cameras, and compare what detectors make of them.
 
     Says how often the object is found, missed, or taken for the target, with 95 % intervals. The cameras should be
-    others than those that were attacked. Writes a picture of both splats side by side for each detector, and
-    result.json, into --out.
+    others than those that were attacked. Writes a picture of both splats side by side for each detector,
+    the rows and result.json into --out.
     """
 
     clean: Positional[Path]

@@ -230,8 +230,8 @@ def chebyshev_width(edge: float, *, degree: int, ripple: float, inside: bool) ->
 
     The polynomial is 1 + c T(x) in s = sin(elevation), T that of Chebyshev of the degree and x a scale that maps the
     side on which it is shown to [-1, 1]: among all polynomials that stay within 1 +- ripple there, it falls fastest
-    beyond. It is 0 where |T(x)| = 1 / ripple, that is at
-    |x| = cosh(arcosh(1 / ripple) / degree).
+    beyond. It is 0 where abs(T(x)) = 1 / ripple, that is at
+    abs(x) = cosh(arcosh(1 / ripple) / degree).
 
     Args:
         edge: Elevation of the edge of the side where it is shown, degrees, in (0, 90).

@@ -1,13 +1,13 @@
 """The ledger: work that is done once, and found again by all that its result depends on.
 
-A *job* is a kind, a configuration and inputs:
+A *job* is a kind, a configuration and inputs::
 
     render = Job(kind="attacks.rendered", config=RenderConfig(samples=32), inputs={"scene": Path("car.xml")})
     judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs={"pictures": render.part("pictures/*")})
     done = Ledger(Path("out/store"), on_event=print).do(judged)
     done.rows, done.folder, done.record["seconds"]
 
-A *kind* is a module with `run(config, inputs, out)`, which builds all that it needs itself:
+A *kind* is a module with `run(config, inputs, out)`, which builds all that it needs itself::
 
     def run(config: JudgeConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, float]]:
         for number, file in enumerate(sorted((inputs["pictures"] / "pictures").iterdir())):

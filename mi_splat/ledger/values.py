@@ -14,7 +14,7 @@ from typing import Any
 from mi_splat.errors import InvalidValueError, message
 
 CLASS = "class"
-"""Key of the name of a class, `module:Class`, in the JSON of one of its values."""
+"""Key of the name of a class in the JSON of one of its values: module, colon, class."""
 _FLOAT, _NAME = "float", "name"
 
 

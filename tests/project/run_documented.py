@@ -73,6 +73,25 @@ def shipped_artifact(path: Path) -> None:
     shutil.copytree(ROOT / path, path)
 
 
+def small_study(path: Path) -> None:
+    """One attack of a shipped study, looked at under one condition."""
+    file = path.with_suffix(".toml")
+    file.write_text(
+        """study = "dagger"
+question = "Does the attack succeed?"
+scene = "scenes/car_street.xml"
+object = "car"
+target = "person"
+renderer = "tile"
+attack = { steps = 1, noise_draws = 0 }
+[judge.matrix]
+condition = ["tile"]
+"""
+    )
+    status = cli.main(["study", "run", str(file), "--out", str(path), "--workers", "0"])
+    assert status == 0
+
+
 PICTURES = "mi-splat capture stop_sign --cameras hemisphere:4 --test 2 --format both --out {path}"
 DAGGER = "mi-splat dagger scenes/car_street.xml --object car --out {path}"
 
@@ -93,6 +112,7 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/cloak": "mi-splat cloak scenes/cloak_car_colour.toml --out {path}",
     "out/layers": "mi-splat cloak scenes/cloak_car_layers.toml --out {path}",
     "docs/artifacts/cloak_car_layers": shipped_artifact,
+    "out/studies/between_renderers": small_study,
 }
 """What pages take as given: a command that makes it, or a function."""
 

@@ -83,6 +83,29 @@ def test_every_page_is_in_the_list() -> None:
         assert name in ("README.md", "index.md") or name.startswith("reference/") or f"]({name})" in listed, name
 
 
+def modules(package: str) -> dict[str, bool]:
+    """The modules of a package, and whether each holds more than a docstring; a package has the name of its folder."""
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): len(
+            ast.parse(path.read_text()).body
+        )
+        > 1
+        for path in sorted((ROOT / package).rglob("*.py"))
+    }
+
+
+def test_the_reference_names_the_modules_that_there_are() -> None:
+    """All of `attacks` but its commands, which have pages of their own, and what of `mi_splat` is not an inside."""
+    pages = (ROOT / "docs" / "reference").glob("*.md")
+    named = re.findall(r"automodule:: (\S+)", "".join(path.read_text() for path in pages))
+    assert len(named) == len(set(named))
+    full = {**modules("mi_splat"), **modules("attacks")}
+    assert not set(named) - set(full)
+    insides = r"attacks\.(cli\b.*|__main__)|mi_splat\.(_lazy|assets|example_scenes|mitsuba_log|view_freezing|\w+\..*)"
+    unnamed = [name for name, holds in full.items() if holds and not re.fullmatch(insides, name)]
+    assert not set(unnamed) - set(named)
+
+
 @pytest.mark.nightly
 def test_the_short_commands_run(tmp_path: Path, warm: Warm) -> None:
     """On small inputs: `make commands` runs these alone."""

@@ -215,4 +215,4 @@ FURTHER: dict[str, Callable[[Path], Path]] = {
     "cloak-experiment paint-direction": write_experiment("paint-direction", DIRECTIONS),
     "cloak-experiment perfect-splat": write_experiment("perfect-splat", PERFECT, every=1, stages="out/stages"),
 }
-"""By command, in the order of `attacks.report.results.KINDS`."""
+"""By command, in the order of `attacks.report.results.STORIES`."""
