@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import PROGRAM, UsageError, warn
 from mi_splat.errors import MiSplatError, message, nearest, printable
@@ -25,62 +25,50 @@ if TYPE_CHECKING:
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
 
-class Command(NamedTuple):
-    """A subcommand.
-
-    Attributes:
-        module: Has its options (a dataclass), `run(options)`, EXAMPLES, SEE_ALSO, and where there are some ALIASES of
-            its flags and `defaults(words)`, which reads from the words what other flags depend on.
-        summary: One line of help.
-    """
-
-    module: str
-    summary: str
-
-
 COMMANDS = {
-    "capture": Command("mi_splat.cli.capture", "take pictures of a mesh scene, to train a splat from"),
-    "train": Command("mi_splat.cli.train", "train a splat on pictures with cameras"),
-    "render": Command("mi_splat.cli.render", "render a splat: a picture, many, or an animation"),
-    "compare": Command("attacks.cli.compare", "compare renderers on one splat: pictures, gradients, time and memory"),
-    "select": Command("mi_splat.cli.select", "select one object of a splat, and see whether it is the right one"),
-    "info": Command("mi_splat.cli.info", "what a splat file or a scene XML holds"),
-    "convert": Command("mi_splat.cli.convert", "convert a splat file to another format"),
-    "example-scenes": Command("mi_splat.cli.example_scenes", "make one of the shipped splat scenes again"),
-    "dagger": Command("attacks.cli.dagger", "attack one object of a splat scene, so that a detector misreads it"),
-    "dagger-eot": Command(
-        "attacks.cli.dagger_eot", "the same attack for all cameras of a region at once, judged on held-out views"
-    ),
-    "detect": Command("attacks.cli.detect", "what detectors see in pictures, splats and scenes"),
-    "evaluate": Command("attacks.cli.evaluate", "how often an object is found, missed or misread, clean and attacked"),
-    "study": Command("attacks.cli.study", "many attacks and what they hang on, from one TOML file: plan, run, status"),
-    "dagger-sanity": Command(
-        "attacks.cli.dagger_sanity", "whether DAGGER is a sane attack on an object and a detector, line by line"
-    ),
-    "cloak": Command("attacks.cli.cloak", "poison training pictures, train on them, and measure who sees what (CLOAK)"),
-    "cloak-experiment": Command("attacks.cli.cloak_experiment", "explain a figure of a CLOAK study"),
-    "artifact": Command(
-        "attacks.cli.artifact", "pack a finished result with its raw rows, so that others can check its figures"
-    ),
-    "artifact-check": Command(
-        "attacks.cli.artifact_check",
-        "derive every figure of artifacts again from their rows, or score their splats again",
-    ),
-    "view": Command("attacks.cli.view", "look at a splat or a result in the browser, clean beside attacked"),
-    "report": Command(
-        "attacks.cli.report", "one page of results: figures with intervals and controls, warnings, how to repeat them"
-    ),
-    "rows": Command("attacks.cli.rows", "the rows of a result, from which its figures are counted: as CSV or JSON"),
-    "detectors": Command(
-        "attacks.cli.detectors", "the detectors, their classes, and whether the weights are there; get some of others"
-    ),
-    "train-detector": Command("attacks.cli.train_detector", "train one of the project's small detectors"),
-    "evaluate-detector": Command(
-        "attacks.cli.evaluate_detector", "mAP, recall and false positives of a detector on held-out pictures"
-    ),
-    "compare-detectors": Command("attacks.cli.compare_detectors", "the figures of several detectors side by side"),
-    "doctor": Command("attacks.cli.doctor", "check that everything works here, and say what to do where it does not"),
+    "capture": "take pictures of a mesh scene, to train a splat from",
+    "train": "train a splat on pictures with cameras",
+    "render": "render a splat: a picture, many, or an animation",
+    "compare": "compare renderers on one splat: pictures, gradients, time and memory",
+    "select": "select one object of a splat, and see whether it is the right one",
+    "info": "what a splat file or a scene XML holds",
+    "convert": "convert a splat file to another format",
+    "example-scenes": "make one of the shipped splat scenes again",
+    "dagger": "attack one object of a splat scene, so that a detector misreads it",
+    "dagger-eot": "the same attack for all cameras of a region at once, judged on held-out views",
+    "detect": "what detectors see in pictures, splats and scenes",
+    "evaluate": "how often an object is found, missed or misread, clean and attacked",
+    "study": "many attacks and what they hang on, from one TOML file: plan, run, status",
+    "dagger-sanity": "whether DAGGER is a sane attack on an object and a detector, line by line",
+    "cloak": "poison training pictures, train on them, and measure who sees what (CLOAK)",
+    "cloak-experiment": "explain a figure of a CLOAK study",
+    "artifact": "pack a finished result with its raw rows, so that others can check its figures",
+    "artifact-check": "derive every figure of artifacts again from their rows, or score their splats again",
+    "view": "look at a splat or a result in the browser, clean beside attacked",
+    "report": "one page of results: figures with intervals and controls, warnings, how to repeat them",
+    "rows": "the rows of a result, from which its figures are counted: as CSV or JSON",
+    "detectors": "the detectors, their classes, and whether the weights are there; get some of others",
+    "train-detector": "train one of the project's small detectors",
+    "evaluate-detector": "mAP, recall and false positives of a detector on held-out pictures",
+    "compare-detectors": "the figures of several detectors side by side",
+    "doctor": "check that everything works here, and say what to do where it does not",
 }
+"""What each command does, in a line; its module is called as it is."""
+OF_SPLATS = ("capture", "train", "render", "select", "info", "convert", "example-scenes")
+"""Commands whose modules are in `mi_splat.cli`; those of the others are here."""
+
+
+def module_of(name: str) -> ModuleType:
+    """The module of a command.
+
+    It has its options (a dataclass), `run(options)`, EXAMPLES, SEE_ALSO, and where there are some ALIASES of its flags
+    and `defaults(words)`, which reads from the words what other flags depend on.
+
+    Args:
+        name: Of the command.
+    """
+    package = "mi_splat" if name in OF_SPLATS else "attacks"
+    return importlib.import_module(f"{package}.cli.{name.replace('-', '_')}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -141,16 +129,15 @@ def _dispatch(words: list[str]) -> int:
         return DONE
     name, *rest = words
     if name not in COMMANDS:
-        warn(
-            message("command", f"one of {', '.join(COMMANDS)}", name, nearest(name, COMMANDS, f"try {PROGRAM} --help"))
-        )
+        do = nearest(name, COMMANDS, f"try {PROGRAM} --help")
+        warn(message("command", f"one of {', '.join(COMMANDS)}", name, do))
         return MISUSED
     from attacks.cli.names import check_names
     from mi_splat.provenance import running_command
 
     options = parse(name, rest)
     check_names(options)
-    module = importlib.import_module(COMMANDS[name].module)
+    module = module_of(name)
 
     with running_command(given):
         if most is None:
@@ -174,7 +161,7 @@ def parse(name: str, words: Sequence[str]) -> Any:
     from mi_splat.cli import flags
     from mi_splat.cli.options import as_one_word
 
-    module = importlib.import_module(COMMANDS[name].module)
+    module = module_of(name)
     given = as_one_word([_renamed(word, getattr(module, "ALIASES", {})) for word in words])
     return flags.parse(_options(module), given, **_told(name, module, given))
 
@@ -187,7 +174,7 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     """
     from mi_splat.cli import flags
 
-    module = importlib.import_module(COMMANDS[name].module)
+    module = module_of(name)
     return flags.parser_of(_options(module), **_told(name, module, ()))
 
 
@@ -235,22 +222,22 @@ def _take_max_pixels(words: list[str]) -> int | None:
     Raises:
         UsageError: It is no number of pixels.
     """
-    found = None
+    most = None
     for word in [word for word in words if word.partition("=")[0] in ("--max-pixels", "--max_pixels")]:
-        place = words.index(word)
-        values = [word.partition("=")[2]] if "=" in word else words[place + 1 : place + 2]
-        del words[place : place + (1 if "=" in word else 2)]
+        index = words.index(word)
+        values = [word.partition("=")[2]] if "=" in word else words[index + 1 : index + 2]
+        del words[index : index + (1 if "=" in word else 2)]
         if not values or not values[0].isdecimal() or len(values[0]) > 18 or int(values[0]) < 1:
             got = values[0][:40] if values else "nothing"
             raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
-        found = int(values[0])
-    return found
+        most = int(values[0])
+    return most
 
 
 def _help() -> str:
     """The text of `mi-splat --help`."""
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:{width}}  {command.summary}" for name, command in COMMANDS.items()]
+    lines = [f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items()]
     return "\n".join(
         [
             f"usage: {PROGRAM} COMMAND [OPTIONS]",

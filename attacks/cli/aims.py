@@ -9,12 +9,17 @@ from pathlib import Path
 from torch import Tensor
 
 from attacks.cli.names import DEFAULT_OBJECT, DEFAULT_TARGET
+from attacks.dagger.report import write_files
+from attacks.dagger.result import Result
 from attacks.objectives import Objective, hide, relabel, untargeted
-from mi_splat.scene import GaussianScene
+from mi_splat.io.folders import new_folder
 from mi_splat.scene_files import SplatScene
 from mi_splat.scene_writing import write_scene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.masks import save_mask
+
+MASK = "mask.npy"
+"""The attacked object."""
 
 
 def aim(objective: str, target: str | None, confidence: float | None) -> Objective:
@@ -70,20 +75,22 @@ def sentence(objective: Objective, detectors: Sequence[str], name: str, *, succe
     return f"{who} {do} not take {name} for what it was" if success else f"{who} still {take} {name} for what it was"
 
 
-def write_parts(loaded: SplatScene, mask: Tensor, attacked: GaussianScene, folder: Path) -> list[Path]:
-    """Write the object's mask, and of a scene file its parts and the XML that names them.
+def write_result(result: Result, loaded: SplatScene, mask: Tensor, out: Path, *, force: bool) -> dict[str, str]:
+    """Write a result, the object's mask, and of a scene file its parts and the XML that names them.
 
     Args:
+        result: Of the attack.
         loaded: The clean scene.
         mask: (N,) bool, the object's Gaussians.
-        attacked: The attacked scene.
-        folder: Where to write.
+        out: Folder, which appears whole or not at all.
+        force: Whether an older result may be replaced.
 
     Returns:
-        The files written.
+        Path of every file by its name.
     """
-    path = folder / "mask.npy"
-    save_mask(mask, path)
-    # A bare splat has no cameras, and so makes no scene file.
-    parts = write_scene(loaded, attacked, folder / "attacked.xml") if loaded.cameras else []
-    return [path, *parts]
+    with new_folder(out, force=force) as folder:
+        save_mask(mask, folder / MASK)
+        # A bare splat has no cameras, and so makes no scene file.
+        parts = write_scene(loaded, result.scene, folder / "attacked.xml") if loaded.cameras else []
+        names = [path.name for path in (*write_files(result, folder), folder / MASK, *parts)]
+    return {name: str(out / name) for name in names}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.fields import Called, Folder
 
@@ -49,13 +49,14 @@ def run(options: ArtifactOptions) -> int:
         figures = story_of(read_result(options.result)).figures
         result = pack(options.result, options.out, figures, whole=options.whole, force=options.force)
     rows = sum(map(len, result.tables.values()))
-    checks = [one for one in check_figures(result, figures) if one.passed]
-    told = {"out": str(options.out), "story": result.story, "manifest": result.manifest.sha256}
-    if options.json:
-        show_json({**told, "rows": rows, "figures": len(checks)})
-        return 0
+    count = sum(check.passed is True for check in check_figures(result, figures))
+    document = {"out": str(options.out), "story": result.story, "manifest": result.manifest.sha256}
     size = sum(path.stat().st_size for path in options.out.rglob("*") if path.is_file())
-    show(f"{options.out}: {rows:,} rows, {len(checks)} figures that follow from them, {size / 1e3:,.0f} kB.")
-    show("Others check it, and that it is this one, with")
-    show(f"mi-splat artifact-check {options.out} --manifest {result.manifest.sha256}")
+    show_result(
+        {**document, "rows": rows, "figures": count},
+        f"{options.out}: {rows:,} rows, {count} figures that follow from them, {size / 1e3:,.0f} kB.",
+        "Others check it, and that it is this one, with",
+        f"mi-splat artifact-check {options.out} --manifest {result.manifest.sha256}",
+        as_json=options.json,
+    )
     return 0

@@ -57,29 +57,21 @@ def run(options: ArtifactCheckOptions) -> int:
     """Check each artifact; 1 if a line is red."""
     if not options.folders:
         raise UsageError(message("folders", "folders of results", "none", "name one"))
-    given = [
-        flag
-        for flag, is_given in (
-            ("--splats", options.splats is not None),
-            ("--detectors", bool(options.detectors)),
-            ("--weights", bool(options.weights)),
-            ("--every", options.every != 1),
-        )
-        if is_given
-    ]
+    rescoring = {"--splats": options.splats, "--detectors": options.detectors, "--weights": options.weights}
+    given = [flag for flag, value in {**rescoring, "--every": options.every != 1}.items() if value]
     if given and not options.rescore:
         raise UsageError(message(given[0], "--rescore beside it", "none", "add --rescore"))
     if options.manifest and len(options.manifest) != len(options.folders):
         expected = f"one for each of the {len(options.folders)} folders"
         raise UsageError(message("--manifest", expected, len(options.manifest), "name one for each"))
-    found: dict[str, list[Check]] = {}
+    checks: dict[str, list[Check]] = {}
     for number, folder in enumerate(options.folders):
-        found[str(folder)] = _lines(folder, options.manifest[number] if options.manifest else None, options)
+        checks[str(folder)] = _lines(folder, options.manifest[number] if options.manifest else None, options)
         if not options.json:
-            _tell(folder, found[str(folder)])
+            _tell(folder, checks[str(folder)])
     if options.json:
-        show_json({folder: [line.as_dict() for line in lines] for folder, lines in found.items()})
-    return 1 if any(line.passed is False for lines in found.values() for line in lines) else 0
+        show_json({folder: [line.as_dict() for line in lines] for folder, lines in checks.items()})
+    return 1 if any(line.passed is False for lines in checks.values() for line in lines) else 0
 
 
 def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) -> list[Check]:

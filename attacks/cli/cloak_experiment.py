@@ -100,8 +100,8 @@ def run(options: CloakExperimentOptions) -> int:
         endings = (JSON, PNG) if options.experiment == "transition-limit" else (JSON,)
         check_new_file(out, endings, force=None)
     with progress(options.experiment) as advance:
-        found, detectors = _found(options, study, advance)
-    document = {**_origin(options, study), "found": found, "detectors": detectors}
+        figures, detectors = _figures(options, study, advance)
+    document = {**_origin(options, study), "found": figures, "detectors": detectors}
     if out is not None and out.suffix != PNG:
         save_json(document, out)
     show_json(document)
@@ -124,8 +124,8 @@ def _origin(options: CloakExperimentOptions, study: StudyConfig) -> dict[str, An
     }
 
 
-def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> tuple[Any, dict[str, str]]:
-    """What was found, and the fingerprints of the detectors that looked."""
+def _figures(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> tuple[Any, dict[str, str]]:
+    """What was measured, and the fingerprints of the detectors that looked."""
     from attacks.cloak.elsewhere import (
         measure_distances,
         measure_formats,
@@ -152,8 +152,8 @@ def _found(options: CloakExperimentOptions, study: StudyConfig, advance: Advance
         do = "pass the folder that mi-splat cloak has written"
         raise InvalidValueError(message("--results", "a folder with clean.ply and cloaked.ply", "none", do))
     if options.experiment == "detection-curve":
-        found = _detection_curve(options, study, options.results, advance)
-        return found, found["detectors"]
+        curve = _detection_curve(options, study, options.results, advance)
+        return curve, curve["detectors"]
     splats = {name: load_splat(options.results / f"{name}.ply") for name in ("clean", "cloaked")}
     settings = RenderSettings(background=study.scene.background, near=near_of(study, target_of(study.scene)))
     render = Renderer(settings)
@@ -225,8 +225,8 @@ def _detection_curve(
             steps, rows, splats, detectors, folder, every=options.every, origin=_origin(options, study)
         )
     rates = [row for row in document["rates"] if row["by"] == "region" and row["seed"] is None]
-    own = {name: document[name] for name in ("cameras", "detectors", "splats")}
-    return {**own, "rates": rates, "out": str(options.out), "files": list(FILES)}
+    conditions = {name: document[name] for name in ("cameras", "detectors", "splats")}
+    return {**conditions, "rates": rates, "out": str(options.out), "files": list(FILES)}
 
 
 def _steps(options: CloakExperimentOptions, study: StudyConfig, advance: Advance) -> StudySteps:

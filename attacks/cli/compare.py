@@ -92,7 +92,7 @@ def run(options: CompareOptions) -> int:
         config = CompareConfig(gradients=options.gradients, rounds=options.rounds, seed=options.seed)
         warnings: list[str] = []
         lpips = _lpips(warnings) if options.lpips else None
-        found = compare(loaded.scene, cameras, methods, config=config, lpips=lpips, on_step=advance)
+        comparison = compare(loaded.scene, cameras, methods, config=config, lpips=lpips, on_step=advance)
         document = {
             "story": "compare",
             "scene": str(options.scene),
@@ -106,14 +106,14 @@ def run(options: CompareOptions) -> int:
             "seed": options.seed,
             "amplify": options.amplify,
             "lpips": options.lpips,
-            **as_dict(found, methods),
+            **as_dict(comparison, methods),
             "warnings": warnings,
             "cameras": [describe(name, camera) for name, camera in cameras.items()],
             **provenance.origin(),
         }
         advance("writing")
         with new_folder(options.out, force=options.force) as folder:
-            save_sheets(found.pictures, folder, factor=options.amplify)
+            save_sheets(comparison.pictures, folder, factor=options.amplify)
             save_json(document, folder / RECORD)
             has_page = _page(document, folder, options.out)
     if options.json:
@@ -164,8 +164,8 @@ def _tell(document: Mapping[str, Any]) -> None:
             cosines = (f"{name} {number(pair['gradients'][name]['cosine'], '.3f')}" for name in ATTRIBUTES)
             rows.append(("  cosine of gradients", ", ".join(cosines)))
         show_table((name, value.replace("\u00a0", " ")) for name, value in rows)
-    for name, one in document["methods"].items():
-        if one["picture"] is not None:
-            alone, both = one["picture"], one[GRADIENT]
+    for name, costs in document["methods"].items():
+        if costs["picture"] is not None:
+            alone, both = costs["picture"], costs[GRADIENT]
             with_gradient = f", {both['seconds']:.3f} s with the gradient" if both else ""
             show(f"{name}: {alone['seconds']:.3f} s a picture ({alone['ratio']:.2f} times the first){with_gradient}")

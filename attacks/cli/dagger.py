@@ -7,16 +7,15 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from attacks.cli.options import ClassName, Confidence, Detectors
+from attacks.cli.options import AttackOptions
 from attacks.dagger.config import DaggerConfig
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
-from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     from attacks.dagger.result import Result
@@ -34,7 +33,7 @@ SEE_ALSO = ("select", "evaluate", "dagger-eot", "study", "detectors")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DaggerOptions:
+class DaggerOptions(AttackOptions):
     """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
 
     Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object), cameras.json,
@@ -42,40 +41,22 @@ class DaggerOptions:
     attacked again. The exit status is 0 also when the attack fails: that is a result.
     """
 
-    scene: Positional[Path] = Path("scenes/car_street.xml")
-    """Scene XML made of splats, or a splat file."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
-    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """The cameras attacked at once."""
-    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
-    """The aim: another class (--target), no detection at all, or any but the right class."""
-    target: ClassName | None = None
-    """Class that the detector shall see there (relabel); None is person."""
-    confidence: Confidence | None = None
-    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detectors: Detectors = ("fasterrcnn_small",)
-    """Name of the detector, or names of several to deceive at once (see `mi-splat detectors`)."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
     out: Folder = Path("out/dagger")
     """Folder for the results: a new one, written whole when the attack has ended."""
-    force: bool = False
-    """Replace an older result in --out."""
-    json: bool = False
-    """Print the result as one JSON document on stdout."""
 
 
 def run(options: DaggerOptions) -> int:
     """Attack, write the report, and say in three lines what happened."""
-    from attacks.cli.aims import aim, chosen_object, write_parts
+    from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
     from attacks.dagger.attack import attack
-    from attacks.dagger.report import summary, write_files
+    from attacks.dagger.report import summary
     from mi_splat.cli.cameras import choose
-    from mi_splat.io.folders import check_new_folder, new_folder
+    from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import doubts, require_visible
 
@@ -105,11 +86,9 @@ def run(options: DaggerOptions) -> int:
             origin={**result.origin, **_origin(loaded, chosen, options)},
             warnings=(*doubts(chosen.mask, weights), *result.warnings),
         )
-        with new_folder(options.out, force=options.force) as folder:
-            written = [*write_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
-        files = {path.name: options.out / path.name for path in written}
+        files = write_result(result, loaded, chosen.mask, options.out, force=options.force)
     if options.json:
-        show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
+        show_json({**summary(result), "files": files})
     else:
         _tell(result, options)
     return 0
@@ -143,31 +122,29 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     from attacks.cli.aims import object_name, sentence
     from attacks.dagger.report import summary
 
-    found = summary(result)
-    radii = ", ".join(f"{name} {eps:g}" for name, eps in found["radius"].items())
-    several = len(result.detectors) > 1
-    counted, what = (found["detectors"], "detectors") if several else (found["views"], "views")
-    reached = f"{sum(one['success'] for one in counted)} of {len(counted)} {what}"
-    names = [one["detector"] for one in found["detectors"] if one["success"] == result.success]
+    record = summary(result)
+    radii = ", ".join(f"{name} {eps:g}" for name, eps in record["radius"].items())
+    what = "detectors" if len(result.detectors) > 1 else "views"
+    reached = f"{sum(entry['success'] for entry in record[what])} of {len(record[what])} {what}"
+    names = [entry["detector"] for entry in record["detectors"] if entry["success"] == result.success]
     name, clear = object_name(options.selection), result.unambiguous
     said = sentence(result.objective, names, name, success=result.success, clear=clear)
     show(f"{'SUCCESS' if result.success else 'FAILED'}: {said}; {reached}.")
     effort = (
-        f"after {found['steps']} of {options.config.steps} steps "
-        f"(budget in {found['norm']}: {radii}; {result.seconds:.0f} s)."
+        f"after {record['steps']} of {options.config.steps} steps "
+        f"(budget in {record['norm']}: {radii}; {result.seconds:.0f} s)."
     )
-    if several:
-        for one in found["detectors"]:
-            seen = [view for view in found["views"] if view["detector"] == one["detector"]]
-            show(
-                f"{one['detector']}, {sum(view['success'] for view in seen)} of {len(seen)} views: {_seen(found, seen)}"
-            )
+    if what == "detectors":
+        for detector in result.detectors:
+            views = [view for view in record["views"] if view["detector"] == detector]
+            successes = sum(view["success"] for view in views)
+            show(f"{detector}, {successes} of {len(views)} views: {_seen(record, views)}")
         show(f"This is {effort}")
     else:
-        show(f"{_seen(found, found['views'])} {effort}")
-    psnr = found["image_psnr"]
+        show(f"{_seen(record, record['views'])} {effort}")
+    psnr = record["image_psnr"]
     change = "No picture changed" if psnr is None else f"The picture changed to a PSNR of {psnr:.1f} dB"
-    noise = f"{found['noise']['successes']} of {found['noise']['draws']} draws"
+    noise = f"{record['noise']['successes']} of {record['noise']['draws']} draws"
     show(f"{change}; random noise of the same size had the same success in {noise}.")
     for warning in result.warnings:
         show(f"warning: {warning}")
@@ -175,9 +152,9 @@ def _tell(result: Result, options: DaggerOptions) -> None:
     show("the splat (attacked.ply), the object (mask.npy) and every number (result.json).")
 
 
-def _seen(found: Mapping[str, Any], views: Sequence[Mapping[str, Any]]) -> str:
+def _seen(record: Mapping[str, Any], views: Sequence[Mapping[str, Any]]) -> str:
     """What a detector makes of the object in the first of its views, before and after."""
-    view, target = views[0], found["target"]
+    view, target = views[0], record["target"]
     before = f"{view['original']} at {view['clean_confidence']:.0%}" if view["original"] else "nothing"
     after = [f"{target} at {view['target_confidence']:.0%}"] if target else []
     if view["original"] not in (None, target):

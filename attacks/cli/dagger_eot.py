@@ -7,18 +7,17 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from attacks.cli.options import ClassName, Confidence, Detectors
+from attacks.cli.options import AttackOptions
 from attacks.dagger.config import EotConfig
 from attacks.rate import Rate
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import limit_threads, progress, show, show_json
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
-from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     from attacks.dagger.result import Result
@@ -33,7 +32,7 @@ SEE_ALSO = ("dagger", "evaluate", "study", "detectors")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DaggerEotOptions:
+class DaggerEotOptions(AttackOptions):
     """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
 
     Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
@@ -42,49 +41,31 @@ class DaggerEotOptions:
     again. The exit status is 0 also when the attack fails: that is a result.
     """
 
-    scene: Positional[Path] = Path("scenes/car_street.xml")
-    """Scene XML made of splats, or a splat file."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
-    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
     region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
     """Where the object is looked at from."""
     pictures: Unprefixed[PictureChanges] = field(default_factory=PictureChanges)
     """What happens to the pictures between renderer and detector; by default nothing."""
-    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
-    """The aim: another class (--target), no detection at all, or any but the right class."""
-    target: ClassName | None = None
-    """Class that the detectors shall see there (relabel); None is person."""
-    confidence: Confidence | None = None
-    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detectors: Detectors = ("fasterrcnn_small",)
-    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     config: Unprefixed[EotConfig] = field(default_factory=EotConfig)
     """How to attack."""
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""
     out: Folder = Path("out/dagger-eot")
     """Folder for the results: a new one, written whole when the attack has ended."""
-    force: bool = False
-    """Replace an older result in --out."""
-    json: bool = False
-    """Print the result as one JSON document on stdout."""
 
 
 def run(options: DaggerEotOptions) -> int:
     """Attack, write the report, and say in four lines what happened."""
-    from attacks.cli.aims import aim, chosen_object, write_parts
+    from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
     from attacks.dagger.attack import attack_views
     from attacks.dagger.checkpoint import Checkpoint
-    from attacks.dagger.report import summary, write_files
+    from attacks.dagger.report import summary
     from attacks.dagger.views import ViewDistribution
     from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe
-    from mi_splat.io.folders import check_new_folder, new_folder
+    from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
 
     if options.view.up != (0.0, 0.0, 1.0):
@@ -118,11 +99,9 @@ def run(options: DaggerEotOptions) -> int:
             "reference": describe(name, camera),
         }
         result = dataclasses.replace(result, origin={**result.origin, **origin})
-        with new_folder(options.out, force=options.force) as folder:
-            written = [*write_files(result, folder), *write_parts(loaded, chosen.mask, result.scene, folder)]
-        files = {path.name: options.out / path.name for path in written}
+        files = write_result(result, loaded, chosen.mask, options.out, force=options.force)
     if options.json:
-        show_json({**summary(result), "files": {name: str(path) for name, path in files.items()}})
+        show_json({**summary(result), "files": files})
     else:
         _tell(result, options)
     return 0
@@ -150,14 +129,13 @@ def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
 
 def _tell(result: Result, options: DaggerEotOptions) -> None:
     """What happened, warnings if there are some, and where to look."""
-    from attacks.cli.aims import aim, object_name, sentence
+    from attacks.cli.aims import object_name, sentence
     from attacks.dagger.report import CONTACT
 
     radii = ", ".join(f"{name} {eps:g}" for name, eps in result.config.radius.items())
-    objective = aim(options.objective, options.target, options.confidence)
-    said = sentence(objective, options.detectors, object_name(options.selection), success=True)
+    said = sentence(result.objective, options.detectors, object_name(options.selection), success=True)
     show(
-        f"{'SUCCESS' if result.success else 'FAILED'}: {said} in {_words(result.rate)} held-out views; "
+        f"{'SUCCESS' if result.success else 'FAILED'}: {said} in {_counted(result.rate)} held-out views; "
         f"{result.config.required_views:.0%} are needed."
     )
     show(
@@ -166,7 +144,7 @@ def _tell(result: Result, options: DaggerEotOptions) -> None:
     )
     psnr, rates = result.image.psnr, result.rates
     change = "No picture changed" if psnr is None else f"The held-out pictures changed to a PSNR of {psnr:.1f} dB"
-    noise, clean = _words(rates["noise_success"]), _words(rates["clean_success"])
+    noise, clean = _counted(rates["noise_success"]), _counted(rates["clean_success"])
     show(f"{change}; random noise of the same size: {noise}; no attack: {clean}.")
     for warning in result.warnings:
         show(f"warning: {warning}")
@@ -174,6 +152,6 @@ def _tell(result: Result, options: DaggerEotOptions) -> None:
     show("number (result.json).")
 
 
-def _words(rate: Rate) -> str:
+def _counted(rate: Rate) -> str:
     low, high = rate.interval
     return f"{rate.successes} of {rate.total} ({low:.0%} to {high:.0%})"

@@ -93,14 +93,14 @@ def run(options: DaggerSanityOptions) -> int:
         run_checks(runs, checks=CHECKS, on_finding=findings.append)
         with new_folder(options.out, force=options.force) as folder:
             write_findings(findings, runs, folder, **conditions)
-    red = sum(one.passed is False for one in findings)
+    red = sum(finding.passed is False for finding in findings)
     if options.json:
         show_json(read_json(options.out / RECORD))
     else:
-        for one in findings:
-            show(f"{one.colour:5}  {one.claim}: {one.figures}")
-            if one.passed is False:
-                show(f"{'':5}  -> {one.meaning}")
+        for finding in findings:
+            show(f"{finding.colour:5}  {finding.claim}: {finding.figures}")
+            if finding.passed is False:
+                show(f"{'':5}  -> {finding.meaning}")
         show(f"{red} of {len(findings)} lines are red. The report is {options.out / 'sanity.md'}.")
     return 1 if red else 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.cli.options import Confidence, Detectors
 from mi_splat import provenance
-from mi_splat.cli.console import UsageError, progress, show, show_json
+from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import message
@@ -93,36 +94,33 @@ def run(options: DetectOptions) -> int:
     with progress("loading") as advance:
         # Not before the first file is read and its cameras are found: a wrong name is told at once.
         detectors = functools.cache(lambda: load_detectors(options.detectors, options.weights))
-        found = []
+        pictures: list[Seen] = []
         for source in options.inputs:
             advance(f"looking at {source}")
-            found += list(seen_in(source, detectors, options.view))
-        names = _distinct([seen.name for seen in found])
-        rows = [
-            {**_row(seen, options.min_confidence), "picture": f"{name}.png"}
-            for seen, name in zip(found, names, strict=True)
-        ]
+            pictures += seen_in(source, detectors, options.view)
+        named = dict(zip(_distinct([seen.name for seen in pictures]), pictures, strict=True))
+        rows = {name: {**_row(seen, options.min_confidence), "picture": f"{name}.png"} for name, seen in named.items()}
         document = {
             "story": "detect",
             "min_confidence": options.min_confidence,
             "view": _given(options.view),
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors()},
-            "pictures": rows,
+            "pictures": list(rows.values()),
             **provenance.origin(),
         }
         with new_folder(options.out, force=options.force) as folder:
-            for seen, name in zip(found, names, strict=True):
+            for name, seen in named.items():
                 drawn = annotated(seen.image, seen.detections, name, min_confidence=options.min_confidence)
                 save_png(drawn, folder / f"{name}.png")
             save_json(document, folder / RECORD)
-    if options.json:
-        show_json({**document, "out": str(options.out)})
-        return 0
-    for row, name in zip(rows, names, strict=True):
-        boxes = ", ".join(f"{item['label']} {item['score']:.0%}" for item in row["detections"])
-        show(f"{name}: {boxes or 'nothing'}")
-    show(f"{options.out}: {len(names)} pictures with boxes, and {RECORD}")
+    lines = [f"{name}: {_boxes(row) or 'nothing'}" for name, row in rows.items()]
+    lines.append(f"{options.out}: {len(rows)} pictures with boxes, and {RECORD}")
+    show_result({**document, "out": str(options.out)}, *lines, as_json=options.json)
     return 0
+
+
+def _boxes(row: Mapping[str, Any]) -> str:
+    return ", ".join(f"{item['label']} {item['score']:.0%}" for item in row["detections"])
 
 
 def seen_in(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Seen]:
@@ -157,15 +155,10 @@ def seen_in(source: Path, detectors: Callable[[], list[Detector]], view: CameraO
     loaded = open_scene(source)
     cameras = find_cameras(loaded, view)
     render = renderer_of(loaded, view, cameras)
-    places = [describe(name, camera) for name, camera in cameras.items()]
-    for one in detect_views(loaded.scene, list(cameras.values()), detectors(), render=render):
-        yield Seen(
-            source=source,
-            camera=places[one.view],
-            detector=one.detector,
-            image=one.image,
-            detections=one.detections,
-        )
+    records = [describe(name, camera) for name, camera in cameras.items()]
+    for seen in detect_views(loaded.scene, list(cameras.values()), detectors(), render=render):
+        camera, detections = records[seen.view], seen.detections
+        yield Seen(source=source, camera=camera, detector=seen.detector, image=seen.image, detections=detections)
 
 
 def _check_idle(options: DetectOptions) -> None:
@@ -207,7 +200,8 @@ def _row(seen: Seen, min_confidence: float) -> dict[str, Any]:
 
 def _distinct(names: list[str]) -> list[str]:
     """The names, with a number behind those that were there before."""
-    found: list[str] = []
+    distinct: list[str] = []
     for name in names:
-        found.append(name if name not in found else f"{name}-{len(found)}")
-    return found
+        numbered = (f"{name}-{number}" for number in itertools.count(len(distinct)))
+        distinct.append(next(other for other in itertools.chain([name], numbered) if other not in distinct))
+    return distinct

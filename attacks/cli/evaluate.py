@@ -19,6 +19,7 @@ from mi_splat.selection.config import Selection
 if TYPE_CHECKING:
     from attacks.observe.comparison import Comparison
     from attacks.observe.views import ViewDetections
+    from attacks.rate import Rate
     from mi_splat.cameras import Camera
     from mi_splat.cli.cameras import Chosen
 
@@ -65,8 +66,6 @@ class EvaluateOptions:
 
 
 ATTACKED = "attacked"
-FEW = 10
-"""Views from which on an interval says something."""
 WORDS = {
     "found_clean": "found in the clean splat",
     "found_attacked": "found in the attacked one",
@@ -106,26 +105,26 @@ def run(options: EvaluateOptions) -> int:
         looked = compared_rows(
             seen, original=options.original, target=options.target, min_confidence=options.min_confidence
         )
-        found = compare(looked.rows, confidence=options.min_confidence)
-        reasons = [*doubts(chosen.mask, {}), *_doubts(found, chosen.cameras, options.attacked)]
+        comparisons = compare(looked.rows, confidence=options.min_confidence)
+        reasons = [*doubts(chosen.mask, {}), *_doubts(comparisons, chosen.cameras, options.attacked)]
         document = {
             "story": "evaluate",
             **_asked(options, chosen),
             **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
             "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
-            "detectors": {comparison.detector: comparison.as_dict() for comparison in found},
+            "detectors": {comparison.detector: comparison.as_dict() for comparison in comparisons},
             "warnings": reasons,
             **provenance.rendered_with(chosen.render),
             **provenance.origin(),
         }
         with new_folder(options.out, force=options.force) as folder:
-            _save_pictures(seen, list(chosen.cameras), [one.detector for one in found], options.pictures, folder)
+            _save_pictures(seen, list(chosen.cameras), list(document["detectors"]), options.pictures, folder)
             save_json(document, folder / RECORD)
             looked.write(folder)
     if options.json:
         show_json({**document, "out": str(options.out)})
     else:
-        _tell(found, reasons, options)
+        _tell(comparisons, reasons, options)
     return 0
 
 
@@ -157,52 +156,36 @@ def _save_pictures(
         save_png(drawn, folder / f"{detector}.png")
 
 
-def _doubts(found: list[Comparison], cameras: Mapping[str, Camera], attacked: Path) -> list[str]:
+def _doubts(comparisons: list[Comparison], cameras: Mapping[str, Camera], attacked: Path) -> list[str]:
     """Reasons to look twice before the rates are believed."""
-    reasons = []
-    same = _attacked_cameras(attacked, cameras)
-    if same:
-        reasons.append(f"{same} of {len(cameras)} cameras are those that were attacked: pass others, with --cameras")
-    for one in found:
-        if one.views < FEW:
-            reasons.append(f"{one.detector}: the object shows in {one.views} of {len(cameras)} views: few")
-        if one.original is None:
-            reasons.append(f"{one.detector} finds nothing on the clean object, so that it is missed proves nothing")
-        elif one.rates["found_clean"].fraction < 0.5:
-            rate = one.rates["found_clean"]
-            reasons.append(f"{one.detector} finds the clean object in {rate.successes} of {rate.total} views only")
-    return reasons
-
-
-def _attacked_cameras(attacked: Path, cameras: Mapping[str, Camera]) -> int:
-    """How many cameras the record beside an attacked splat names as attacked; 0 without a record."""
     import torch
 
     from mi_splat.io.camera_records import recorded_cameras
     from mi_splat.io.folders import RECORD
 
-    found = recorded_cameras(attacked.parent / RECORD, reference=False) or {}
-    poses = [camera.to_world for camera in found.values()]
-    return sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
+    recorded = recorded_cameras(attacked.parent / RECORD, reference=False) or {}
+    poses = [camera.to_world for camera in recorded.values()]
+    same = sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras.values())
+    text = f"{same} of {len(cameras)} cameras are those that were attacked: pass others, with --cameras"
+    doubts = [doubt for comparison in comparisons for doubt in comparison.doubts(len(cameras))]
+    return [text, *doubts] if same else doubts
 
 
-def _tell(found: list[Comparison], reasons: list[str], options: EvaluateOptions) -> None:
+def _tell(comparisons: list[Comparison], reasons: list[str], options: EvaluateOptions) -> None:
     """A table for each detector, and where to look."""
     from mi_splat.io.folders import RECORD
 
-    for one in found:
-        of = "any object" if one.original is None else one.original
-        show(f"{one.detector}: {of}{'' if one.target is None else f', target {one.target}'}, {one.views} views")
-        rows = [
-            (f"  {WORDS[name]}", f"{rate.successes} of {rate.total} ({_percent(*rate.interval)})")
-            for name, rate in one.rates.items()
-        ]
-        change = "the same" if one.psnr is None else f"{one.psnr:.1f} dB"
+    for comparison in comparisons:
+        target = "" if comparison.target is None else f", target {comparison.target}"
+        show(f"{comparison.detector}: {comparison.original or 'any object'}{target}, {comparison.views} views")
+        rows = [(f"  {WORDS[name]}", _counted(rate)) for name, rate in comparison.rates.items()]
+        change = "the same" if comparison.psnr is None else f"{comparison.psnr:.1f} dB"
         show_table([*rows, ("  pictures, attacked against clean", change)])
     for reason in reasons:
         warn(f"warning: {reason}")
     show(f"{options.out}: pictures side by side, and {RECORD}")
 
 
-def _percent(low: float, high: float) -> str:
-    return f"95 % interval {low:.0%} to {high:.0%}"
+def _counted(rate: Rate) -> str:
+    low, high = rate.interval
+    return f"{rate.successes} of {rate.total} (95 % interval {low:.0%} to {high:.0%})"

@@ -10,7 +10,7 @@ from attacks.cli.options import Confidence, OneDetector, Processes, Threads
 from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from mi_splat import provenance
-from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.options import Samples
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Count, Folder
@@ -80,11 +80,7 @@ def run(options: EvaluateDetectorOptions) -> int:
     figures = _figures(options)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     save_json(figures, options.out)
-    if options.json:
-        show_json(figures)
-    else:
-        show(detector_tables(figures))
-        show(f"{options.out}: every figure")
+    show_result(figures, detector_tables(figures), f"{options.out}: every figure", as_json=options.json)
     return 0
 
 

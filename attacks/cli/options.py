@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
 
-from mi_splat.cli.flags import Flag
+from mi_splat.cli.flags import Flag, Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions
 from mi_splat.fields import Called, Fraction, above, at_least, between
+from mi_splat.selection.config import Selection
 
 Detectors = Annotated[tuple[str, ...], Called("DETECTOR")]
 OneDetector = Annotated[str, Flag(name="detectors"), Called("DETECTOR")]
@@ -17,3 +21,29 @@ Seeds = Annotated[int, at_least(1), Called("COUNT")]
 Groups = Annotated[tuple[str, ...], Called("TABLE")]
 Processes = Annotated[int, between(0, 1024)]
 Threads = Annotated[int, between(1, 1024)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttackOptions:
+    """What an attack on one object takes, from chosen cameras or from a region; what is written is told by each."""
+
+    scene: Positional[Path] = Path("scenes/car_street.xml")
+    """Scene XML made of splats, or a splat file."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where the object is looked at from."""
+    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
+    """The aim: another class (--target), no detection at all, or any but the right class."""
+    target: ClassName | None = None
+    """Class that the detectors shall see there (relabel); None is person."""
+    confidence: Confidence | None = None
+    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
+    detectors: Detectors = ("fasterrcnn_small",)
+    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    force: bool = False
+    """Replace an older result in --out."""
+    json: bool = False
+    """Print the result as one JSON document on stdout."""

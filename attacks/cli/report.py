@@ -58,15 +58,13 @@ def run(options: ReportOptions) -> int:
     with progress("writing the page"):
         write_page(sections, options.out, title=options.title, force=options.force)
     if options.json:
-        results = [
-            {"folder": one.folder, "kind": one.kind, "title": one.title, "warnings": list(one.warnings)}
-            for one in sections
-        ]
+        keys = ("folder", "kind", "title", "warnings")
+        results = [{key: getattr(section, key) for key in keys} for section in sections]
         show_json({"out": str(options.out), "results": results})
     else:
-        for one in sections:
-            show(f"{one.folder}: {one.headline.label}: {one.headline.value.replace(FIXED, ' ')}")
-            if one.warnings:
-                warn(f"{one.folder}: {plural(len(one.warnings), 'warning')} on the page")
+        for section in sections:
+            show(f"{section.folder}: {section.headline.label}: {section.headline.value.replace(FIXED, ' ')}")
+            if section.warnings:
+                warn(f"{section.folder}: {plural(len(section.warnings), 'warning')} on the page")
         show(f"{options.out}: open it in any browser; it asks nothing of any network.")
     return 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from attacks.studies.study_file import Study
-from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, warn
+from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Folder, at_least, between
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
     from mi_splat.ledger.plans import Result
-
-
-_FAILED = 1
 
 
 EXAMPLES = (
@@ -123,13 +120,13 @@ def _plan(options: StudyOptions, study: Study) -> int:
     workers = max(1, options.workers)
     if seconds:
         on = "" if workers == 1 else f", on {workers} workers"
-        show(f"About {_words(seconds / workers)} by what was measured{on}.")
+        show(f"About {_duration(seconds / workers)} by what was measured{on}.")
     if unknown:
         show(f"Of {unknown} jobs no like was done yet, so their time is not known.")
     return 0
 
 
-def _words(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
@@ -139,11 +136,13 @@ def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
     from attacks.studies.result import STUDY_FILE
     from mi_splat.io.folders import check_own_folder, own_folder
+    from mi_splat.io.locks import check_unlocked
     from mi_splat.io.manifest import write_manifest
     from mi_splat.ledger.plans import Driver
 
     out = _out(options, study)
     check_own_folder(out, STUDY_FILE)
+    check_unlocked(out)
     work = _work(study)
     if study.kind == "cloak":
         cast("CloakWork", work).check_room(options.store)
@@ -160,7 +159,7 @@ def _run(options: StudyOptions, study: Study) -> int:
         show_json({"jobs": len(results), "failed": failed, "files": [str(path) for path in paths]})
     else:
         _tell(failed, paths, options.study)
-    return _FAILED if failed else 0
+    return 1 if failed else 0
 
 
 def _written(work: Work | CloakWork, results: Mapping[str, Result], out: Path) -> list[Path]:
@@ -216,10 +215,8 @@ def _export(options: StudyOptions, study: Study) -> int:
     levels = export(work.jobs().values(), folder, options.store, options=[f"--{option}" for option in options.sbatch])
     if work.searches:
         warn("a search looks at some of its values only; all of them are exported")
-    if options.json:
-        show_json({"levels": levels, "file": str(folder / SUBMIT)})
-    else:
-        show(f"{sum(levels)} jobs in {len(levels)} arrays: sh {folder / SUBMIT}")
+    line = f"{sum(levels)} jobs in {len(levels)} arrays: sh {folder / SUBMIT}"
+    show_result({"levels": levels, "file": str(folder / SUBMIT)}, line, as_json=options.json)
     return 0
 
 
@@ -241,11 +238,8 @@ def _reuse(options: StudyOptions, study: Study) -> int:
             taken[kind] = {"verified": len(reused.verified), "taken": len(reused.taken)}
     if not taken:
         raise InvalidValueError(message(study.name, "results of older code", "none", "run the study"))
-    if options.json:
-        show_json(taken)
-    else:
-        for kind, counts in taken.items():
-            show(f"{kind}: {counts['verified']} made again with the same bytes, {counts['taken']} taken over")
+    told = "{}: {verified} made again with the same bytes, {taken} taken over"
+    show_result(taken, *(told.format(kind, **counts) for kind, counts in taken.items()), as_json=options.json)
     return 0
 
 
@@ -258,12 +252,9 @@ def _status(options: StudyOptions, study: Study) -> int:
     entries = status(store, study.name)
     counts = Counter(entry.state for entry in entries)
     failed = {_title(entry): store.failures(entry.key)[-1]["error"] for entry in entries if entry.state == "failed"}
-    if options.json:
-        show_json({**{state: counts[state] for state in STATES}, "failures": failed})
-        return 0
-    show(", ".join(f"{counts[state]} {state}" for state in STATES))
-    for label, text in failed.items():
-        show(f"{label}: {text.strip().splitlines()[-1]}")
+    document = {**{state: counts[state] for state in STATES}, "failures": failed}
+    lines = [f"{label}: {text.strip().splitlines()[-1]}" for label, text in failed.items()]
+    show_result(document, ", ".join(f"{counts[state]} {state}" for state in STATES), *lines, as_json=options.json)
     return 0
 
 
@@ -278,10 +269,8 @@ def _retry(options: StudyOptions, study: Study) -> int:
 
     store = Store(options.store)
     forgiven = [_title(entry) for entry in status(store, study.name) if entry.key and store.forgive(entry.key)]
-    if options.json:
-        show_json({"forgiven": forgiven})
-    else:
-        show(f"{len(forgiven)} jobs will be tried again by: mi-splat study run {options.study}")
+    line = f"{len(forgiven)} jobs will be tried again by: mi-splat study run {options.study}"
+    show_result({"forgiven": forgiven}, line, as_json=options.json)
     return 0
 
 
@@ -297,10 +286,8 @@ def _clean(options: StudyOptions, study: Study) -> int:
     for key in keys:
         store.remove(key)
     store.sweep()
-    if options.json:
-        show_json({"deleted": len(keys)})
-    else:
-        show(f"{len(keys)} jobs deleted from {options.store}; the result folder of the study stays as it is.")
+    line = f"{len(keys)} jobs deleted from {options.store}; the result folder of the study stays as it is."
+    show_result({"deleted": len(keys)}, line, as_json=options.json)
     return 0
 
 

@@ -23,6 +23,9 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.metrics import psnr
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 
+FEW = 10
+"""Views from which on an interval says something."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
@@ -48,6 +51,17 @@ class Comparison:
         """As JSON can hold it."""
         numbers = {"original": self.original, "target": self.target, "views": self.views, "psnr": self.psnr}
         return {**numbers, **{name: rate.as_dict() for name, rate in self.rates.items()}}
+
+    def doubts(self, cameras: int) -> list[str]:
+        """Reasons to look twice before the rates are believed, of so many cameras."""
+        clean, reasons = self.rates["found_clean"], []
+        if self.views < FEW:
+            reasons.append(f"{self.detector}: the object shows in {self.views} of {cameras} views: few")
+        if self.original is None:
+            reasons.append(f"{self.detector} finds nothing on the clean object, so that it is missed proves nothing")
+        elif clean.fraction < 0.5:
+            reasons.append(f"{self.detector} finds the clean object in {clean.successes} of {clean.total} views only")
+        return reasons
 
 
 def compared_rows(

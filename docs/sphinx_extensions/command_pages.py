@@ -6,7 +6,6 @@ The pages are reference/commands/NAME.rst and are not kept in the repository, so
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,8 +13,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
-
-    from attacks.cli import Command
 
 FOLDER = Path("reference") / "commands"
 
@@ -35,25 +32,25 @@ def write_pages(app: Sphinx) -> None:
     for old in folder.glob("*.rst"):
         if old.stem not in COMMANDS:
             old.unlink()
-    for name, command in COMMANDS.items():
-        path, text = folder / f"{name}.rst", "\n".join(page(name, command)) + "\n"
+    for name, summary in COMMANDS.items():
+        path, text = folder / f"{name}.rst", "\n".join(page(name, summary)) + "\n"
         if not path.is_file() or path.read_text() != text:
             path.write_text(text)
 
 
-def page(name: str, command: Command) -> Iterator[str]:
+def page(name: str, summary: str) -> Iterator[str]:
     """The lines of a command's page.
 
     Args:
         name: Of the command.
-        command: Where its options are.
+        summary: What it does, in a line.
     """
-    from attacks.cli import parser_of
+    from attacks.cli import module_of, parser_of
 
-    module, parser = importlib.import_module(command.module), parser_of(name)
+    module, parser = module_of(name), parser_of(name)
     title = f"mi-splat {name}"
     yield from (title, "=" * len(title), "", f".. program:: {title}", "")
-    for paragraph in re.split(r"\n\s*\n", parser.description or command.summary):
+    for paragraph in re.split(r"\n\s*\n", parser.description or summary):
         yield from (marked_up(paragraph), "")
     yield from (".. code-block:: sh", "")
     yield from (f"    mi-splat {line}" for line in module.EXAMPLES)

@@ -58,6 +58,15 @@ def show_json(document: Mapping[str, object]) -> None:
     sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
+def show_result(document: Mapping[str, object], *lines: str, as_json: bool) -> None:
+    """What a command has done, on stdout: lines for a human, or its one JSON document with --json."""
+    if as_json:
+        show_json(document)
+        return
+    for line in lines:
+        show(line)
+
+
 def show_table(rows: Iterable[tuple[str, str]]) -> None:
     """Names and values in two aligned columns on stdout."""
     pairs = [(printable(name), value) for name, value in rows]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.cli.console import limit_threads, progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import Samples
 from mi_splat.fields import Folder, Seed, Steps, at_least
@@ -56,9 +56,9 @@ def run(options: ExampleScenesOptions) -> int:
             seed=options.seed,
             on_step=lambda stage, done, wanted: advance(f"{stage}: {done} of {wanted}"),
         )
-    if options.json:
-        show_json(record)
-        return 0
-    show(f"{options.out / options.name}.xml: made in {record['seconds']} s; the record is beside it (.json)")
-    show(f"PSNR: {record['psnr_fitted']} dB on the pictures fitted to, {record['psnr_held_out']} dB on others")
+    lines = (
+        f"{options.out / options.name}.xml: made in {record['seconds']} s; the record is beside it (.json)",
+        f"PSNR: {record['psnr_fitted']} dB on the pictures fitted to, {record['psnr_held_out']} dB on others",
+    )
+    show_result(record, *lines, as_json=options.json)
     return 0

@@ -45,7 +45,7 @@ def splat(tmp_path: Path) -> Path:
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
-    assert all(name in text and command.summary in text for name, command in cli.COMMANDS.items())
+    assert all(name in text and summary in text for name, summary in cli.COMMANDS.items())
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

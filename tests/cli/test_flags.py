@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 import math
 import typing
@@ -113,7 +112,7 @@ def right_value(allowed: Range, whole: bool) -> float:
 
 
 COMMANDS = {name: options_of(name, []) for name in cli.COMMANDS}
-MODULES = {name: importlib.import_module(command.module) for name, command in cli.COMMANDS.items()}
+MODULES = {name: cli.module_of(name) for name in cli.COMMANDS}
 PARTS = [
     *(part for options in COMMANDS.values() for part in configurations(options)),
     *(part for study in FILES for part in configurations(study)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -35,8 +34,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_wrong_names_are_refused_before_a_command_starts(
     words: str, says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for command in cli.COMMANDS.values():
-        monkeypatch.setattr(importlib.import_module(command.module), "run", None)
+    for command in cli.COMMANDS:
+        monkeypatch.setattr(cli.module_of(command), "run", None)
     listed = words.replace("stop sign", "stop%sign").split()
     assert cli.main([word.replace("%", " ") for word in listed]) in (1, 2)
     told = capsys.readouterr().err
