@@ -26,7 +26,7 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
 # README.md is what a forge shows for this folder; its list of pages is part of index.md.
 exclude_patterns = ["README.md"]
-# Two modules have a class `Step`; a link to it leads to one of them.
+# Several modules have a class `Step`; a link to it leads to one of them.
 suppress_warnings = ["ref.python"]
 
 myst_enable_extensions = ["colon_fence", "deflist"]
