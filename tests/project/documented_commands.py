@@ -44,6 +44,7 @@ FAST = {
 NIGHTLY = {
     *("cloak", "cloak-experiment", "doctor", "evaluate-detector", "view", "python"),
     *("compare-detectors", "dagger-sanity"),
+    *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
 NIGHTLY_PAGES = {
@@ -56,7 +57,7 @@ ELSEWHERE = {
     "make docs": ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has built",
     "make nightly": "runs these tests",
     "make commands": "the same",
-    "study": "tests/studies/test_shipped.py plans every study that is shipped, and test_run.py does small ones",
+    "study": "tests/studies/test_shipped.py plans every study that is shipped; one of each kind is done by night",
     "detectors --get": "tests/detectors/tfjs/test_packages.py runs it, with an npm of its own",
     "detectors --from": "the same",
     "pip": "the tests run in what it has installed; the extras that it names are checked",
@@ -88,6 +89,9 @@ class Line:
             return " ".join(self.words[:2]) if self.program == "make" else self.program
         if "--help" in self.words:
             return "--help"
+        if self.words[1] == "study":
+            kind = f"study {self.words[2]} {Path(self.words[3]).stem}"
+            return kind if kind in NIGHTLY else "study"
         marked = next((flag for flag in ("--export", "--forecast", "--get", "--from") if flag in self.words), None)
         return f"{self.words[1]} {marked}" if marked else self.words[1]
 

@@ -140,6 +140,30 @@ def small_scenes(folder: Path) -> None:
             text = "".join(parts)
         text = re.sub(r"^seeds = \[.*?\]", "seeds = [0]", text, flags=re.MULTILINE)
         path.write_text(re.sub(r"^detectors = .*$", 'detectors = ["fasterrcnn_small"]', text, flags=re.MULTILINE))
+    for path in (folder / "studies").glob("*.toml"):
+        path.write_text(small_study(path.read_text(), SMALL_ATTACKS.get(path.stem)))
+
+
+SMALL_ATTACKS = {
+    "pairs": "{ steps = 1, noise_draws = 1 }",
+    "eot_pairs": "{ steps = 1, batch = 1, pool = 1, validation = 1, held_out = 1 }",
+}
+"""What attacks are in small copies of studies, by their names."""
+
+
+def small_study(text: str, attack: str | None) -> str:
+    """A study with one value of each axis.
+
+    Args:
+        text: The file.
+        attack: Settings of its attacks, of which only the first case is kept; None leaves both.
+    """
+    text = re.sub(r"(^    \{ name = .*\n)(?:    \{ name = .*\n)+", r"\1", text, flags=re.MULTILINE)
+    text = re.sub(r'^("[a-z_.]+" = \[[^\[{,]+),.*\]$', r"\1]", text, flags=re.MULTILINE)
+    if attack is None:
+        return text
+    text = "[[case]]".join(text.split("[[case]]")[:2])
+    return re.sub(r"^attack = \{.*\}$", f"attack = {attack}", text, flags=re.MULTILINE)
 
 
 def provide(line: Line, kept: dict[str, Path]) -> None:
