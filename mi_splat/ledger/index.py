@@ -157,16 +157,25 @@ def status(store: Store, name: str) -> list[Entry]:
     digests = {kind: code_digest(kind) for kind in {kind for _, kind, _, _ in jobs}}
     finished, live, failed = store.keys(), store.leases.live(), store.failed()
     known = {name: keys[name][1] for name, kind, _, _ in jobs if name in keys and keys[name][0] == digests[kind]}
+    earlier = {name: before for name, _, before, _ in jobs}
+    done: dict[str, bool] = {}
+
+    def is_done(name: str) -> bool:
+        """Whether a job is done with all before it: where one of these has changed, the key is of what it was."""
+        if name not in done:
+            done[name] = known.get(name) in finished and all(is_done(other) for other in earlier[name])
+        return done[name]
+
     entries = []
     for name, kind, before, labels in jobs:
         key = known.get(name, "")
-        if key in finished:
+        if is_done(name):
             state = "done"
         elif key in live:
             state = "running"
         elif key in failed:
             state = "failed"
         else:
-            state = "ready" if all(known.get(other) in finished for other in before) else "waiting"
+            state = "ready" if all(map(is_done, before)) else "waiting"
         entries.append(Entry(labels=tuple(labels), kind=kind, state=state, key=key))
     return entries

@@ -178,6 +178,19 @@ def test_a_plan_forecasts_from_measured_seconds(
     assert "30 jobs, 20 of them done." in capsys.readouterr().out
 
 
+def test_a_look_at_an_attack_that_is_to_be_made_again_is_not_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_toy(tmp_path)
+    (tmp_path / "toy.toml").write_text(STUDY.format(scene=scene).replace("[0.01, 12.0]", "[12.0]"))
+    words = ("--parts", "hidden", "--json")
+    assert study(tmp_path, "run", "toy", *words) == 0
+    scene.write_text(scene.read_text().replace("</scene>", "<!-- changed --></scene>"))
+    capsys.readouterr()
+    assert study(tmp_path, "plan", "toy", *words) == 0
+    assert json.loads(capsys.readouterr().out)["done"] == 0
+
+
 def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert study(folder, "run", "eot") == 0
     record = json.loads((folder / "eot" / "result.json").read_text())
