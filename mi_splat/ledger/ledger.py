@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, nobody
+from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, by_depth, nobody
 from mi_splat.ledger.running import run_job, task_for
 from mi_splat.ledger.store import TRIES, Store
 
@@ -32,20 +32,22 @@ class Ledger:
             InvalidValueError: A file of a job or an input was changed.
             Exception: Whatever a kind raises.
         """
-        for needed in job.before:
-            self.do(needed)
+        for level in by_depth([job]):
+            for needed in level:
+                self._done[needed.identity] = self._do(needed)
+        return self._done[job.identity]
+
+    def _do(self, job: Job) -> Done:
+        """The result of a job whose inputs are done."""
         task = task_for(job, self.store, self._done)
         if len(self.store.failures(task.key)) >= TRIES:
             self.store.forgive(task.key)
         told = False
         while True:
             try:
-                done = run_job(self.store, task, self._on_event)
-                break
+                return run_job(self.store, task, self._on_event)
             except HeldError as error:
                 if not told:
                     self._on_event(Event(state="held", key=task.key, kind=task.kind, text=str(error)))
                 told = True
                 time.sleep(_POLL)
-        self._done[job.identity] = done
-        return done

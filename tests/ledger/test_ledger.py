@@ -36,6 +36,17 @@ def test_a_job_is_done_once_and_its_inputs_first(tmp_path: Path) -> None:
     assert not [path for name in ("tmp", "partial", "leases") for path in (tmp_path / name).glob("[!.]*")]
 
 
+def test_a_job_that_many_read_is_looked_at_once(tmp_path: Path) -> None:
+    """As surrogates of CLOAK, each of which reads what all before it have left."""
+    jobs = [numbers(1.0)]
+    for number in range(9):
+        jobs.append(numbers(float(number), **{f"input {n}": job for n, job in enumerate(jobs)}))
+    Ledger(tmp_path).do(jobs[-1])
+    events: list[Event] = []
+    Ledger(tmp_path, on_event=events.append).do(jobs[-1])
+    assert states(events) == ["kept"] * 10
+
+
 def test_who_reads_equal_files_is_the_same_job(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path)
     one, other = numbers(1.0, 2.0), numbers(3.0)
