@@ -141,7 +141,7 @@ def small_scenes(folder: Path) -> None:
         text = re.sub(r"^seeds = \[.*?\]", "seeds = [0]", text, flags=re.MULTILINE)
         path.write_text(re.sub(r"^detectors = .*$", 'detectors = ["fasterrcnn_small"]', text, flags=re.MULTILINE))
     for path in (folder / "studies").glob("*.toml"):
-        path.write_text(small_study(path.read_text(), SMALL_ATTACKS.get(path.stem)))
+        path.write_text(shortened_study(path.read_text(), SMALL_ATTACKS.get(path.stem)))
 
 
 SMALL_ATTACKS = {
@@ -151,7 +151,7 @@ SMALL_ATTACKS = {
 """What attacks are in small copies of studies, by their names."""
 
 
-def small_study(text: str, attack: str | None) -> str:
+def shortened_study(text: str, attack: str | None) -> str:
     """A study with one value of each axis.
 
     Args:
