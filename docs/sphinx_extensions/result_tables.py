@@ -52,6 +52,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[CLOAK](../cloak.md#variant-a-margin-of-poison)",
         ("cloak_car_stealthy_margin",),
     ),
+    "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_eot": (
         "DAGGER when the camera moves",
         "[DAGGER when the camera moves](../dagger-eot.md)",
