@@ -25,7 +25,7 @@ extensions = [
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
 # README.md is what a forge shows for this folder; its list of pages is part of index.md.
-exclude_patterns = ["README.md"]
+exclude_patterns = ["README.md", "artifacts/*/*"]
 # Several modules have a class `Step`; a link to it leads to one of them.
 suppress_warnings = ["ref.python"]
 

@@ -114,8 +114,12 @@ def blocks(language: str, text: str) -> list[str]:
 
 
 def pages() -> list[Path]:
-    """The README and every page of the documentation."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    """The README and every page of the documentation; results in docs/artifacts have tables of their own."""
+    docs = ROOT / "docs"
+    return [
+        ROOT / "README.md",
+        *(path for path in sorted(docs.rglob("*.md")) if docs / "artifacts" not in path.parents),
+    ]
 
 
 def lines() -> Iterator[Line]:
