@@ -17,8 +17,6 @@ Schedule = Literal["constant", "linear", "cosine"]
 OptimiserName = Literal["momentum", "adam"]
 """What makes a step of the gradients (`attacks.optimisers`)."""
 
-OPTIMISERS: tuple[OptimiserName, ...] = get_args(OptimiserName)
-
 SCHEDULES: tuple[Schedule, ...] = get_args(Schedule)
 
 Radius = Annotated[float, at_least(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]

@@ -32,7 +32,7 @@ from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, listed, observe
 from attacks.detectors.base import Detector
 from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, TRANSITION, write_rows
-from attacks.studies.study_file import Point, Search, Settings, Study, merged
+from attacks.studies.study_file import Point, Search, Settings, Study, merged, with_none
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import decode
@@ -259,15 +259,7 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
         if not path.is_file():
             raise InvalidValueError(message(f"base of {name}", "a TOML file", f"no file {path}", "check the path"))
         values = merged(DocumentReader(expected="a TOML file", do="correct it").read_toml(path), values)
-    return decode(StudyConfig, {**_plain(values), "name": name}, name)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_plain(entry) for entry in value]
-    return None if value == "none" else value
+    return decode(StudyConfig, {**with_none(values), "name": name}, name)
 
 
 def _seen(point: CloakPoint, done: Mapping[str, Done]) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:

@@ -9,7 +9,7 @@ draws the views.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -21,11 +21,11 @@ from attacks.observe.conditions import SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import DrawnLook, FixedLook, check_condition, hour_of
 from attacks.studies.scenes import check_scene, scene_files
-from attacks.studies.study_file import Settings
+from attacks.studies.study_file import Settings, with_none
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.fields import decode, several
-from mi_splat.ledger import Job
+from mi_splat.ledger import Job, Part
 
 ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
 AS_ATTACKED = "as attacked"
@@ -177,32 +177,12 @@ class FixedJudge:
             street = {f"street {name}": path for name, path in scene_files(Path(sun.scene)).items()}
         check_condition(condition, sun)
         attack = attacked.config.attack
-        return [
-            Job(
-                kind=LOOK,
-                config=FixedLook(
-                    object=settings.object,
-                    target=settings.target,
-                    detector=detector,
-                    attributes=attack.attributes,
-                    norm=attack.norm,
-                    seed=attack.seed,
-                    fingerprints=fingerprints((detector,)),
-                    eps=attack.eps,
-                    camera=settings.camera,
-                    views=settings.views,
-                    condition=condition,
-                    sun=sun,
-                ),
-                inputs={
-                    "attacked": attacked.part(SPLAT),
-                    **scene_files(Path(settings.scene)),
-                    **weights((detector,)),
-                    **street,
-                },
-            )
-            for detector in (settings.detectors if self.detector is None else (self.detector,))
-        ]
+
+        def look(shared: Mapping[str, Any]) -> FixedLook:
+            how = {"eps": attack.eps, "camera": settings.camera, "views": settings.views}
+            return FixedLook(**shared, **how, seed=attack.seed, condition=condition, sun=sun)
+
+        return _looks(settings, attacked, self.detector, look, {"attacked": attacked.part(SPLAT), **street})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,29 +200,46 @@ class DrawnJudge:
     def jobs(self, settings: Drawn, attacked: Job) -> list[Job]:
         """The looks at the splat of an attack; see `FixedJudge.jobs`."""
         attack = attacked.config.attack
-        return [
-            Job(
-                kind=LOOK,
-                config=DrawnLook(
-                    object=settings.object,
-                    target=settings.target,
-                    detector=detector,
-                    attributes=attack.attributes,
-                    norm=attack.norm,
-                    seed=attack.judge_seed,
-                    fingerprints=fingerprints((detector,)),
-                    sh_degree=attack.sh_degree,
-                    transformations=attacked.config.transformations,
-                    views=min(self.views, attack.held_out),
-                ),
-                inputs={
-                    "attacked": attacked.part(WHOLE_SPLAT),
-                    **scene_files(Path(settings.scene)),
-                    **weights((detector,)),
-                },
-            )
-            for detector in (settings.detectors if self.detector is None else (self.detector,))
-        ]
+
+        def look(shared: Mapping[str, Any]) -> DrawnLook:
+            how = {"sh_degree": attack.sh_degree, "transformations": attacked.config.transformations}
+            views = min(self.views, attack.held_out)
+            return DrawnLook(**shared, **how, seed=attack.judge_seed, views=views)
+
+        return _looks(settings, attacked, self.detector, look, {"attacked": attacked.part(WHOLE_SPLAT)})
+
+
+def _looks(
+    settings: Fixed | Drawn,
+    attacked: Job,
+    judge: str | None,
+    look: Callable[[Mapping[str, Any]], FixedLook | DrawnLook],
+    inputs: Mapping[str, Job | Part | Path],
+) -> list[Job]:
+    """A look at the splat of an attack by each detector.
+
+    Args:
+        settings: Of the attack.
+        attacked: The attack.
+        judge: Name of the detector that looks; None is each of those attacked.
+        look: Makes the configuration of a look from what all looks have.
+        inputs: Of each look, besides the scene and the weights.
+    """
+    attack = attacked.config.attack
+    shared = {
+        "object": settings.object,
+        "target": settings.target,
+        "attributes": attack.attributes,
+        "norm": attack.norm,
+    }
+    return [
+        Job(
+            kind=LOOK,
+            config=look({**shared, "detector": name, "fingerprints": fingerprints((name,))}),
+            inputs={**inputs, **scene_files(Path(settings.scene)), **weights((name,))},
+        )
+        for name in (settings.detectors if judge is None else (judge,))
+    ]
 
 
 KINDS: Mapping[str, tuple[type[Fixed | Drawn], type[FixedJudge | DrawnJudge]]] = {
@@ -266,7 +263,7 @@ def settings_of(kind: type[_T], settings: Settings, where: str) -> _T:
     attack = settings.get("attack", {})
     if isinstance(attack, Mapping) and "seed" in attack:
         raise InvalidValueError(message(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables"))
-    values: dict[str, Any] = _plain(settings)
+    values: dict[str, Any] = with_none(settings)
     for table, name in (
         (values, "detectors"),
         (values.get("attack", {}), "eps"),
@@ -275,12 +272,6 @@ def settings_of(kind: type[_T], settings: Settings, where: str) -> _T:
         if name in table:
             table[name] = list(several(table[name]))
     return decode(kind, values, where)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return None if value == "none" else value
 
 
 def weights(detectors: tuple[str, ...]) -> dict[str, Path]:

@@ -358,3 +358,12 @@ def _tables(table: Settings, key: str, where: str) -> Sequence[Settings]:
 def _check(good: object, what: str, expected: str, got: object, do: str) -> None:
     if not good:
         raise InvalidValueError(message(what, expected, got, do))
+
+
+def with_none(value: Any) -> Any:
+    """Settings in which "none" has become None, at any depth: TOML has no word for it."""
+    if isinstance(value, Mapping):
+        return {key: with_none(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [with_none(entry) for entry in value]
+    return None if value == "none" else value
