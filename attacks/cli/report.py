@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from attacks.rate import FIXED
 from attacks.report.charts import need_packages
-from attacks.report.wording import FIXED, plural
+from attacks.report.wording import plural
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, message

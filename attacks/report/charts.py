@@ -12,8 +12,9 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from attacks.report.section import Chart, Line, Point, Table
-from attacks.report.wording import percent
+from attacks.rate import percent
+from attacks.report.section import Chart, Line, Point
+from attacks.tables import Table
 from mi_splat.errors import InvalidValueError, install, message
 
 SIZE = (4.5, 2.9)

@@ -13,8 +13,9 @@ from typing import Any
 from PIL import Image
 
 from attacks.report.charts import legend, svg, values_of
-from attacks.report.section import Chart, Picture, Section, Table
+from attacks.report.section import Chart, Picture, Section
 from attacks.report.wording import capital, listed
+from attacks.tables import Table
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 from mi_splat.io.picture_files import load_picture

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from attacks.rate import Rate
-from attacks.report.wording import counted, counts, interval_of, percent
+from attacks.rate import Rate, percent
+from attacks.tables import Table, cell
 
 Role = Literal["attack", "control", "other"]
 """What a line of a chart stands for; it decides the colour, the marker and the dashes."""
@@ -45,17 +45,17 @@ class Figure:
     @property
     def counts(self) -> str:
         """Successes and total; empty where nothing is counted."""
-        return "" if self.rate is None else counts(self.rate)
+        return "" if self.rate is None else self.rate.counts
 
     @property
     def interval(self) -> str:
         """The 95 % interval; empty where nothing is counted."""
-        return "" if self.rate is None or not self.rate.total else interval_of(self.rate)
+        return "" if self.rate is None or not self.rate.total else self.rate.ends
 
     @property
     def cell(self) -> str:
         """The whole figure in a cell of a table."""
-        return self.words if self.rate is None else counted(self.rate)
+        return self.words if self.rate is None else cell(self.rate)
 
     @property
     def row(self) -> tuple[str, str, str]:
@@ -142,15 +142,6 @@ class Chart:
     fractions: bool = True
     logarithmic: bool = False
     connected: bool = True
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """A table: the first cell of each row is its heading."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,26 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
-from attacks.rate import Rate
+from attacks.rate import FIXED, Rate
 
-FIXED = "\u00a0"
-"""A space at which no line is broken."""
 MOST_VALUES = 12
 """Values of one setting that are listed where several attacks differ in it."""
-
-
-def percent(fraction: float) -> str:
-    """A fraction for people."""
-    return f"{100 * fraction:.1f}".removesuffix(".0") + f"{FIXED}%"
-
-
-def interval_of(rate: Rate) -> str:
-    """The 95 % interval of a rate for people."""
-    low, high = rate.interval
-    return f"{percent(low).removesuffix(f'{FIXED}%')} to {percent(high)}"
 
 
 def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
@@ -30,45 +16,9 @@ def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
     return "-" if value is None else format(value, form) + (f"{FIXED}{unit}" if unit else "")
 
 
-def counts(rate: Rate) -> str:
-    """Successes and total in a sentence."""
-    return f"{rate.successes:,} of {rate.total:,}"
-
-
-def counted(rate: Rate | None) -> str:
-    """A rate with its interval in a cell of a table; a dash for none."""
-    if rate is None or not rate.total:
-        return "-"
-    return f"{counts(rate)} = {percent(rate.fraction)} ({interval_of(rate)})"
-
-
 def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
-    """A rate as the JSONs have it, with the interval that it has there; None where there is none.
-
-    Raises:
-        KeyError: It is none.
-        ValueError: More succeeded than there were.
-    """
-    if value is None:
-        return None
-    rate = Rate(successes=int(value["successes"]), total=int(value["total"]))
-    low, high = map(float, value.get("interval") or rate.interval)
-    if not (0 <= rate.successes <= rate.total and 0 <= low <= high <= 1):
-        raise ValueError(f"a rate of {rate.successes} of {rate.total}, {low} to {high}")
-    is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-9
-    return rate if is_wilson else replace(rate, resampled=(low, high))
-
-
-def known(value: Mapping[str, Any] | None) -> Rate:
-    """A rate that has to be there.
-
-    Raises:
-        KeyError: There is none.
-    """
-    found = rate_of(value)
-    if found is None:
-        raise KeyError("rate")
-    return found
+    """A rate as the JSONs have it; None where there is none."""
+    return None if value is None else Rate.of(value)
 
 
 def pooled(rates: Iterable[Rate | None]) -> Rate:

@@ -3,24 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
+
+from attacks.tables import Table
 
 Record = Mapping[str, Any]
 Cell = Callable[[Record], str]
-
-
-class Table(NamedTuple):
-    """A table.
-
-    Attributes:
-        caption: What stands above it.
-        head: Titles of the columns.
-        rows: The cells.
-    """
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 def markdown(record: Record) -> str:
@@ -35,12 +23,7 @@ def markdown(record: Record) -> str:
 
 def sections(record: Record) -> str:
     """All tables of a study as Markdown under headings of their captions; see `markdown`."""
-    blocks = []
-    for table in tables(record):
-        rows = (table.head, ("---",) * len(table.head), *table.rows)
-        lines = [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
-        blocks.append("\n".join([f"## {table.caption}", "", *lines]))
-    return "\n\n".join(blocks) + "\n"
+    return "\n\n".join(table.markdown for table in tables(record)) + "\n"
 
 
 def tables(record: Record) -> Iterator[Table]:
@@ -51,19 +34,14 @@ def tables(record: Record) -> Iterator[Table]:
     """
     for title, groups in by_part(record["groups"]).items():
         columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
-        yield _table(title or "The attacks", columns, groups)
+        yield Table.of(title or "The attacks", columns, groups)
     for title, searched in by_part(record["smallest"]).items():
         caption = f"The smallest that suffices{f': {title}' if title else ''}"
-        yield _table(caption, {**_axes(searched), **_OF_SEARCHES}, searched)
+        yield Table.of(caption, {**_axes(searched), **_OF_SEARCHES}, searched)
     for title, looks in by_part(record["looks"]).items():
         for kind, meaning in KINDS.items():
             if kind in looks[0]:
                 yield _matrix(f"{meaning}{f': {title}' if title else ''}", looks, kind)
-
-
-def _table(caption: str, columns: Mapping[str, Cell], lines: Sequence[Record]) -> Table:
-    """A table whose cells are made of lines, column by column."""
-    return Table(caption, tuple(columns), tuple(tuple(cell(line) for cell in columns.values()) for line in lines))
 
 
 def number(value: Any, form: str = "g") -> str:
@@ -175,7 +153,7 @@ def _matrix(caption: str, looks: Sequence[Record], kind: str) -> Table:
     columns |= {name or "all": lambda line, name=name: cell(line["row"], name) for name in across}  # type: ignore[misc]
     columns["random noise"] = lambda line: noise(line["row"])
     note = " (a star: the detector that judges was attacked)" if marked else ""
-    return _table(f"{caption}{note}", columns, [{"row": row} for row in down])
+    return Table.of(f"{caption}{note}", columns, [{"row": row} for row in down])
 
 
 def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:

@@ -61,7 +61,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
         "attacks.limits",
-        "attacks.rate",
+        *("attacks.rate", "attacks.tables"),
         *("attacks.pgd", "attacks.optimisers", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
     ),
     "detectors": ("attacks.detectors",),

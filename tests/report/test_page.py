@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from attacks.rate import Rate
+from attacks.tables import Table
+
 pytest.importorskip("jinja2", reason="pages need the extra report")
 pytest.importorskip("matplotlib", reason="pages need the extra report")
 
-from attacks.rate import Rate
 from attacks.report.charts import svg, values_of
 from attacks.report.page import LONGEST_SIDE, data_address, page_text, write_page
 from attacks.report.results import read_section
-from attacks.report.section import Chart, Figure, Line, Point, Section, Table, doubts_of
+from attacks.report.section import Chart, Figure, Line, Point, Section, doubts_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
 from mi_splat.io.picture_files import PictureFileError

@@ -15,10 +15,11 @@ from attacks.observe.places import CAMERAS
 from attacks.observe.rates import Measure, count
 from attacks.observe.rows import ATTACKED, Row
 from attacks.observe.views import ViewDetections
-from attacks.rate import Rate
+from attacks.rate import Rate, percent
 from attacks.report.rescoring import Rescoring
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table, doubts_of
-from attacks.report.wording import counted, known, listed, number, percent, plural, pooled, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, doubts_of
+from attacks.report.wording import listed, number, plural, pooled, settings
+from attacks.tables import Table, cell
 from mi_splat.errors import InvalidValueError, message
 
 Result = Mapping[str, Any]
@@ -43,7 +44,7 @@ def read_fixed(folder: Path, result: Result) -> Section:
         folder: Where it lies.
         result: Its result.json.
     """
-    rate = pooled(known(one["success"]) for one in result["rates"].values())
+    rate = pooled(Rate.of(one["success"]) for one in result["rates"].values())
     noise = Rate(successes=result["noise"]["successes"], total=result["noise"]["draws"])
     names, config = list(result["rates"]), result["config"]
     few = [f"Few draws of noise: {noise.total}. Ask for more with --noise-draws"] if 0 < noise.total < FEW_DRAWS else []
@@ -82,12 +83,12 @@ def read_drawn(folder: Path, result: Result) -> Section:
         folder: Where it lies.
         result: Its result.json.
     """
-    rate, noise, clean = (known(result[name]) for name in ("rate", "noise_rate", "clean_rate"))
+    rate, noise, clean = (Rate.of(result[name]) for name in ("rate", "noise_rate", "clean_rate"))
     config, names = result["config"], list(result["rates"])
     needed, budget = config["required_views"], config["image_psnr"]
     asked = "" if budget is None else f", while the pictures keep {budget:g} dB"
     control = f" Random noise of the same size: {noise.successes} of {noise.total}." if noise.total else ""
-    sure = Figure(label="success without another class of more confidence", rate=known(result["unambiguous_rate"]))
+    sure = Figure(label="success without another class of more confidence", rate=Rate.of(result["unambiguous_rate"]))
     return Section(
         kind="DAGGER, from all cameras of a region",
         title=f"{thing(result)} {wish(result)}, all cameras",
@@ -124,8 +125,7 @@ def read_drawn(folder: Path, result: Result) -> Section:
                 caption="Each detector on the held-out views",
                 head=("rate", *names),
                 rows=tuple(
-                    (words, *(counted(known(one[key])) for one in result["rates"].values()))
-                    for key, words in _RATES.items()
+                    (words, *(cell(one[key]) for one in result["rates"].values())) for key, words in _RATES.items()
                 ),
             ),
         ),
@@ -266,7 +266,7 @@ def _by_angles(result: Result, needed: float) -> Iterator[Chart]:
     for angle in ("azimuth", "elevation"):
         parts = [part for part in result[f"by_{angle}"] if part["total"]]
         if len(parts) > 1:
-            points = tuple(Point.of((part["from"] + part["to"]) / 2, known(part)) for part in parts)
+            points = tuple(Point.of((part["from"] + part["to"]) / 2, Rate.of(part)) for part in parts)
             yield Chart(
                 title=f"Success by {angle}",
                 caption=(

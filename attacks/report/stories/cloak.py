@@ -19,23 +19,13 @@ from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TARGET_SCORE, TRANSITION, Row
 from attacks.observe.views import BATCH, ViewDetections
-from attacks.rate import Rate
+from attacks.rate import Rate, percent
 from attacks.report.checking import Tables
 from attacks.report.rescoring import Rescoring
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of, shown
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, doubts_of, shown
 from attacks.report.stories.thresholds import threshold_charts
-from attacks.report.wording import (
-    counted,
-    interval_of,
-    known,
-    listed,
-    number,
-    percent,
-    plural,
-    rate_of,
-    sentence,
-    settings,
-)
+from attacks.report.wording import listed, number, plural, rate_of, sentence, settings
+from attacks.tables import Table, cell
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import decode
@@ -314,7 +304,9 @@ def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
     shade = None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}")
 
     def points(which: str) -> tuple[Point, ...]:
-        return tuple(Point.of((row["from"] + row["to"]) / 2, known(row[which])) for row in rows if row[which]["total"])
+        return tuple(
+            Point.of((row["from"] + row["to"]) / 2, Rate.of(row[which])) for row in rows if row[which]["total"]
+        )
 
     return Chart(
         title=f"Found by {detector}, by elevation",
@@ -332,7 +324,7 @@ def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
 def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     detectors = summary["by_detector"]
     rows = [
-        (words, *(counted(rate_of(rates[key])) for rates in detectors.values()))
+        (words, *(cell(rates[key]) for rates in detectors.values()))
         for key, words in RATES.items()
         if any(rates[key] is not None for rates in detectors.values())
     ]
@@ -340,7 +332,7 @@ def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     seeds = summary["by_seed"]
     if len(seeds) > 1:
         key = "trigger_miss_rate" if summary["trigger_miss_rate"] is not None else "target_rate"
-        rows = [(seed, *(counted(rate_of(one[key])) for one in rates.values())) for seed, rates in seeds.items()]
+        rows = [(seed, *(cell(one[key]) for one in rates.values())) for seed, rates in seeds.items()]
         yield Table(caption=f"By seed: {RATES[key]}", head=("seed", *detectors), rows=tuple(rows))
     if len(summary["by_attack"]) > 1:
         rows = []
@@ -348,11 +340,11 @@ def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
             kind = next(iter(rates.values()))
             key = "trigger_miss_rate" if kind["trigger_miss_rate"] is not None else "target_rate"
             if kind[key] is not None:
-                rows.append((f"{name}: {RATES[key]}", *(counted(rate_of(one[key])) for one in rates.values())))
+                rows.append((f"{name}: {RATES[key]}", *(cell(one[key]) for one in rates.values())))
         yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
 
 
 def spread(rates: Sequence[Rate]) -> str:
     """Lowest to highest of some rates, each with its interval."""
     least, most = (pick(rates, key=lambda rate: rate.fraction) for pick in (min, max))
-    return f"{percent(least.fraction)} ({interval_of(least)}) to {percent(most.fraction)} ({interval_of(most)})"
+    return f"{percent(least.fraction)} ({least.ends}) to {percent(most.fraction)} ({most.ends})"

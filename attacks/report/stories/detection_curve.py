@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, Table, doubts_of, shown
+from attacks.rate import Rate, percent
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, doubts_of, shown
 from attacks.report.stories.experiments import Document, Row, matching
-from attacks.report.wording import counted, counts, known, listed, percent, plural, pooled
+from attacks.report.wording import listed, plural, pooled
+from attacks.tables import Table, cell
 
 CONFIDENCE = 0.5
 """From which an object counts as found, as in the studies."""
@@ -37,8 +38,8 @@ def read(folder: Path, found: Document) -> Section:
             "detector sees of the object itself."
         ),
         conclusion=(
-            f"In the region {region} the object is missed in {counts(rate)} looks at the cloaked splats, in "
-            f"{counts(control)} at the clean ones, and in {counts(true)} at the path-traced object, over all "
+            f"In the region {region} the object is missed in {rate.counts} looks at the cloaked splats, in "
+            f"{control.counts} at the clean ones, and in {true.counts} at the path-traced object, over all "
             "detectors. A detector that misses the object itself says nothing of the attack: look at each."
         ),
         headline=Figure(label=f"cloaked splats: object missed in the region {region}", rate=rate, note="all detectors"),
@@ -73,7 +74,7 @@ def _missed(rows: Sequence[Row], region: str, pictures: str, detector: str | Non
     own = matching(
         rows, by="region", cameras=region, pictures=pictures, seed=None, reported="own", confidence=CONFIDENCE
     )
-    rate = pooled(known(row) for row in own if detector in (None, row["detector"]))
+    rate = pooled(Rate.of(row) for row in own if detector in (None, row["detector"]))
     return Rate(successes=rate.total - rate.successes, total=rate.total)
 
 
@@ -83,7 +84,7 @@ def _doubts(rows: Sequence[Row], names: Sequence[str], region: str, seeds: int) 
     for name in names:
         clean = _missed(rows, region, "clean", name)
         if clean.total and clean.fraction > 0.5:
-            seen = f"{name} misses the clean object in {counts(clean)} views of the region {region}"
+            seen = f"{name} misses the clean object in {clean.counts} views of the region {region}"
             yield f"{seen}: that it misses the cloaked one there says little"
 
 
@@ -106,7 +107,7 @@ def _charts(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Chart]:
             own = matching(rows, by=kind, detector=name, seed=None, reported="own", confidence=CONFIDENCE)
             lines = []
             for pictures, role in PICTURES.items():
-                points = tuple(Point.of(_middle(row), known(row)) for row in matching(own, pictures=pictures))
+                points = tuple(Point.of(_middle(row), Rate.of(row)) for row in matching(own, pictures=pictures))
                 lines.append(Line(name=pictures, role=role, points=points))
             if any(line.points for line in lines):
                 yield Chart(
@@ -140,7 +141,7 @@ def _tables(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Table]:
 
 def _cell(rows: Sequence[Row], pictures: str) -> str:
     """All seeds together, and the least and the most of a single one."""
-    together = next((known(row) for row in matching(rows, pictures=pictures, seed=None)), None)
-    seeds = [known(row).fraction for row in rows if row["pictures"] == pictures and row["seed"] is not None]
+    together = next((Rate.of(row) for row in matching(rows, pictures=pictures, seed=None)), None)
+    seeds = [Rate.of(row).fraction for row in rows if row["pictures"] == pictures and row["seed"] is not None]
     spread = f"; by seed {percent(min(seeds))} to {percent(max(seeds))}" if len(seeds) > 1 else ""
-    return counted(together) + spread
+    return cell(together) + spread

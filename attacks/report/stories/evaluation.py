@@ -10,10 +10,12 @@ from typing import Any
 from attacks.observe.comparison import compare
 from attacks.observe.measures import comparison_measures
 from attacks.observe.rows import ROWS
+from attacks.rate import Rate
 from attacks.report.checking import Tables
-from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, Table, doubts_of
+from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, doubts_of
 from attacks.report.stories.thresholds import threshold_charts
-from attacks.report.wording import counted, known, listed, number, plural, rate_of, settings
+from attacks.report.wording import listed, number, plural, rate_of, settings
+from attacks.tables import Table, cell
 
 KIND = "a clean and an attacked splat, judged"
 _CONDITIONS = (
@@ -100,16 +102,16 @@ def _headline(name: str, rates: Mapping[str, Any]) -> tuple[Figure, Figure | Non
     if rates.get("target"):
         return (
             Figure(
-                label=f"{name} reports {rates['target']} on the attacked splat", rate=known(rates["target_attacked"])
+                label=f"{name} reports {rates['target']} on the attacked splat", rate=Rate.of(rates["target_attacked"])
             ),
-            Figure(label=f"{name} reports {rates['target']} on the clean splat", rate=known(rates["target_clean"])),
+            Figure(label=f"{name} reports {rates['target']} on the clean splat", rate=Rate.of(rates["target_clean"])),
         )
-    thing, clean = rates["original"] or "object", known(rates["found_clean"])
+    thing, clean = rates["original"] or "object", Rate.of(rates["found_clean"])
     gone = type(clean)(successes=clean.total - clean.successes, total=clean.total)
     return (
         Figure(
             label=f"{name} misses the {thing} on the attacked splat",
-            rate=known(rates["missed"]),
+            rate=Rate.of(rates["missed"]),
             note="of the views in which it is found in the clean one",
         ),
         Figure(label=f"{name} misses the {thing} on the clean splat", rate=gone),
@@ -144,7 +146,7 @@ def _table(detectors: Mapping[str, Any]) -> Table:
             name,
             str(one["original"] or "unknown"),
             str(one["views"]),
-            *(counted(rate_of(one.get(key))) for key in _RATES),
+            *(cell(one.get(key)) for key in _RATES),
             number(one["psnr"], unit="dB"),
         )
         for name, one in detectors.items()

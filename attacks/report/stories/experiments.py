@@ -9,19 +9,10 @@ from typing import Any
 
 from attacks.cloak.rates import ROWS
 from attacks.cloak.study_toml import study_toml
-from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Point, Role, Section, Table, doubts_of
-from attacks.report.wording import (
-    counted,
-    counts,
-    listed,
-    number,
-    percent,
-    plural,
-    pooled,
-    rate_of,
-    settings,
-)
+from attacks.rate import Rate, percent
+from attacks.report.section import Chart, Figure, Line, Point, Role, Section, doubts_of
+from attacks.report.wording import listed, number, plural, pooled, rate_of, settings
+from attacks.tables import Table, cell
 
 Document = Mapping[str, Any]
 Row = Mapping[str, Any]
@@ -163,8 +154,8 @@ def read_conditions(path: Path, document: Document) -> Section:
         "ends": f"{_named(min(conditions))} to {_named(max(conditions))}" if how.over else "",
         "range": f"{percent(min(fractions))} to {percent(max(fractions))}",
         "first": _named(first),
-        "counts": counts(rate),
-        "control": counts(control),
+        "counts": rate.counts,
+        "control": control.counts,
     }
     splat, cameras = how.control
     return Section(
@@ -242,7 +233,7 @@ def _table(how: Conditions, rows: Sequence[Row], name: str) -> Table:
     for condition in dict.fromkeys(row[how.key] for row in own):
         here = {(row["splat"], row["cameras"]): row for row in own if row[how.key] == condition}
         psnr = [number(here[group]["psnr"], unit="dB") for group in groups] if has_psnr else []
-        cells.append((_named(condition), *(counted(_found(here[group])) for group in groups), *psnr))
+        cells.append((_named(condition), *(cell(_found(here[group])) for group in groups), *psnr))
     heads = [f"{splat}, {PLACES.get(cameras, cameras)}" for splat, cameras in groups]
     more = [f"PSNR, {splat}, {PLACES.get(cameras, cameras)}" for splat, cameras in groups] if has_psnr else []
     return Table(caption=f"Found by {name}", head=(how.head, *heads, *more), rows=tuple(cells))
@@ -329,7 +320,7 @@ def read_perfect_splat(path: Path, document: Document) -> Section:
             "wants to show, from held-out cameras inside the triggers. No splat has a part in it."
         ),
         conclusion=(
-            f"A splat that shows these very pictures reaches {counts(first)}, over all detectors. Where that is short "
+            f"A splat that shows these very pictures reaches {first.counts}, over all detectors. Where that is short "
             "of an aim, the appearance is the reason, and not the splat. One that shows them worse can be reported "
             "more often, or less."
         ),
@@ -359,5 +350,5 @@ def _of_attack(rows: Sequence[Row], attack: str, detectors: Sequence[str]) -> Ta
     return Table(
         caption=f"{attack}, {next(iter(own.values()))['cameras']} cameras; for cloaked read path-traced",
         head=("", *detectors),
-        rows=tuple((ROWS[key], *(counted(rate_of(own[name].get(key))) for name in detectors)) for key in keys),
+        rows=tuple((ROWS[key], *(cell(own[name].get(key)) for name in detectors)) for key in keys),
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from attacks.report.section import Chart, Figure, Line, Point, Section, Table
+from attacks.rate import percent
+from attacks.report.section import Chart, Figure, Line, Point, Section
 from attacks.report.stories.experiments import Document, Row
-from attacks.report.wording import number, percent
+from attacks.report.wording import number
+from attacks.tables import Table
 
 
 def read_transition_limit(path: Path, document: Document) -> Section:

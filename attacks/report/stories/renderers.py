@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, Table
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
 from attacks.report.wording import listed, number, plural, settings
+from attacks.tables import Table
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.io.documents import file_name
 

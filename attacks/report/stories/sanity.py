@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Figure, Section, Table
+from attacks.report.section import Figure, Section
 from attacks.report.wording import listed, plural, settings
+from attacks.tables import Table
 
 KIND = "sanity of DAGGER"
 _ELSEWHERE = ("story", "checks", "command", "versions", "variant", "commit")

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report import section
 from attacks.report.section import Chart, Figure, Line, Section, doubts_of
-from attacks.report.wording import capital, counted, counts, known, listed, plural, pooled, sentence, shared
+from attacks.report.wording import capital, listed, plural, pooled, sentence, shared
 from attacks.studies.table import KINDS, by_part, tables, title_of
+from attacks.tables import cell
 
 Record = Mapping[str, Any]
 _NOISE = "random noise of the same size"
@@ -48,7 +48,7 @@ def read(folder: Path, record: Record) -> Section:
             map(sentence, [*doubts_of(headline.rate, noise, what=what), *_warnings(attacks), *_unseen(record)])
         ),
         charts=tuple(_charts(record)),
-        tables=tuple(section.Table(caption=caption, head=head, rows=rows) for caption, head, rows in tables(record)),
+        tables=tuple(tables(record)),
         configuration=shared([*(attack["settings"] for attack in attacks), {"weights": record["detectors"]}]),
     )
 
@@ -59,10 +59,10 @@ def _of_groups(groups: Sequence[Record]) -> tuple[Figure, Figure | None, str]:
     members = [group for group in groups if group["part"] == part]
     of = f" ({part})" if part else ""
     if "rate" in members[0]:
-        rate, noise = (pooled(known(group[name]) for group in members) for name in ("rate", "noise_rate"))
+        rate, noise = (pooled(Rate.of(group[name]) for group in members) for name in ("rate", "noise_rate"))
         label, what = f"held-out views with success{of}", "held-out views"
     else:
-        rate, noise = pooled(known(group["success"]) for group in members), _noise_of(members)
+        rate, noise = pooled(Rate.of(group["success"]) for group in members), _noise_of(members)
         label, what = f"attacks with the aim reached{of}", "attacks"
     return Figure(label=label, rate=rate), Figure(label=_NOISE, rate=noise) if noise.total else None, what
 
@@ -76,7 +76,7 @@ def _of_looks(looks: Sequence[Record]) -> tuple[Figure, Figure | None, str]:
     """The figure of looks that matters: of detectors that were not attacked, if there are such."""
     others = [look for look in looks if not look["white_box"]] or list(looks)
     kind = "targeted" if "targeted" in others[0] else "untargeted"
-    rate, noise = (pooled(known(look[name]) for look in others) for name in (kind, f"noise_{kind}"))
+    rate, noise = (pooled(Rate.of(look[name]) for look in others) for name in (kind, f"noise_{kind}"))
     who = "attacked detectors" if others[0]["white_box"] else "detectors that were not attacked"
     figure = Figure(label=f"{who}: {KINDS[kind].lower()}", rate=rate)
     return figure, Figure(label=_NOISE, rate=noise) if noise.total else None, "looks"
@@ -90,11 +90,11 @@ def _more(record: Record) -> Iterator[Figure]:
         yield Figure(label="attacks with the aim reached", rate=Rate(successes=sum(held), total=len(held)))
         strict = "strict_rate" if "rate" in groups[0] else "strict"
         label = "with the object's own class gone, too"
-        yield Figure(label=label, rate=pooled(known(group[strict]) for group in groups))
+        yield Figure(label=label, rate=pooled(Rate.of(group[strict]) for group in groups))
     for white_box, who in ((True, "attacked detectors"), (False, "detectors that were not attacked")):
         for kind, meaning in KINDS.items():
             for name, what in ((kind, meaning.lower()), (f"noise_{kind}", f"{meaning.lower()}, with noise alone")):
-                rates = [known(look[name]) for look in looks if look["white_box"] is white_box and name in look]
+                rates = [Rate.of(look[name]) for look in looks if look["white_box"] is white_box and name in look]
                 if rates:
                     yield Figure(label=f"{who}: {what}", rate=pooled(rates))
 
@@ -109,16 +109,16 @@ def _unseen(record: Record) -> Iterator[str]:
     """Judges that do not see the clean object, and figures that noise reaches, so that they say nothing."""
     looks = record["looks"]
     others = [look for look in looks if not look["white_box"]]
-    gone, noise = (pooled(known(look[name]) for look in others) for name in ("untargeted", "noise_untargeted"))
+    gone, noise = (pooled(Rate.of(look[name]) for look in others) for name in ("untargeted", "noise_untargeted"))
     if gone.successes and noise.total and noise.fraction >= gone.fraction:
         yield (
-            f"to detectors that were not attacked, random noise hides the object as often ({counts(noise)}) as the "
-            f"attacks do ({counts(gone)})"
+            f"to detectors that were not attacked, random noise hides the object as often ({noise.counts}) as the "
+            f"attacks do ({gone.counts})"
         )
     for look in looks:
-        seen = known(look["found"])
+        seen = Rate.of(look["found"])
         if seen.fraction < 0.5:
-            yield f"{look['detector']} finds the clean object in {counted(seen)} of its looks only ({_where(look)})"
+            yield f"{look['detector']} finds the clean object in {cell(seen)} of its looks only ({_where(look)})"
 
 
 def _where(look: Record) -> str:
@@ -130,14 +130,14 @@ def _charts(record: Record) -> Iterator[Chart]:
     """The success of every line of a table, and what each judge reports, with noise beside it."""
     for title, groups in by_part(record["groups"]).items():
         drawn = "rate" in groups[0]
-        noise = [known(group["noise_rate"]) if drawn else _noise_of([group]) for group in groups]
-        rates = [known(group["rate" if drawn else "success"]) for group in groups]
+        noise = [Rate.of(group["noise_rate"]) if drawn else _noise_of([group]) for group in groups]
+        rates = [Rate.of(group["rate" if drawn else "success"]) for group in groups]
         what = "views with success" if drawn else "attacks with the aim reached"
         yield _chart(title or "The attacks", "line of the table", what, rates, noise)
     for title, looks in by_part(record["looks"]).items():
         for kind, meaning in KINDS.items():
             if kind in looks[0]:
-                rates, noise = ([known(look[name]) for look in looks] for name in (kind, f"noise_{kind}"))
+                rates, noise = ([Rate.of(look[name]) for look in looks] for name in (kind, f"noise_{kind}"))
                 ticks = tuple(f"{look['detector']}, {_where(look)}" for look in looks)
                 yield _chart(f"{meaning}{f': {title}' if title else ''}", "look", "rate", rates, noise, ticks)
 

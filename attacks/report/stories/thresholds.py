@@ -16,8 +16,8 @@ from attacks.observe.measures import (
     with_control,
 )
 from attacks.observe.rows import ROWS, SUFFIX, read_rows
-from attacks.report.section import Chart, Line, Point, Role, Table
-from attacks.report.wording import counted
+from attacks.report.section import Chart, Line, Point, Role
+from attacks.tables import Table, cell
 
 AT = {f"{one:g}": one for one in (REPORTED, DEFAULT_OF_YOLO)}
 """Confidences of the table."""
@@ -63,7 +63,7 @@ def threshold_charts(
     )
     at = rates_at(rows, measures, AT, ("detector",), clusters=clusters)
     lines = tuple(
-        (detector, words, *(counted(at[confidence][detector,][name]) for confidence in AT))
+        (detector, words, *(cell(at[confidence][detector,][name]) for confidence in AT))
         for detector in detectors
         for name, (words, _) in drawn.items()
     )

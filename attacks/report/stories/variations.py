@@ -8,20 +8,12 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.report.checking import Tables
-from attacks.report.section import FEW, Chart, Figure, Line, Role, Section, Table
+from attacks.report.section import FEW, Chart, Figure, Line, Role, Section
 from attacks.report.stories.cloak import figures as cloak_figures
 from attacks.report.stories.cloak import headline_of, spread
-from attacks.report.wording import (
-    capital,
-    counted,
-    listed,
-    number,
-    plural,
-    rate_of,
-    sentence,
-    shared,
-)
+from attacks.report.wording import capital, listed, number, plural, rate_of, sentence, shared
 from attacks.studies.cloak import by_part
+from attacks.tables import Table, cell
 
 KIND = "CLOAK, one thing varied at a time"
 _LINES: tuple[tuple[str, str, Role], ...] = (
@@ -144,7 +136,7 @@ def _table(group: str, values: Mapping[str, Any]) -> Table:
         (
             name,
             detector,
-            *(counted(rate_of(rates.get(key))) for key in _COLUMNS),
+            *(cell(rates.get(key)) for key in _COLUMNS),
             number(one["transition_degrees"]),
             number(one["benign_psnr_drop"], ".2f"),
             number(one["stealth"]["surroundings_psnr_drop"] if one.get("stealth") else None, ".2f"),

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Section, Table
+from attacks.rate import Rate, percent
+from attacks.report.section import Chart, Figure, Line, Section
 from attacks.report.stories.detectors.held_out import (
     CONDITIONS,
     bin_name,
@@ -17,7 +17,8 @@ from attacks.report.stories.detectors.held_out import (
     hits_of,
     objects_of,
 )
-from attacks.report.wording import counted, known, listed, percent, plural, settings
+from attacks.report.wording import listed, plural, settings
+from attacks.tables import Table, cell
 
 KIND = "detectors compared"
 
@@ -98,7 +99,7 @@ def _charts(several: Sequence[Document], sets: Sequence[str]) -> Iterator[Chart]
         members = [one for one in several if bins_of(one["sets"].get(name, {}), "elevation")]
         if not members:
             continue
-        lines = [Line.of(_name(one), "other", map(known, bins_of(one["sets"][name], "elevation"))) for one in members]
+        lines = [Line.of(_name(one), "other", map(Rate.of, bins_of(one["sets"][name], "elevation"))) for one in members]
         if any(line.points for line in lines):
             yield Chart(
                 title=f"Objects that are found, by elevation, {name}",
@@ -125,7 +126,7 @@ def _tables(several: Sequence[Document], sets: Sequence[str]) -> Iterator[Table]
         for one in several:
             own = bins_of(one["sets"].get(name, {}), "elevation")
             if len(own) == len(bins) and own:
-                cells.append((_name(one), *(counted(known(entry)) for entry in own)))
+                cells.append((_name(one), *(cell(entry) for entry in own)))
         if cells:
             caption = f"Objects that are found, by elevation in degrees, {name}"
             yield Table(caption=caption, head=("detector", *map(bin_name, bins)), rows=tuple(cells))

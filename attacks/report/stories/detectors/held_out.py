@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Section, Table
-from attacks.report.wording import counted, known, listed, number, plural, pooled, settings
+from attacks.report.section import Chart, Figure, Line, Section
+from attacks.report.wording import listed, number, plural, pooled, settings
+from attacks.tables import Table, cell
 
 KIND = "a detector on held-out pictures"
 BACKGROUND = "background: "
@@ -137,7 +138,7 @@ def _charts(sets: Mapping[str, Document]) -> Iterator[Chart]:
         for name, one in sets.items():
             bins = bins_of(one, condition)
             ticks = ticks or tuple(map(bin_name, bins))
-            lines.append(Line.of(name, "other", map(known, bins)))
+            lines.append(Line.of(name, "other", map(Rate.of, bins)))
         if any(line.points for line in lines):
             yield Chart(
                 title=f"Objects that are found, by {condition.replace('_', ' ')}",
@@ -155,7 +156,7 @@ def _tables(found: Document, sets: Mapping[str, Document]) -> Iterator[Table]:
             name,
             label,
             number(one["ap"].get(label), ".3f"),
-            counted(Rate(successes=round(one["recall"][label] * count), total=count)),
+            cell(Rate(successes=round(one["recall"][label] * count), total=count)),
             ", ".join(f"{other} {times}" for other, times in one["reported_as"].get(label, {}).items()) or "-",
         )
         for name, one in sets.items()
@@ -171,7 +172,7 @@ def _tables(found: Document, sets: Mapping[str, Document]) -> Iterator[Table]:
     for name, one in lines.items():
         kinds = ", ".join(f"{label} {count}" for label, count in one["by_class"].items() if count)
         pictures = Rate(successes=one["pictures_with"], total=one["pictures"])
-        cells.append((name, false_words(one), counted(pictures), kinds or "-"))
+        cells.append((name, false_words(one), cell(pictures), kinds or "-"))
     head = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
     yield Table(caption="False positives", head=head, rows=tuple(cells))
     others = [

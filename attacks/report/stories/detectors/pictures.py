@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.rate import Rate
-from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Section, Table
-from attacks.report.wording import counted, listed, percent, plural, settings
+from attacks.rate import Rate, percent
+from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Section
+from attacks.report.wording import listed, plural, settings
+from attacks.tables import Table, cell
 
 KIND = "what detectors report"
 MOST_PICTURES, MOST_CLASSES, MOST_ROWS = 6, 8, 100
@@ -144,7 +145,7 @@ def _classes(looks: Sequence[Look], names: Sequence[str]) -> Table:
             items = [item for one in own for item in one["detections"] if item["label"] == label]
             scores = [float(item["score"]) for item in items]
             most = percent(max(scores)) if scores else "-"
-            rows.append((name, label or "nothing", counted(_rate(own, label)), str(len(items)), most))
+            rows.append((name, label or "nothing", cell(_rate(own, label)), str(len(items)), most))
     head = ("detector", "class", "pictures that report it", "detections", "highest confidence")
     return Table(caption="By detector and class", head=head, rows=tuple(rows))
 

@@ -1,0 +1,68 @@
+"""Tables of figures: columns of cells over lines, as values for a page and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from attacks.rate import Rate
+
+Line = TypeVar("Line")
+Column = str | Callable[[Line], object]
+"""What a column shows of a line: what stands there under a key, or what a function makes of it."""
+
+
+def cell(value: Any) -> str:
+    """A value as a cell: a rate, or what `Rate.as_dict` makes of it, with its interval; a dash for none."""
+    if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
+        value = Rate.of(value)
+    if value is None:
+        return "-"
+    if isinstance(value, Rate):
+        return value.words
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table: the first cell of each row is its heading.
+
+    Attributes:
+        caption: What stands above it.
+        head: Titles of the columns.
+        rows: The cells.
+    """
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    @classmethod
+    def of(cls, caption: str, columns: Mapping[str, Column[Line]], lines: Iterable[Line]) -> Table:
+        """A table with a row for each line.
+
+        Args:
+            caption: What stands above it.
+            columns: By their titles.
+            lines: What the columns are taken from.
+        """
+        rows = (tuple(_cell_of(line, column) for column in columns.values()) for line in lines)
+        return cls(caption=caption, head=tuple(columns), rows=tuple(rows))
+
+    @property
+    def markdown(self) -> str:
+        """The table in Markdown under a heading."""
+        return f"## {self.caption}\n\n{markdown(self.head, self.rows)}"
+
+
+def _cell_of(line: Any, column: Any) -> str:
+    return cell(column(line) if callable(column) else line.get(column))
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Cells as a table in Markdown, without an end of the last line."""
+    lines = (head, ("---",) * len(head), *rows)
+    return "\n".join(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in line)} |" for line in lines)
