@@ -130,7 +130,7 @@ def _part(number: int, section: Section) -> dict[str, Any]:
 
 def _picture(picture: Picture) -> dict[str, Any]:
     address, width, height = data_address(picture.path)
-    more = {"caption": picture.caption, "alt": picture.alt, "wide": picture.wide}
+    more = {"caption": picture.caption, "alt": picture.alt or picture.caption, "wide": picture.wide}
     return {"address": address, "width": width, "height": height, **more}
 
 

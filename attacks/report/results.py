@@ -78,8 +78,8 @@ _EXPERIMENTS = {
     "paint-direction": limits.read_paint_direction,
 }
 STORIES = (
-    Story(name="dagger", read=attack.read_fixed, figures=attack_figures, rescoring=attack.RESCORING),
-    Story(name="dagger-eot", read=attack.read_drawn, figures=attack_figures, rescoring=attack.RESCORING),
+    Story(name="dagger", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
+    Story(name="dagger-eot", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
     Story(
         name="cloak",
         read=cloak.read,
@@ -188,21 +188,25 @@ def _read(story: Story, path: Path, record: Path, found: Found) -> Section:
         raise InvalidValueError(message(str(record), expected, got, do)) from error
 
 
-def finished(section: Section, path: Path, made: Found) -> Section:
-    """A section with what all results have: where they lie, what made them, the pictures that are there.
+def finished(section: Section, path: Path, record: Found) -> Section:
+    """A section with what all results have, and without what is empty.
 
     Args:
         section: What the story says.
         path: Folder or file of the result.
-        made: A document with what `mi_splat.provenance.origin` gives.
+        record: A document with what `mi_splat.provenance.origin` gives.
     """
+    control = section.control
     return replace(
         section,
         folder=str(path),
-        warnings=tuple(map(sentence, section.warnings)),
+        control=None if control is None or (control.rate is not None and not control.rate.total) else control,
+        warnings=tuple(map(sentence, (*section.doubts(), *section.warnings))),
         pictures=tuple(picture for picture in section.pictures if picture.path.is_file()),
-        command=str(made.get("command") or ""),
-        versions=versions_of(made),
+        charts=tuple(chart for chart in section.charts if any(line.points for line in chart.lines)),
+        tables=tuple(table for table in section.tables if table.rows),
+        command=str(record.get("command") or ""),
+        versions=versions_of(record),
         manifest=read_manifest(path).sha256 if (path / MANIFEST).is_file() else "",
     )
 

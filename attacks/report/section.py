@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from attacks.rate import Rate, percent
 from attacks.tables import Table, cell
@@ -73,13 +73,13 @@ class Picture:
     Attributes:
         path: Of the PNG.
         caption: What is to be seen.
-        alt: The same for who cannot see it.
+        alt: The same for who cannot see it; empty where the caption says it.
         wide: Whether it has so many columns that a small screen should scroll it.
     """
 
     path: Path
     caption: str
-    alt: str
+    alt: str = ""
     wide: bool = False
 
 
@@ -93,9 +93,9 @@ class Point:
     high: float | None = None
 
     @classmethod
-    def of(cls, x: float, rate: Rate) -> Point:
-        """A rate at a place."""
-        return cls(x, rate.fraction, *rate.interval)
+    def of(cls, x: float, value: Rate | float) -> Point:
+        """A number, or a rate with its interval."""
+        return cls(x, value.fraction, *value.interval) if isinstance(value, Rate) else cls(x, value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,10 +107,15 @@ class Line:
     points: tuple[Point, ...]
 
     @classmethod
-    def of(cls, name: str, role: Role, rates: Iterable[Rate | None]) -> Line:
-        """Rates at the places 0, 1, ..., those apart that are none or count nothing."""
-        points = tuple(Point.of(place, rate) for place, rate in enumerate(rates) if rate is not None and rate.total)
-        return cls(name=name, role=role, points=points)
+    def of(cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | float | None]) -> Line:
+        """Numbers, or rates as they are or as JSON has them, at 0, 1, ...; but none that is None or counts nothing."""
+        known = [Rate.of(value) if isinstance(value, Mapping) else value for value in values]
+        places = [(x, value) for x, value in enumerate(known) if value is not None]
+        return cls(
+            name=name,
+            role=role,
+            points=tuple(Point.of(x, value) for x, value in places if not isinstance(value, Rate) or value.total),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,11 +124,11 @@ class Chart:
 
     Attributes:
         title: Heading.
-        caption: How to read it.
         x_label: Of the axis, with the unit.
         y_label: Of the axis, with the unit.
-        lines: What is drawn.
-        ticks: Names of the places 0, 1, ... where the axis has no numbers.
+        lines: What is drawn; a chart without any point is left out.
+        caption: How to read it.
+        ticks: Names of 0, 1, ... where the axis has no numbers.
         shade: Ends and name of a part of the axis that is marked; None for none.
         level: Height and name of a horizontal line; None for none.
         fractions: Whether heights are fractions, shown from 0 to 100 %.
@@ -132,10 +137,10 @@ class Chart:
     """
 
     title: str
-    caption: str
     x_label: str
     y_label: str
     lines: tuple[Line, ...]
+    caption: str = "Bars are 95 % intervals."
     ticks: tuple[str, ...] = ()
     shade: tuple[float, float, str] | None = None
     level: tuple[float, str] | None = None
@@ -156,11 +161,12 @@ class Section:
         headline: The figure that matters.
         control: The same figure where nothing was attacked, or noise was added; None if there was no control.
         attacked: Whether the figure is one of an attack.
+        counting: What the headline counts, in the plural: for the warnings that every attack has.
         figures: More figures; with the two above, a table.
-        warnings: Reasons to look twice.
-        pictures: What can be seen.
+        warnings: Reasons to look twice, besides those that every attack has.
+        pictures: What can be seen; those without a file are left out.
         charts: What is drawn from the result's numbers.
-        tables: More numbers.
+        tables: More numbers; those without rows are left out.
         configuration: Every setting, by name.
         versions: Packages, variant and commit, by name.
         folder: Where it lies, as the reader of the command line named it.
@@ -176,6 +182,7 @@ class Section:
     headline: Figure
     control: Figure | None = None
     attacked: bool = True
+    counting: str = "views"
     figures: Sequence[Figure] = ()
     warnings: Sequence[str] = ()
     pictures: Sequence[Picture] = ()
@@ -193,25 +200,16 @@ class Section:
         """The headline, its control, and the others."""
         return (self.headline, *([self.control] if self.control else []), *self.figures)
 
-
-def doubts_of(headline: Rate, control: Rate | None, *, what: str) -> list[str]:
-    """What a page adds to the warnings of a result: too little was counted, or there is nothing to compare with.
-
-    Args:
-        headline: The rate that matters.
-        control: The rate of its control.
-        what: What was counted, in the plural.
-    """
-    found = []
-    if headline.total < FEW:
-        found.append(f"Few {what}: {headline.total}. The interval is wide; others may give another rate.")
-    if control is None or not control.total:
-        found.append("There is no control, so nothing says what would have happened without the attack.")
-    elif control.fraction > 0 and control.interval[1] >= headline.interval[0]:
-        found.append("The intervals of the figure and of its control overlap: the attack may have done nothing.")
-    return found
-
-
-def shown(pictures: Sequence[Picture]) -> tuple[Picture, ...]:
-    """The pictures whose files are there."""
-    return tuple(picture for picture in pictures if picture.path.is_file())
+    def doubts(self) -> list[str]:
+        """Warnings of every attack: too little was counted, or there is nothing to compare with."""
+        rate, control = self.headline.rate, None if self.control is None else self.control.rate
+        if rate is None or not self.attacked:
+            return []
+        doubts = []
+        if rate.total < FEW:
+            doubts.append(f"Few {self.counting}: {rate.total}. The interval is wide; others may give another rate.")
+        if control is None or not control.total:
+            doubts.append("There is no control, so nothing says what would have happened without the attack.")
+        elif control.fraction > 0 and control.interval[1] >= rate.interval[0]:
+            doubts.append("The intervals of the figure and of its control overlap: the attack may have done nothing.")
+        return doubts

@@ -21,10 +21,10 @@ def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
     return None if value is None else Rate.of(value)
 
 
-def pooled(rates: Iterable[Rate | None]) -> Rate:
-    """All of them together."""
-    there = [rate for rate in rates if rate is not None]
-    return Rate(successes=sum(rate.successes for rate in there), total=sum(rate.total for rate in there))
+def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
+    """All of them together, as they are or as JSON has them."""
+    known = [Rate.of(rate) if isinstance(rate, Mapping) else rate for rate in rates if rate is not None]
+    return Rate(successes=sum(rate.successes for rate in known), total=sum(rate.total for rate in known))
 
 
 def listed(words: Sequence[str]) -> str:

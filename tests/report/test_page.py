@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 from attacks.report.charts import svg, values_of
 from attacks.report.page import LONGEST_SIDE, data_address, page_text, write_page
 from attacks.report.results import read_section
-from attacks.report.section import Chart, Figure, Line, Point, Section, doubts_of
+from attacks.report.section import Chart, Figure, Line, Point, Section
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
 from mi_splat.io.picture_files import PictureFileError
@@ -180,10 +180,13 @@ def test_a_few_views_are_counted_and_not_made_a_percentage() -> None:
     ],
 )
 def test_doubts(attack: tuple[int, int], control: tuple[int, int] | None, words: list[str]) -> None:
-    other = None if control is None else Rate(successes=control[0], total=control[1])
-    found = doubts_of(Rate(successes=attack[0], total=attack[1]), other, what="views")
-    assert len(found) == len(words)
-    assert all(part in text for part, text in zip(words, found, strict=True))
+    figure, other = (
+        None if counts is None else Figure(label="", rate=Rate(successes=counts[0], total=counts[1]))
+        for counts in (attack, control)
+    )
+    doubts = evil_section(headline=figure, control=other).doubts()
+    assert len(doubts) == len(words)
+    assert all(part in text for part, text in zip(words, doubts, strict=True))
 
 
 def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:

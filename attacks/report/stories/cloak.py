@@ -22,9 +22,9 @@ from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate, percent
 from attacks.report.checking import Tables
 from attacks.report.rescoring import Rescoring
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, doubts_of, shown
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
 from attacks.report.stories.thresholds import threshold_charts
-from attacks.report.wording import listed, number, plural, rate_of, sentence, settings
+from attacks.report.wording import listed, number, plural, rate_of, settings
 from attacks.tables import Table, cell
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
@@ -49,24 +49,16 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
     """
     study = summary["study"]
     headline, control = headline_of(summary)
-    rate = headline.rate or Rate(successes=0, total=0)
     curves, at = threshold_charts(folder, lambda confidence: measures(study_of(study), confidence=confidence), _CURVES)
     return Section(
         kind=KIND,
         title=str(study["name"]),
-        folder=str(folder),
         done=_done(summary),
         conclusion=_conclusion(summary, headline, control),
         headline=headline,
         control=control,
         figures=_figures(summary),
-        warnings=tuple(
-            sentence(text)
-            for text in (
-                *doubts_of(rate, control.rate if control else None, what="views"),
-                *_doubts(summary),
-            )
-        ),
+        warnings=tuple(_doubts(summary)),
         pictures=_pictures(folder, study, summary["files"]),
         charts=(*(_elevation(summary, name) for name in summary["by_detector"]), *curves),
         tables=(*_tables(summary), *at),
@@ -288,7 +280,7 @@ def _pictures(folder: Path, study: Mapping[str, Any], files: Sequence[str]) -> t
             "Scatter plots of confidences over the azimuth of the camera, one for each detector",
         ),
     }
-    return shown(
+    return tuple(
         [
             Picture(path=folder / name, caption=caption, alt=alt, wide=name == "contact.png")
             for name, (caption, alt) in known_pictures.items()

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from attacks.rate import Rate, percent
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, doubts_of, shown
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
 from attacks.report.stories.experiments import Document, Row, matching
 from attacks.report.wording import listed, plural, pooled
 from attacks.tables import Table, cell
@@ -53,7 +53,7 @@ def read(folder: Path, found: Document) -> Section:
                 for name in names
             ),
         ],
-        warnings=[*doubts_of(rate, control, what="views"), *_doubts(rows, names, region, seeds)],
+        warnings=[*_doubts(rows, names, region, seeds)],
         pictures=_pictures(folder),
         charts=tuple(_charts(rows, names)),
         tables=tuple(_tables(rows, names)),
@@ -89,15 +89,13 @@ def _doubts(rows: Sequence[Row], names: Sequence[str], region: str, seeds: int) 
 
 
 def _pictures(folder: Path) -> tuple[Picture, ...]:
-    return shown(
-        [
-            Picture(
-                path=folder / "contact.png",
-                caption="For each detector: path traced, clean and cloaked, with what it reports.",
-                alt="Pictures of the object in rows, with boxes",
-                wide=True,
-            )
-        ]
+    return (
+        Picture(
+            path=folder / "contact.png",
+            caption="For each detector: path traced, clean and cloaked, with what it reports.",
+            alt="Pictures of the object in rows, with boxes",
+            wide=True,
+        ),
     )
 
 

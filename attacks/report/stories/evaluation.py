@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,11 @@ from attacks.observe.measures import comparison_measures
 from attacks.observe.rows import ROWS
 from attacks.rate import Rate
 from attacks.report.checking import Tables
-from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, doubts_of
+from attacks.report.section import Chart, Figure, Line, Picture, Role, Section
 from attacks.report.stories.thresholds import threshold_charts
-from attacks.report.wording import listed, number, plural, rate_of, settings
-from attacks.tables import Table, cell
+from attacks.report.wording import listed, number, plural, settings
+from attacks.tables import Table
 
-KIND = "a clean and an attacked splat, judged"
 _CONDITIONS = (
     *("clean", "attacked", "clean_hash", "attacked_hash", "selection", "object_gaussians", "original"),
     *("min_confidence", "background", "near"),
@@ -37,56 +36,77 @@ _CURVES: dict[str, tuple[str, Role]] = {
 """Rates that are drawn over the confidence."""
 
 
-def read(folder: Path, found: Mapping[str, Any]) -> Section:
+def read(folder: Path, record: Mapping[str, Any]) -> Section:
     """The section of an evaluation.
 
     Args:
         folder: Where it lies.
-        found: Its result.json.
+        record: Its result.json.
     """
-    detectors = found["detectors"]
+    detectors = record["detectors"]
     name, first = next(iter(detectors.items()))
     headline, control = _headline(name, first)
-    measures = partial(comparison_measures, targeted=first["target"] is not None)
-    curves, at = threshold_charts(folder, measures, _CURVES)
     assert headline.rate is not None
-    pictures = [
-        Picture(
-            path=folder / f"{detector}.png",
-            caption=f"{detector}: clean on the left, attacked on the right.",
-            alt=f"Pairs of pictures with the boxes of {detector}, clean and attacked",
-            wide=True,
-        )
-        for detector in detectors
-    ]
+    assert control.rate is not None
+    aim, words = ("target", "target reported") if first["target"] else ("found", "object found")
+    rates = [{"detector": name, **judged} for name, judged in detectors.items()]
+    curves, at = threshold_charts(folder, partial(comparison_measures, targeted=first["target"] is not None), _CURVES)
     return Section(
-        kind=KIND,
-        title=f"{Path(found['attacked']).name} against {Path(found['clean']).name}",
+        kind="a clean and an attacked splat, judged",
+        title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
         done=(
-            f"{listed(list(detectors))} looked at the clean splat {found['clean']} and at the attacked one "
-            f"{found['attacked']} from {plural(len(found['cameras']), 'camera')}, in 8-bit pictures. A detection "
-            f"counts from {found['min_confidence']:g}. Views count in which the object shows "
-            f"({found['object_gaussians']:,} Gaussians)."
+            f"{listed(list(detectors))} looked at the clean splat {record['clean']} and at the attacked one "
+            f"{record['attacked']} from {plural(len(record['cameras']), 'camera')}, in 8-bit pictures. A detection "
+            f"counts from {record['min_confidence']:g}. Views count in which the object shows "
+            f"({record['object_gaussians']:,} Gaussians)."
         ),
         conclusion=(
-            f"{headline.label}: {headline.counts}; {control.label if control else 'no control'}"
-            f"{f': {control.counts}' if control else ''}. This says nothing of other cameras or detectors."
+            f"{headline.label}: {headline.rate.counts}; {control.label}: {control.rate.counts}. This says nothing of "
+            "other cameras or detectors."
         ),
         headline=headline,
         control=control,
-        figures=(Figure(label=f"{name}: pictures, attacked against clean", words=number(first["psnr"], unit="dB")),),
-        warnings=(
-            *found["warnings"],
-            *doubts_of(headline.rate, control.rate if control else None, what="views"),
+        figures=tuple(figure for name, judged in detectors.items() for figure in _figures(name, judged)),
+        warnings=record["warnings"],
+        pictures=tuple(
+            Picture(
+                path=folder / f"{name}.png", caption=f"{name}: clean on the left, attacked on the right.", wide=True
+            )
+            for name in detectors
         ),
-        pictures=tuple(pictures),
-        charts=(*_charts(detectors), *curves),
-        tables=(_table(detectors), *at),
+        charts=(
+            Chart(
+                title=f"{words.capitalize()}, by detector",
+                x_label="detector",
+                y_label="views",
+                lines=(
+                    Line.of("attacked", "attack", [judged.get(f"{aim}_attacked") for judged in rates]),
+                    Line.of("clean (control)", "control", [judged.get(f"{aim}_clean") for judged in rates]),
+                ),
+                ticks=tuple(detectors),
+                connected=False,
+            ),
+            *curves,
+        ),
+        tables=(
+            Table.of(
+                "Each detector",
+                {
+                    "detector": "detector",
+                    "the object is": lambda judged: judged["original"] or "unknown",
+                    "views": "views",
+                    **{words: key for key, words in _RATES.items()},
+                    "pictures": lambda judged: number(judged["psnr"], unit="dB"),
+                },
+                rates,
+            ),
+            *at,
+        ),
         configuration=settings(
             {
-                **{key: found[key] for key in _CONDITIONS if key in found},
-                "cameras": [camera["name"] for camera in found["cameras"]],
-                "weights": found["fingerprints"],
+                **{key: record[key] for key in _CONDITIONS if key in record},
+                "cameras": [camera["name"] for camera in record["cameras"]],
+                "weights": record["fingerprints"],
             }
         ),
     )
@@ -95,61 +115,27 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
 def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     """Every rate of an evaluation, of its rows."""
     compared = compare(tables[ROWS], confidence=record["min_confidence"])
-    return {"detectors": {one.detector: one.as_dict() for one in compared}}
+    return {"detectors": {judged.detector: judged.as_dict() for judged in compared}}
 
 
-def _headline(name: str, rates: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
-    if rates.get("target"):
-        return (
-            Figure(
-                label=f"{name} reports {rates['target']} on the attacked splat", rate=Rate.of(rates["target_attacked"])
-            ),
-            Figure(label=f"{name} reports {rates['target']} on the clean splat", rate=Rate.of(rates["target_clean"])),
-        )
-    thing, clean = rates["original"] or "object", Rate.of(rates["found_clean"])
-    gone = type(clean)(successes=clean.total - clean.successes, total=clean.total)
+def _headline(name: str, judged: Mapping[str, Any]) -> tuple[Figure, Figure]:
+    rates = {key: Rate.of(judged[key]) for key in _RATES if judged.get(key)}
+    if judged.get("target"):
+        what = f"{name} reports {judged['target']} on the"
+        attacked, clean, note = rates["target_attacked"], rates["target_clean"], ""
+    else:
+        what = f"{name} misses the {judged['original'] or 'object'} on the"
+        attacked, clean = rates["missed"], rates["found_clean"].failures
+        note = "of the views in which it is found in the clean one"
     return (
-        Figure(
-            label=f"{name} misses the {thing} on the attacked splat",
-            rate=Rate.of(rates["missed"]),
-            note="of the views in which it is found in the clean one",
-        ),
-        Figure(label=f"{name} misses the {thing} on the clean splat", rate=gone),
+        Figure(label=f"{what} attacked splat", rate=attacked, note=note),
+        Figure(label=f"{what} clean splat", rate=clean),
     )
 
 
-def _charts(detectors: Mapping[str, Any]) -> tuple[Chart, ...]:
-    def line(name: str, role: Role, key: str) -> Line:
-        return Line.of(name, role, [rate_of(one.get(key)) for one in detectors.values()])
-
-    targeted = any(one.get("target") for one in detectors.values())
-    which, words = ("target", "target reported") if targeted else ("found", "object found")
-    return (
-        Chart(
-            title=f"{words.capitalize()}, by detector",
-            caption="Bars are 95 % intervals.",
-            x_label="detector",
-            y_label="views",
-            lines=(
-                line("attacked", "attack", f"{which}_attacked"),
-                line("clean (control)", "control", f"{which}_clean"),
-            ),
-            ticks=tuple(detectors),
-            connected=False,
-        ),
-    )
-
-
-def _table(detectors: Mapping[str, Any]) -> Table:
-    rows = [
-        (
-            name,
-            str(one["original"] or "unknown"),
-            str(one["views"]),
-            *(cell(one.get(key)) for key in _RATES),
-            number(one["psnr"], unit="dB"),
-        )
-        for name, one in detectors.items()
-    ]
-    head = ("detector", "the object is", "views", *_RATES.values(), "pictures")
-    return Table(caption="Each detector", head=head, rows=tuple(rows))
+def _figures(name: str, judged: Mapping[str, Any]) -> Iterator[Figure]:
+    """What one detector makes of both splats."""
+    for key, words in _RATES.items():
+        if judged.get(key):
+            yield Figure(label=f"{name}: {words}", rate=Rate.of(judged[key]))
+    yield Figure(label=f"{name}: pictures, attacked against clean", words=number(judged["psnr"], unit="dB"))

@@ -10,7 +10,7 @@ from typing import Any
 from attacks.cloak.rates import ROWS
 from attacks.cloak.study_toml import study_toml
 from attacks.rate import Rate, percent
-from attacks.report.section import Chart, Figure, Line, Point, Role, Section, doubts_of
+from attacks.report.section import Chart, Figure, Line, Point, Role, Section
 from attacks.report.wording import listed, number, plural, pooled, rate_of, settings
 from attacks.tables import Table, cell
 
@@ -175,10 +175,7 @@ def read_conditions(path: Path, document: Document) -> Section:
             for splat, cameras in (("cloaked", "overhead"), ("clean", "overhead"), ("cloaked", "elsewhere"))
             if missed(one, splat, cameras).total and (one != first or cameras == "elsewhere")
         ),
-        warnings=(
-            *doubts_of(rate, control, what="views"),
-            *(["The rates at the top pool all detectors: look at each"] if len(names) > 1 else []),
-        ),
+        warnings=(*(["The rates at the top pool all detectors: look at each"] if len(names) > 1 else []),),
         charts=tuple(_chart(how, rows, conditions, name) for name in names if how.drawn),
         tables=tuple(_table(how, rows, name) for name in names),
     )
@@ -334,7 +331,7 @@ def read_perfect_splat(path: Path, document: Document) -> Section:
             )
             if rate.total
         ],
-        warnings=doubts_of(first, control.rate, what="pictures"),
+        counting="pictures",
         tables=[_of_attack(rows, name, names) for name in attacks],
     )
 

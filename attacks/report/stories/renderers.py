@@ -2,240 +2,194 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
+from attacks.report.section import Chart, Figure, Line, Picture, Section
 from attacks.report.wording import listed, number, plural, settings
 from attacks.tables import Table
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.io.documents import file_name
 
-KIND = "renderers compared"
+Record = Mapping[str, Any]
 _SETTINGS = (
-    "scene",
-    "scene_hash",
-    "gaussians",
-    "background",
-    "near",
-    "gradients",
-    "rounds",
-    "seed",
-    "amplify",
-    "lpips",
+    *("scene", "scene_hash", "gaussians", "background", "near", "gradients", "rounds", "seed", "amplify", "lpips"),
 )
 MOST_PICTURES = 8
 """Cameras whose pictures a page shows; a sheet has most of a megabyte."""
-_ALONE, _BOTH = "picture", "picture_and_gradient"
-_BIASED = "volprim"
-_BIASED_ATTRIBUTES = "means, scales and rotations"
+_KINDS = {"picture": "picture", "picture and gradient": "picture_and_gradient"}
+"""What was timed: its name on the page, and its key."""
 
 
-def read(folder: Path, found: Mapping[str, Any], *, files: Path | None = None) -> Section:
+def read(folder: Path, record: Record, *, files: Path | None = None) -> Section:
     """The section of a comparison.
 
     Args:
         folder: Where it lies.
-        found: Its result.json.
+        record: Its result.json.
         files: Where its pictures lie now, if they are on the way to the folder.
     """
-    methods, pairs, cameras = found["methods"], found["pairs"], [one["name"] for one in found["cameras"]]
-    first, *others = pairs
+    pairs, cameras = record["pairs"], [camera["name"] for camera in record["cameras"]]
+    names, psnr = listed(list(record["methods"])), _psnr(pairs[0])
+    beyond = f" Below are the first {MOST_PICTURES} cameras; the folder has the pictures of all."
     return Section(
-        kind=KIND,
-        title=f"{listed(list(methods))} on {Path(found['scene']).name}",
+        kind="renderers compared",
+        title=f"{names} on {Path(record['scene']).name}",
         done=(
-            f"{listed(list(methods))} rendered the {found['gaussians']:,} Gaussians of {found['scene']} from "
+            f"{names} rendered the {record['gaussians']:,} Gaussians of {record['scene']} from "
             f"{plural(len(cameras), 'camera')}. Pictures were clipped to [0, 1] and compared value by value. "
             "A gradient is that of the sum of a picture's values, each times a fixed random number."
-            f"{_left_out(cameras)}"
+            f"{beyond if len(cameras) > MOST_PICTURES else ''}"
         ),
         conclusion=(
-            f"{_named(first)}: {_psnr(first, long=True)}{_worst(first)}. This says how much the choice of the renderer "
-            "matters for this splat from these cameras, not which picture is right."
+            f"{_named(pairs[0])}: {'the same pictures' if psnr == 'equal' else f'{psnr} apart'}{_worst(pairs[0])}. "
+            "This says how much the choice of the renderer matters for this splat from these cameras, not which "
+            "picture is right."
         ),
-        headline=_figure(first),
+        headline=_figure(pairs[0]),
         attacked=False,
-        figures=tuple(_figure(pair) for pair in others),
-        warnings=(*found["warnings"], *_doubts(found)),
-        pictures=tuple(_picture(files or folder, name, found) for name in cameras[:MOST_PICTURES]),
-        charts=tuple(_charts(found)),
-        tables=tuple(_tables(found)),
+        figures=tuple(map(_figure, pairs[1:])),
+        warnings=(*record["warnings"], *_doubts(record)),
+        pictures=tuple(
+            Picture(
+                path=(files or folder) / f"{file_name(camera)}.png",
+                caption=f"{camera}: {names}; below, where each two differ, times {record['amplify']:g}. Black is no "
+                "difference.",
+                wide=True,
+            )
+            for camera in cameras[:MOST_PICTURES]
+        ),
+        charts=tuple(_charts(record)),
+        tables=tuple(_tables(record)),
         configuration=settings(
-            {**{key: found[key] for key in _SETTINGS}, "methods": list(found["given"]), "cameras": cameras}
+            {**{key: record[key] for key in _SETTINGS}, "methods": list(record["given"]), "cameras": cameras}
         ),
     )
 
 
-def _left_out(cameras: Sequence[str]) -> str:
-    """What to say where there are more cameras than the page shows."""
-    if len(cameras) <= MOST_PICTURES:
-        return ""
-    return f" Below are the first {MOST_PICTURES} cameras; the folder has the pictures of all."
+def _named(pair: Record) -> str:
+    return " and ".join(pair["methods"])
 
 
-def _named(pair: Mapping[str, Any]) -> str:
-    one, other = pair["methods"]
-    return f"{one} and {other}"
+def _psnr(figures: Record) -> str:
+    return "equal" if figures["psnr"] is None else number(figures["psnr"], unit="dB")
 
 
-def _psnr(figures: Mapping[str, Any], *, long: bool = False) -> str:
-    if figures["psnr"] is None:
-        return "the same pictures" if long else "equal"
-    return number(figures["psnr"], unit="dB") + (" apart" if long else "")
-
-
-def _worst(pair: Mapping[str, Any]) -> str:
+def _worst(pair: Record) -> str:
     """The camera whose pictures are farthest apart, where there are several."""
-    known = {name: one["psnr"] for name, one in pair["by_camera"].items() if one["psnr"] is not None}
+    known = {name: figures["psnr"] for name, figures in pair["by_camera"].items() if figures["psnr"] is not None}
     if len(pair["by_camera"]) < 2 or not known:
         return ""
-    name = min(known, key=lambda one: float(known[one]))
+    name = min(known, key=lambda camera: float(known[camera]))
     return f" over all cameras, {number(known[name], unit='dB')} from {name}"
 
 
-def _figure(pair: Mapping[str, Any]) -> Figure:
+def _figure(pair: Record) -> Figure:
     return Figure(label=f"PSNR between {_named(pair)}", words=_psnr(pair), note=_worst(pair).strip())
 
 
-def _doubts(found: Mapping[str, Any]) -> list[str]:
+def _doubts(record: Record) -> Iterator[str]:
     """What a reader has to know before the figures are believed."""
-    doubts = []
-    eight = [name for name, one in found["methods"].items() if one["bits"] == 8]
+    eight = [name for name, method in record["methods"].items() if method["bits"] == 8]
     if eight:
-        doubts.append(f"Pictures of {listed(eight)} come from files with 8 bits a channel; both sides are rounded so")
-    if _BIASED in found["methods"] and found["gradients"]:
-        doubts.append(f"Gradients of volprim are wrong in {_BIASED_ATTRIBUTES} where Gaussians overlap")
-    if len(found["cameras"]) == 1:
-        doubts.append("There is one camera; others may give other figures")
-    return doubts
+        yield f"Pictures of {listed(eight)} come from files with 8 bits a channel; both sides are rounded so"
+    if "volprim" in record["methods"] and record["gradients"]:
+        yield "Gradients of volprim are wrong in means, scales and rotations where Gaussians overlap"
+    if len(record["cameras"]) == 1:
+        yield "There is one camera; others may give other figures"
 
 
-def _picture(folder: Path, camera: str, found: Mapping[str, Any]) -> Picture:
-    names = listed(list(found["methods"]))
-    return Picture(
-        path=folder / f"{file_name(camera)}.png",
-        caption=f"{camera}: {names}; below, where each two differ, times {found['amplify']:g}. Black is no difference.",
-        alt=f"Pictures of {names} from the camera {camera}, and maps of their differences",
-        wide=True,
+def _charts(record: Record) -> Iterator[Chart]:
+    timed = {name: method for name, method in record["methods"].items() if method["picture"] is not None}
+    yield Chart(
+        title="Do the gradients point the same way?",
+        caption="1 is the same direction, 0 says that one knows nothing of the other.",
+        x_label="attribute",
+        y_label="cosine",
+        lines=tuple(
+            Line.of(_named(pair), "other", [pair["gradients"][name]["cosine"] for name in ATTRIBUTES])
+            for pair in _with_gradients(record)
+        ),
+        ticks=ATTRIBUTES,
+        fractions=False,
+        connected=False,
+    )
+    yield Chart(
+        title=f"Time of a picture, {next(iter(timed), '')} = 1",
+        caption="Medians of the ratios within a round; compiling is not in it.",
+        x_label="method",
+        y_label="times the first",
+        lines=tuple(
+            Line.of(words, "other", [method[kind] and method[kind]["ratio"] for method in timed.values()])
+            for words, kind in _KINDS.items()
+        ),
+        ticks=tuple(timed),
+        fractions=False,
+        connected=False,
     )
 
 
-def _charts(found: Mapping[str, Any]) -> list[Chart]:
-    charts = []
-    compared = [pair for pair in found["pairs"] if pair["gradients"] is not None]
-    if compared:
-        charts.append(
-            Chart(
-                title="Do the gradients point the same way?",
-                caption="1 is the same direction, 0 says that one knows nothing of the other.",
-                x_label="attribute",
-                y_label="cosine",
-                lines=tuple(
-                    Line(name=_named(pair), role="other", points=_points([_cosine(pair, one) for one in ATTRIBUTES]))
-                    for pair in compared
-                ),
-                ticks=ATTRIBUTES,
-                fractions=False,
-                connected=False,
-            )
-        )
-    timed = {name: one for name, one in found["methods"].items() if one[_ALONE] is not None}
-    if timed:
-        kinds = {"picture": _ALONE, "picture and gradient": _BOTH}
-        charts.append(
-            Chart(
-                title=f"Time of a picture, {next(iter(timed))} = 1",
-                caption="Medians of the ratios within a round; compiling is not in it.",
-                x_label="method",
-                y_label="times the first",
-                lines=tuple(
-                    Line(
-                        name=words,
-                        role="other",
-                        points=_points([one[kind] and one[kind]["ratio"] for one in timed.values()]),
-                    )
-                    for words, kind in kinds.items()
-                ),
-                ticks=tuple(timed),
-                fractions=False,
-                connected=False,
-            )
-        )
-    return [chart for chart in charts if any(line.points for line in chart.lines)]
+def _with_gradients(record: Record) -> list[Record]:
+    return [pair for pair in record["pairs"] if pair["gradients"] is not None]
 
 
-def _points(values: Sequence[float | None]) -> tuple[Point, ...]:
-    return tuple(Point(place, value) for place, value in enumerate(values) if value is not None)
-
-
-def _cosine(pair: Mapping[str, Any], attribute: str) -> float | None:
-    found: float | None = pair["gradients"][attribute]["cosine"]
-    return found
-
-
-def _tables(found: Mapping[str, Any]) -> list[Table]:
-    pairs = found["pairs"]
-    unmeasured = "not measured"
-    tables = [
-        Table(
-            caption="Pictures, over all cameras; LPIPS: less is nearer",
-            head=("pair", "PSNR", "SSIM", "LPIPS", "bits"),
-            rows=tuple(
-                (
-                    _named(pair),
-                    _psnr(pair),
-                    number(pair["ssim"], ".4f") if pair["ssim"] is not None else unmeasured,
-                    number(pair["lpips"], ".4f") if pair["lpips"] is not None else unmeasured,
-                    str(pair["bits"]),
-                )
-                for pair in pairs
-            ),
-        ),
-        Table(
-            caption="PSNR by camera",
-            head=("camera", *map(_named, pairs)),
-            rows=tuple(
-                (one["name"], *(_psnr(pair["by_camera"][one["name"]]) for pair in pairs)) for one in found["cameras"]
-            ),
-        ),
+def _tables(record: Record) -> Iterator[Table]:
+    pairs = record["pairs"]
+    yield Table.of(
+        "Pictures, over all cameras; LPIPS: less is nearer",
+        {
+            "pair": _named,
+            "PSNR": _psnr,
+            "SSIM": lambda pair: _measured(pair["ssim"]),
+            "LPIPS": lambda pair: _measured(pair["lpips"]),
+            "bits": "bits",
+        },
+        pairs,
+    )
+    by_camera = [
+        {"camera": camera["name"], **{_named(pair): _psnr(pair["by_camera"][camera["name"]]) for pair in pairs}}
+        for camera in record["cameras"]
     ]
-    compared = [pair for pair in pairs if pair["gradients"] is not None]
-    if compared:
-        tables.append(
-            Table(
-                caption="Gradients: cosine, its median over Gaussians, length of the difference over that of the first",
-                head=("attribute", *map(_named, compared)),
-                rows=tuple((name, *(_agreement(pair["gradients"][name]) for pair in compared)) for name in ATTRIBUTES),
-            )
-        )
-    head = ("method", "first call", "picture", "ratio", "memory", "with gradient", "ratio", "memory")
-    rows = tuple(
-        (name, number(one["first_seconds"], ".3f", "s"), *_cost(one)) for name, one in found["methods"].items()
+    yield Table.of("PSNR by camera", {title: title for title in by_camera[0]}, by_camera)
+    gradients = {_named(pair): pair["gradients"] for pair in _with_gradients(record)}
+    yield Table.of(
+        "Gradients: cosine, its median over Gaussians, length of the difference over that of the first",
+        {"attribute": str, **{title: _agreement(figures) for title, figures in gradients.items()}},
+        ATTRIBUTES if gradients else (),
     )
-    caption = "Cost of a picture: median time, ratio to the first, growth of memory; the first call may compile"
-    return [*tables, Table(caption=caption, head=head, rows=rows)]
+    yield Table.of(
+        "Cost of a picture: median time, ratio to the first, growth of memory; the first call may compile",
+        {
+            "method": "name",
+            "first call": lambda method: number(method["first_seconds"], ".3f", "s"),
+            **{
+                f"{words}: {title}": _cost(kind, key, form, unit)
+                for words, kind in _KINDS.items()
+                for title, key, form, unit in (
+                    ("time", "seconds", ".3f", "s"),
+                    ("ratio", "ratio", ".2f", ""),
+                    ("memory", "memory_mib", ".0f", "MiB"),
+                )
+            },
+        },
+        [{"name": name, **method} for name, method in record["methods"].items()],
+    )
 
 
-def _agreement(one: Mapping[str, Any]) -> str:
-    if one["cosine"] is None:
-        return "no gradient, or not finite"
-    return ", ".join(number(one[key], ".3f") for key in ("cosine", "median_cosine", "relative_error"))
+def _measured(value: float | None) -> str:
+    return "not measured" if value is None else number(value, ".4f")
 
 
-def _cost(method: Mapping[str, Any]) -> list[str]:
-    cells: list[str] = []
-    for kind in (_ALONE, _BOTH):
-        one = method[kind]
-        memory = one and one["memory_mib"]
-        cells += (
-            ["-", "-", "-"]
-            if one is None
-            else [
-                number(one["seconds"], ".3f", "s"),
-                number(one["ratio"], ".2f"),
-                number(memory, ".0f", "MiB"),
-            ]
-        )
-    return cells
+def _agreement(gradients: Record) -> Callable[[str], str]:
+    def words(attribute: str) -> str:
+        figures = gradients[attribute]
+        if figures["cosine"] is None:
+            return "no gradient, or not finite"
+        return ", ".join(number(figures[key], ".3f") for key in ("cosine", "median_cosine", "relative_error"))
+
+    return words
+
+
+def _cost(kind: str, key: str, form: str, unit: str) -> Callable[[Record], str]:
+    return lambda method: number(method[kind] and method[kind][key], form, unit)

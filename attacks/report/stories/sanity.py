@@ -10,27 +10,25 @@ from attacks.report.section import Figure, Section
 from attacks.report.wording import listed, plural, settings
 from attacks.tables import Table
 
-KIND = "sanity of DAGGER"
 _ELSEWHERE = ("story", "checks", "command", "versions", "variant", "commit")
 _WORDS = {True: "holds", False: "does not hold", None: "not checked"}
 
 
-def read(folder: Path, found: Mapping[str, Any]) -> Section:
+def read(folder: Path, record: Mapping[str, Any]) -> Section:
     """The section of a suite.
 
     Args:
         folder: Where it lies.
-        found: Its result.json.
+        record: Its result.json.
     """
-    checks = found["checks"]
-    passed, red = ([one for one in checks if one["passed"] is wanted] for wanted in (True, False))
-    skipped = len(checks) - len(passed) - len(red)
+    checks = record["checks"]
+    passed, red, skipped = ([check for check in checks if check["passed"] is state] for state in _WORDS)
     return Section(
-        kind=KIND,
-        title=f"{found['detector']}, {found['target']}",
+        kind="sanity of DAGGER",
+        title=f"{record['detector']}, {record['target']}",
         done=(
             f"{plural(len(checks), 'check')} asked whether DAGGER behaves as a sane attack does on one object and "
-            f"{found['detector']}, with {plural(found['seeds'], 'seed')}: whether success rises with the radius, "
+            f"{record['detector']}, with {plural(record['seeds'], 'seed')}: whether success rises with the radius, "
             "whether gradients are right, whether noise and random search do worse, and so on."
         ),
         conclusion=(
@@ -41,19 +39,24 @@ def read(folder: Path, found: Mapping[str, Any]) -> Section:
         headline=Figure(
             label="checks that hold",
             words=f"{len(passed)} of {len(passed) + len(red)}",
-            note=f"{skipped} not made" if skipped else "",
+            note=f"{len(skipped)} not made" if skipped else "",
         ),
-        figures=(Figure(label="checks that do not hold", words=listed([one["check"] for one in red]) or "none"),),
-        warnings=tuple(
-            [f"{one['claim']}: {one['figures']}. {one['meaning']}" for one in red]
-            + [f"Not checked: {one['claim']}" for one in checks if one["passed"] is None]
+        figures=(Figure(label="checks that do not hold", words=listed([check["check"] for check in red]) or "none"),),
+        warnings=(
+            *(f"{check['claim']}: {check['figures']}. {check['meaning']}" for check in red),
+            *(f"Not checked: {check['claim']}" for check in skipped),
         ),
         tables=(
-            Table(
-                caption="Every check",
-                head=("a sane attack", "here", "measured", "if it does not hold"),
-                rows=tuple((one["claim"], _WORDS[one["passed"]], one["figures"], one["meaning"]) for one in checks),
+            Table.of(
+                "Every check",
+                {
+                    "a sane attack": "claim",
+                    "here": lambda check: _WORDS[check["passed"]],
+                    "measured": "figures",
+                    "if it does not hold": "meaning",
+                },
+                checks,
             ),
         ),
-        configuration=settings({key: value for key, value in found.items() if key not in _ELSEWHERE}),
+        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
     )
