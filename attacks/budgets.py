@@ -8,10 +8,8 @@ tensor for each attribute that may move, whose first dimension is the Gaussian.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from torch import Generator, Tensor
@@ -30,137 +28,92 @@ class BudgetError(MiSplatError):
     """An attack left its budget: a bug in the attack, never the user's fault."""
 
 
-class Norm(Protocol):
-    """What an attack needs of a norm. Perturbations are float64; the first dimension is the Gaussian."""
-
-    def measure(self, delta: Tensor) -> float:
-        """Size of the perturbation, compared with the radius."""
-        ...
-
-    def shrink(self, delta: Tensor, radius: float) -> Tensor:
-        """The nearest perturbation in the ball; no element grows or changes sign."""
-        ...
-
-    def steepest(self, gradient: Tensor) -> Tensor:
-        """Direction of steepest ascent of size 1; zero where the gradient is zero."""
-        ...
-
-    def uniform(self, like: Tensor, radius: float, generator: Generator) -> Tensor:
-        """A draw from the uniform distribution on the ball."""
-        ...
-
-    def noise(self, delta: Tensor, generator: Generator) -> Tensor:
-        """Random noise of exactly the size of `delta`: the control that an attack has to beat."""
-        ...
-
-
 def _normal(like: Tensor, generator: Generator) -> Tensor:
     # Drawn on the CPU, so that a seed means the same noise on every device.
     return torch.randn(like.shape, generator=generator, dtype=torch.float64).to(like.device)
+
+
+def _even(shape: torch.Size, generator: Generator, like: Tensor) -> Tensor:
+    draw: Tensor = torch.rand(shape, generator=generator, dtype=torch.float64)
+    return draw.to(like.device)
 
 
 def _unit(delta: Tensor, size: Tensor) -> Tensor:
     return torch.where(size > 0, delta / torch.where(size > 0, size, 1.0), 0.0)
 
 
-@dataclass(frozen=True, slots=True)
 class Linf:
     """The largest change of any one coefficient."""
 
     def measure(self, delta: Tensor) -> float:
-        """Largest absolute value."""
+        """Size of the perturbation, compared with the radius: the largest absolute value."""
         return float(delta.abs().max()) if delta.numel() else 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
-        """Clip every element."""
+        """The nearest perturbation in the ball; no element grows or changes sign."""
         return delta.clamp(-radius, radius)
 
     def steepest(self, gradient: Tensor) -> Tensor:
-        """The sign."""
+        """Direction of steepest ascent of size 1; zero where the gradient is zero."""
         return gradient.sign()
 
     def uniform(self, like: Tensor, radius: float, generator: Generator) -> Tensor:
-        """Uniform in the cube."""
-        draw: Tensor = 2 * torch.rand(like.shape, generator=generator, dtype=torch.float64) - 1
-        return draw.to(like.device) * radius
+        """A draw from the uniform distribution on the ball."""
+        return (2 * _even(like.shape, generator, like) - 1) * radius
 
     def noise(self, delta: Tensor, generator: Generator) -> Tensor:
-        """Random signs at full size."""
+        """Random noise of exactly the size of `delta`, the control that an attack has to beat: signs at full size."""
         return _normal(delta, generator).sign() * self.measure(delta)
 
 
-@dataclass(frozen=True, slots=True)
 class L2:
     """One Euclidean ball over the attribute of the whole object: the PGD of the paper's text."""
 
+    def sizes(self, delta: Tensor) -> Tensor:
+        """Euclidean norm of all that shares a ball, shaped to broadcast against `delta`."""
+        size: Tensor = delta.norm()
+        return size
+
     def measure(self, delta: Tensor) -> float:
-        """Euclidean norm of everything."""
-        return float(delta.norm())
+        """Size of the perturbation: that of the fullest ball."""
+        return float(self.sizes(delta).max()) if delta.numel() else 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
-        """Scale down."""
-        size = self.measure(delta)
-        return delta if size <= radius else delta * (radius / size)
+        """Scale down what is too long."""
+        sizes = self.sizes(delta)
+        return torch.where(sizes > radius, delta * (radius / sizes.clamp(min=1e-300)), delta)
 
     def steepest(self, gradient: Tensor) -> Tensor:
         """The gradient over its norm."""
+        if not gradient.numel():
+            return gradient
         # The two-step scaling keeps gradients of 1e-30 from vanishing when they are squared.
-        scaled = _unit(gradient, gradient.abs().amax() if gradient.numel() else gradient.new_zeros(()))
-        return _unit(scaled, scaled.norm())
+        scaled = _unit(gradient, gradient.abs().amax())
+        return _unit(scaled, self.sizes(scaled))
 
     def uniform(self, like: Tensor, radius: float, generator: Generator) -> Tensor:
         """A direction from the sphere and a radius ~ u^(1/n)."""
         direction = _normal(like, generator)
-        fraction = math.pow(float(torch.rand((), generator=generator, dtype=torch.float64)), 1 / max(like.numel(), 1))
-        return _unit(direction, direction.norm()) * (radius * fraction)
+        sizes = self.sizes(direction)
+        width = max(like.numel() // max(sizes.numel(), 1), 1)
+        return _unit(direction, sizes) * (radius * _even(sizes.shape, generator, like) ** (1.0 / width))
 
     def noise(self, delta: Tensor, generator: Generator) -> Tensor:
-        """A direction from the sphere."""
+        """A direction from the sphere, as long as `delta`."""
         direction = _normal(delta, generator)
-        return _unit(direction, direction.norm()) * self.measure(delta)
+        return _unit(direction, self.sizes(direction)) * self.sizes(delta)
 
 
-@dataclass(frozen=True, slots=True)
-class L2PerGaussian:
+class L2PerGaussian(L2):
     """A Euclidean ball around every Gaussian's row: what the paper's code does."""
 
-    def measure(self, delta: Tensor) -> float:
-        """Largest norm of a row."""
-        return float(_rows(delta).max()) if delta.numel() else 0.0
-
-    def shrink(self, delta: Tensor, radius: float) -> Tensor:
-        """Scale down the rows that are too long."""
-        size = _rows(delta)
-        return torch.where(size > radius, delta * (radius / size.clamp(min=1e-300)), delta)
-
-    def steepest(self, gradient: Tensor) -> Tensor:
-        """Every row over its norm."""
-        if not gradient.numel():
-            return gradient
-        scaled = _unit(gradient, gradient.abs().amax())
-        return _unit(scaled, _rows(scaled))
-
-    def uniform(self, like: Tensor, radius: float, generator: Generator) -> Tensor:
-        """Every row on its own."""
-        direction = _normal(like, generator)
-        size = _rows(direction)
-        width = max(like[0].numel() if len(like) else 1, 1)
-        fraction = torch.rand(size.shape, generator=generator, dtype=torch.float64).to(like.device) ** (1.0 / width)
-        return _unit(direction, size) * (radius * fraction)
-
-    def noise(self, delta: Tensor, generator: Generator) -> Tensor:
-        """Every row in a random direction at its own size."""
-        direction = _normal(delta, generator)
-        return _unit(direction, _rows(direction)) * _rows(delta)
+    def sizes(self, delta: Tensor) -> Tensor:
+        """Norm of each row."""
+        flat: Tensor = (delta.flatten(1) if delta.ndim > 1 else delta[:, None]).norm(dim=1)
+        return flat.reshape(-1, *([1] * (delta.ndim - 1)))
 
 
-def _rows(delta: Tensor) -> Tensor:
-    """Norm of each row, shaped to broadcast against `delta`."""
-    flat: Tensor = (delta.flatten(1) if delta.ndim > 1 else delta[:, None]).norm(dim=1)
-    return flat.reshape(-1, *([1] * (delta.ndim - 1)))
-
-
-NORMS: dict[NormName, Norm] = {"linf": Linf(), "l2": L2(), "l2_per_gaussian": L2PerGaussian()}
+NORMS: dict[NormName, Linf | L2] = {"linf": Linf(), "l2": L2(), "l2_per_gaussian": L2PerGaussian()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,11 +159,8 @@ class Budget:
         """
         for name, size in self.measure(parameters, reference).items():
             if not size <= self.radius[name]:
-                raise BudgetError(
-                    message(
-                        f"{self.norm} of {name}", f"<= {self.radius[name]}", size, "report this: the attack is wrong"
-                    )
-                )
+                expected, do = f"<= {self.radius[name]}", "report this: the attack is wrong"
+                raise BudgetError(message(f"{self.norm} of {name}", expected, size, do))
 
     def steepest(self, gradients: Parameters) -> Parameters:
         """Direction of steepest ascent by attribute, size 1 each, in the dtype of the gradients."""
@@ -228,13 +178,10 @@ class Budget:
 
     def noise(self, parameters: Parameters, reference: Parameters, generator: Generator) -> Parameters:
         """The reference plus random noise as large as the perturbation of `parameters`."""
-        norm = NORMS[self.norm]
-        moved = {
-            name: (reference[name].double() + norm.noise(_difference(value, reference[name]), generator)).to(
-                value.dtype
-            )
-            for name, value in parameters.items()
-        }
+        norm, moved = NORMS[self.norm], {}
+        for name, value in parameters.items():
+            noise = norm.noise(_difference(value, reference[name]), generator)
+            moved[name] = (reference[name].double() + noise).to(value.dtype)
         return self.project(moved, reference)
 
 
@@ -242,7 +189,7 @@ def _difference(value: Tensor, reference: Tensor) -> Tensor:
     return value.detach().double() - reference.detach().double()
 
 
-def _inside(value: Tensor, reference: Tensor, radius: float, norm: Norm) -> Tensor:
+def _inside(value: Tensor, reference: Tensor, radius: float, norm: Linf | L2) -> Tensor:
     """Project one attribute; rounding to the tensor's dtype goes towards the reference, never out of the ball."""
     delta = _difference(value, reference)
     if norm.measure(delta) <= radius:

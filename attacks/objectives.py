@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Candidates, Detections
+from attacks.pgd import Verdict
 from mi_splat.errors import InvalidValueError, message
 
 _TINY = 1e-30
@@ -43,22 +44,6 @@ class Target:
     label: str | None
     classes: tuple[str, ...]
     original: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Judgement of one view.
-
-    Attributes:
-        success: The aim is reached.
-        score: How near it is, in [0, 1].
-        unambiguous: The aim is reached and nothing speaks against it: no other class is reported on the object with
-            more confidence than the one wanted.
-    """
-
-    success: bool
-    score: float
-    unambiguous: bool
 
 
 def joint_verdict(verdicts: Sequence[Verdict], required: float) -> Verdict:

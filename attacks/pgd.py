@@ -8,8 +8,8 @@ does with the gradient is a function that can be exchanged (`Optimiser`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
@@ -39,6 +39,22 @@ class Ball(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What counts says of one view, or of one point of a search; the loss does not.
+
+    Attributes:
+        success: The aim is reached.
+        score: How near it is, in [0, 1].
+        unambiguous: The aim is reached and nothing speaks against it: no other class is reported on the object with
+            more confidence than the one wanted. An early stop waits for this.
+    """
+
+    success: bool
+    score: float
+    unambiguous: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Evaluation:
     """What the attacker knows about one point.
@@ -46,33 +62,12 @@ class Evaluation:
     Attributes:
         loss: Lower is better for the attacker.
         gradients: Derivative of the loss by each parameter.
-        success: Whether the attack has its aim here, judged by what counts, which is not the loss.
-        score: How near it is, in [0, 1]; `NOT_JUDGED` where nothing judged the point.
-        unambiguous: Whether it has its aim and nothing speaks against it; an early stop waits for this.
+        verdict: Of the point; None where a judge looks at some points only.
     """
 
     loss: float
     gradients: Parameters
-    success: bool = False
-    score: float = NOT_JUDGED
-    unambiguous: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Judgement:
-    """What a judge says, who looks at some points only.
-
-    Attributes:
-        point: The point judged: the one of the search, or what the judge made of it. It may become the outcome.
-        success: As in `Evaluation`.
-        score: As in `Evaluation`.
-        unambiguous: As in `Evaluation`.
-    """
-
-    point: Parameters
-    success: bool
-    score: float
-    unambiguous: bool
+    verdict: Verdict | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,21 +126,11 @@ class OptimiserState:
 START = OptimiserState(index=0, velocity={})
 
 
-class Update(Protocol):
-    """From the gradients at a point to the change of the parameters; it may remember the gradients of its run."""
+Optimiser = Callable[[Parameters, OptimiserState], tuple[Parameters, OptimiserState]]
+"""From the gradients at a point and what a run remembers to the change of the parameters, and what it remembers then.
 
-    @property
-    def state(self) -> OptimiserState:
-        """What it remembers."""
-        ...
-
-    def __call__(self, gradients: Parameters) -> Parameters:
-        """The change of the parameters."""
-        ...
-
-
-Optimiser = Callable[[Ball, Mapping[str, float], OptimiserState], Update]
-"""Makes the `Update` of one run from the ball, the length of a step by parameter, and what it remembers."""
+See `attacks.optimisers`; runs begin with `START`.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -166,20 +151,25 @@ class SearchState:
     best_line: Step | None
     trace: tuple[Step, ...]
 
+    @classmethod
+    def at(cls, point: Parameters) -> SearchState:
+        """A search that begins at a point."""
+        return cls(point=point, optimiser=START, best=point, best_line=None, trace=())
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Hooks:
     """What a search calls while it runs.
 
     Attributes:
-        judge: Judges the point of every `every`-th step and of the last one; then these points alone may become the
-            outcome. None leaves the judgement to each evaluation.
+        judge: Judges the point of every `every`-th step and of the last one, and gives back the point that may become
+            the outcome: this one or what it made of it. None leaves the judgement to each evaluation.
         every: Steps between two judgements.
         on_step: Called with every line of the trace as it happens.
         on_state: Called with the search as it stands before every step but the first.
     """
 
-    judge: Callable[[Parameters], Judgement] | None = None
+    judge: Callable[[Parameters], tuple[Parameters, Verdict]] | None = None
     every: int = 1
     on_step: Callable[[Step], None] | None = None
     on_state: Callable[[SearchState], None] | None = None
@@ -190,27 +180,24 @@ def pgd(
     reference: Parameters,
     ball: Ball,
     *,
-    step: Mapping[str, float],
     steps: int,
     optimiser: Optimiser,
-    starts: Iterable[Parameters] | None = None,
+    starts: Iterable[Parameters] | SearchState | None = None,
     early_stop: bool = True,
     hooks: Hooks | None = None,
-    begun: SearchState | None = None,
 ) -> Outcome:
     """Descend from every start, project after every step, and keep the best point of all.
 
     Args:
-        evaluate: Loss, gradients, success and score at a point; at most steps + 1 calls for each start.
+        evaluate: Loss, gradients and verdict at a point; at most steps + 1 calls for each start.
         reference: Centre of the ball, one tensor for each parameter.
         ball: Projection and direction; `Budget` is one.
-        step: Length of a step for each parameter, in the ball's norm.
         steps: Number of steps from each start.
-        optimiser: What makes a step of the gradient (`attacks.optimisers`); asked anew for each run.
-        starts: First point of each run, taken when the run begins; the reference alone if None.
+        optimiser: What makes a step of the gradient (`attacks.optimisers`).
+        starts: First point of each run, taken when the run begins; the reference alone if None; or a search with one
+            start that goes on.
         early_stop: End everything at the first unambiguous success; otherwise take all steps from all starts.
         hooks: What is called while the search runs.
-        begun: A search with one start that goes on from here.
 
     Raises:
         InvalidValueError: A gradient or the loss is not finite, steps is negative, or there is no start.
@@ -219,31 +206,31 @@ def pgd(
     if steps < 0:
         raise InvalidValueError(message("steps", "a number >= 0", steps, "ask for at least one step"))
     hooks = hooks or Hooks()
-    if begun is None:
-        begun = SearchState(point=reference, optimiser=START, best=reference, best_line=None, trace=())
-        starts = [reference] if starts is None else starts
-    else:
-        starts = [begun.point]
+    begun = SearchState.at(reference)
+    if isinstance(starts, SearchState):
+        begun, starts = starts, None
     best, best_line, trace = begun.best, begun.best_line, list(begun.trace)
-    for restart, start in enumerate(starts):
-        update = optimiser(ball, step, begun.optimiser)
+    for restart, start in enumerate([begun.point] if starts is None else starts):
+        memory = begun.optimiser
         point = ball.project({name: value.detach().clone() for name, value in start.items()}, reference)
-        for index in range(begun.optimiser.index, steps + 1):
+        for index in range(memory.index, steps + 1):
             if hooks.on_state is not None and index > begun.optimiser.index:
-                memory = update.state
                 hooks.on_state(
                     SearchState(point=point, optimiser=memory, best=best, best_line=best_line, trace=tuple(trace))
                 )
-            here, judged = _judged(evaluate(point), point, index, steps, hooks)
-            line = _line(here, index, restart)
+            here = evaluate(point)
+            judged, verdict = point, here.verdict if hooks.judge is None else None
+            if hooks.judge is not None and (index == steps or (index and not index % hooks.every)):
+                judged, verdict = hooks.judge(point)
+            line = _line(here, verdict, index, restart)
             trace.append(line)
             if hooks.on_step is not None:
                 hooks.on_step(line)
-            if judged is not None and (best_line is None or rank(line) > rank(best_line)):
+            if verdict is not None and (best_line is None or rank(line) > rank(best_line)):
                 best_line, best = line, judged
             if index == steps or (early_stop and _ended(line)):
                 break
-            change = update(here.gradients)
+            change, memory = optimiser(here.gradients, memory)
             point = ball.project({name: value + change[name] for name, value in point.items()}, reference)
         if early_stop and best_line is not None and _ended(best_line):
             break
@@ -251,19 +238,6 @@ def pgd(
         raise InvalidValueError(message("starts", "at least one point", "none", "pass the reference, or nothing"))
     ball.check(best, reference)
     return Outcome(parameters=best, best=best_line, trace=tuple(trace))
-
-
-def _judged(
-    here: Evaluation, point: Parameters, index: int, steps: int, hooks: Hooks
-) -> tuple[Evaluation, Parameters | None]:
-    """An evaluation with its judgement, and the point that may become the outcome; None where nothing judged it."""
-    if hooks.judge is None:
-        return here, point
-    if index != steps and (index == 0 or index % hooks.every):
-        return replace(here, success=False, score=NOT_JUDGED, unambiguous=False), None
-    found = hooks.judge(point)
-    judged = replace(here, success=found.success, score=found.score, unambiguous=found.unambiguous)
-    return judged, found.point
 
 
 def rank(line: Step) -> tuple[bool, bool, float, float]:
@@ -276,24 +250,22 @@ def _ended(line: Step) -> bool:
     return line.success and line.unambiguous
 
 
-def _line(found: Evaluation, index: int, restart: int) -> Step:
+def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int) -> Step:
     zeros = total = 0
-    for name, gradient in found.gradients.items():
+    for name, gradient in here.gradients.items():
         if not bool(torch.isfinite(gradient).all()):
-            raise InvalidValueError(
-                message(
-                    f"gradient of {name}", "finite numbers", "NaN or infinity", "look at the renderer and the objective"
-                )
-            )
+            do = "look at the renderer and the objective"
+            raise InvalidValueError(message(f"gradient of {name}", "finite numbers", "NaN or infinity", do))
         zeros, total = zeros + int((gradient == 0).sum()), total + gradient.numel()
-    if not math.isfinite(found.loss):
-        raise InvalidValueError(message("loss", "a finite number", found.loss, "look at the objective"))
+    if not math.isfinite(here.loss):
+        raise InvalidValueError(message("loss", "a finite number", here.loss, "look at the objective"))
+    verdict = verdict or Verdict(success=False, score=NOT_JUDGED, unambiguous=False)
     return Step(
         index=index,
-        loss=found.loss,
-        score=found.score,
-        success=found.success,
-        unambiguous=found.unambiguous,
+        loss=here.loss,
+        score=verdict.score,
+        success=verdict.success,
+        unambiguous=verdict.unambiguous,
         zero_gradient_fraction=zeros / total if total else 1.0,
         restart=restart,
     )

@@ -84,7 +84,7 @@ def run(options: DaggerOptions) -> int:
         result = dataclasses.replace(
             result,
             origin={**result.origin, **_origin(loaded, chosen, options)},
-            warnings=(*doubts(chosen.mask, weights), *result.warnings),
+            doubts=tuple(doubts(chosen.mask, weights)),
         )
         files = write_result(result, loaded, chosen.mask, options.out, force=options.force)
     if options.json:

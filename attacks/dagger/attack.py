@@ -13,7 +13,6 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Generator
@@ -21,9 +20,9 @@ from torch import Generator
 from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import Config, DaggerConfig, EotConfig
 from attacks.dagger.figures import counted
-from attacks.dagger.judging import Judgement, Reports, clean_reports, judge, look
+from attacks.dagger.judging import Reports, clean_reports, judge, look
 from attacks.dagger.problem import Problem, check_detectors
-from attacks.dagger.result import Result, find_warnings
+from attacks.dagger.result import Result
 from attacks.dagger.search import VALIDATION_SEED_OFFSET, OnStep, search_drawn, search_fixed
 from attacks.dagger.views import View, ViewDistribution, fixed_views
 from attacks.detectors.base import Detections, Detector
@@ -32,7 +31,8 @@ from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective, check_objective, overlap
 from attacks.observe.comparison import usual_label
 from attacks.observe.views import as_saved, clamped_fraction
-from attacks.pgd import Outcome, Parameters
+from attacks.pgd import Outcome
+from attacks.transformations.config import Transformations
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError, message
@@ -77,16 +77,13 @@ def attack(
     check_detectors(detectors, objective)
     problem, views, reports = fixed_problem(subset, cameras, detectors, objective, render=render)
     outcome = search_fixed(problem, views, config, on_step)
-    attacked, saved, noisy = _scenes(problem, outcome, config)
-    judgement = judge(problem, views, (subset.scene, reports), saved, noisy)
     origin = {
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
         "scene_hash": scene_hash(scene),
     }
-    result = _result(problem, config, outcome, (attacked, saved), judgement, origin, None)
-    result = dataclasses.replace(result, seconds=time.perf_counter() - begun)
-    return dataclasses.replace(result, warnings=find_warnings(result))
+    result = _judged(problem, config, outcome, views, (subset.scene, reports), None)
+    return dataclasses.replace(result, origin=result.origin | origin, seconds=time.perf_counter() - begun)
 
 
 def attack_views(
@@ -132,23 +129,19 @@ def attack_views(
     key = _key(views, problem, config)
     outcome, seconds = search_drawn(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)
     begun = time.perf_counter()
-    attacked, saved, noisy = _scenes(problem, outcome, config)
     reports = clean_reports(judged, detectors, seed=config.judge_seed, count=config.held_out)
     held_out, clean = judged.views(config.judge_seed, config.held_out), (as_saved(judged.scene), reports)
-    judgement = judge(problem, held_out, clean, saved, [as_saved(scene) for scene in noisy])
+    result = _judged(problem, config, outcome, held_out, clean, judged.transformations)
     origin = {"scene_hash": scene_hash(views.scene), "reference": values_of(views.reference)}
-    result = dataclasses.replace(
-        _result(
-            problem, config, outcome, (attacked, saved), judgement, origin, judged.transformations.cameras.elevations
-        ),
-        redraws=_redraws(views, config, held_out),
-        transformations=views.transformations,
-        judged=judged.transformations,
-        seconds=seconds + time.perf_counter() - begun,
-    )
     if checkpoint is not None:
         checkpoint.path.unlink(missing_ok=True)
-    return dataclasses.replace(result, warnings=find_warnings(result))
+    return dataclasses.replace(
+        result,
+        origin=result.origin | origin,
+        redraws=_redraws(views, config, held_out),
+        transformations=views.transformations,
+        seconds=seconds + time.perf_counter() - begun,
+    )
 
 
 def _check_views(cameras: Sequence[Camera], render: object) -> None:
@@ -201,38 +194,35 @@ def widened(scene: GaussianScene, config: Config) -> GaussianScene:
     return scene.with_degree(degree) if wider and degree is not None else scene
 
 
-def _scenes(
-    problem: Problem, outcome: Outcome, config: Config
-) -> tuple[GaussianScene, GaussianScene, list[GaussianScene]]:
-    """The attacked splat, the same as its file holds it, and splats with random noise of the same size."""
-    reference = problem.parameters(config.attributes)
-    generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
-    attacked = problem.applied(outcome.parameters)
-
-    def noisy() -> Parameters:
-        return config.budget.noise(outcome.parameters, reference, generator)
-
-    return attacked, as_saved(attacked), [problem.applied(noisy()) for _ in range(config.noise_draws)]
-
-
-def _result(
+def _judged(
     problem: Problem,
     config: Config,
     outcome: Outcome,
-    scenes: tuple[GaussianScene, GaussianScene],
-    judgement: Judgement,
-    origin: dict[str, Any],
-    elevations: tuple[float, float] | None,
+    views: Sequence[View],
+    clean: tuple[GaussianScene, Reports],
+    drawn: Transformations | None,
 ) -> Result:
-    """What a search has found, judged; without its warnings and its time."""
-    subset, budget, views = problem.subset, config.budget, judgement.views
-    reference = problem.parameters(config.attributes)
-    in_file = problem.parameters(config.attributes, GaussianSubset.of(scenes[1], subset.rows))
-    each = len(views) // len(problem.detectors)
-    cameras = [judged.view.camera for judged in views[:each]]
+    """What a search has led to, judged beside random noise of the same size.
+
+    Args:
+        problem: What was attacked.
+        config: How.
+        outcome: Of the search.
+        views: Those that judge.
+        clean: The clean splat and what was reported on it.
+        drawn: Where the views are drawn from; None if they are fixed.
+    """
+    subset, budget, reference = problem.subset, config.budget, problem.parameters(config.attributes)
+    generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
+    attacked = problem.applied(outcome.parameters)
+    noisy = [problem.applied(budget.noise(outcome.parameters, reference, generator)) for _ in range(config.noise_draws)]
+    saved = as_saved(attacked)
+    judgement = judge(problem, views, clean, saved, noisy if drawn is None else list(map(as_saved, noisy)))
+    in_file = problem.parameters(config.attributes, GaussianSubset.of(saved, subset.rows))
     names, looked = [detector.name for detector in problem.detectors], judgement.looked(seed=config.seed)
+    elevations = None if drawn is None else drawn.cameras.elevations
     return Result(
-        scene=scenes[0],
+        scene=attacked,
         judgement=judgement,
         looked=looked,
         figures=counted(looked.rows, names, problem.objective.label, config, elevations),
@@ -242,13 +232,13 @@ def _result(
         used=budget.measure(outcome.parameters, reference),
         used_in_file=budget.measure(in_file, reference),
         object_gaussians=len(subset.rows),
-        changed_gaussians=subset.changed(scenes[0]),
-        clamped_fraction=sum(clamped_fraction(subset, camera) for camera in cameras) / len(cameras),
-        warnings=(),
+        changed_gaussians=subset.changed(attacked),
+        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in views) / len(views),
         objective=problem.objective,
         config=config,
-        origin={**origin, **provenance.rendered_with(problem.render), **provenance.origin()},
+        origin={**provenance.rendered_with(problem.render), **provenance.origin()},
         seconds=0.0,
+        judged=drawn,
     )
 
 

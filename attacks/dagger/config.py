@@ -28,7 +28,7 @@ from mi_splat.fields import (
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
-    from attacks.objectives import Verdict
+    from attacks.pgd import Verdict
 
 EnsembleLoss = Literal["mean", "max"]
 """How the losses of several detectors become one."""
@@ -44,6 +44,11 @@ class Perturbation:
         norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
         steps: Number of steps.
         step_factor: A step is eps * step_factor / steps long.
+        momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
+        schedule: How the steps become shorter.
+        gradient_power: Power of the gradients' absolute values before a step with momentum, in [0, 1]; below 1, small
+            ones count for more (see `attacks.optimisers.momentum`).
+        required_views: Fraction of the views in which the attack has to succeed.
         noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: SH degree of the attacked file, if SH may change.
         seed: Seed of everything random.
@@ -57,6 +62,10 @@ class Perturbation:
     norm: NormName = "l2"
     steps: Steps = 11
     step_factor: Annotated[float, above(0, do="2 is the paper's"), Called("FACTOR")] = 2.0
+    momentum: Share = 0.0
+    schedule: Schedule = "constant"
+    gradient_power: Fraction = 1.0
+    required_views: PositiveFraction = 1.0
     noise_draws: Count = 5
     sh_degree: Degree | None = 3
     seed: Seed = 0
@@ -90,42 +99,24 @@ class Perturbation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerConfig(Perturbation):
-    """How to attack. The defaults are those of the paper's text.
+    """How to attack fixed views; see also `Perturbation`. The defaults are those of the paper's text.
 
     Attributes:
-        attributes: What of the object's Gaussians may change.
-        eps: Radius of the ball in the units of the splat file: one for all attributes, or one for each.
-        norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
-        steps: Number of steps.
-        step_factor: A step is eps * step_factor / steps long.
         restarts: Number of runs; the first starts at the clean object, the others at random points of the ball.
         random_start: Start the first run at a random point of the ball, too.
         early_stop: Whether the first unambiguous success ends the search; without, every step of every run is taken.
-        required_views: Fraction of the views in which the attack has to succeed.
         required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
         ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.
-        momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
-        schedule: How the steps become shorter.
-        gradient_power: Power of the gradients' absolute values before a step, in [0, 1]; below 1, small ones count for
-            more (see `attacks.optimisers.MomentumDescent`).
-        noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: SH degree of the attacked file, if SH may change and the scene has less; coefficients that it lacks
             start at 0. 3 is what 3DGS writes and what the paper attacked; None keeps the scene's own.
         seed: Seed of everything random: starting points and the noise control.
-
-    Raises:
-        InvalidValueError: A value is out of its range, or there are not as many radii as attributes.
     """
 
     restarts: Annotated[int, at_least(1)] = 1
     random_start: bool = False
     early_stop: bool = True
-    required_views: PositiveFraction = 1.0
     required_detectors: PositiveFraction = 1.0
     ensemble: EnsembleLoss = "mean"
-    momentum: Share = 0.0
-    schedule: Schedule = "constant"
-    gradient_power: Fraction = 1.0
 
     def verdict(self, rows: Sequence[Sequence[Verdict]]) -> Verdict:
         """Success with enough detectors, each in enough views, and the score that so many reach."""
@@ -137,21 +128,13 @@ class DaggerConfig(Perturbation):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EotConfig(Perturbation):
-    """How to attack a distribution of views (EOT).
+    """How to attack a distribution of views (EOT); see also `Perturbation`.
 
     The defaults were tuned on a few pairs of the example scenes (see docs/dagger-eot.md).
 
     Attributes:
-        attributes: What of the object's Gaussians may change.
-        eps: Radius of the ball in the units of the splat file: one for all attributes, or one for each.
-        norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
-        steps: Number of steps.
         step_factor: The first step is eps * step_factor / steps long.
         optimiser: What makes a step of the gradients: their steepest direction with momentum (MI-FGSM), or Adam.
-        schedule: How the steps become shorter.
-        momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
-        gradient_power: Power of the gradients' absolute values before a step with momentum, in [0, 1]; below 1, small
-            ones count for more (see `attacks.optimisers.MomentumDescent`).
         batch: Views drawn for each step.
         pool: Number of views that they are drawn from; 0 draws new ones at each step.
         validation: Views, no others, that decide which step was best.
@@ -159,7 +142,6 @@ class EotConfig(Perturbation):
         stop_at: Fraction of the validation views whose success ends the search; None takes every step.
         required_views: Fraction of the held-out views in which the attack has to succeed.
         held_out: Number of held-out views that judge the result.
-        noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less.
             0 changes a Gaussian's colour by the same from everywhere. None keeps the scene's own.
         image_psnr: PSNR that the pictures keep, dB, over the validation views; None asks for nothing. The search then
@@ -168,26 +150,24 @@ class EotConfig(Perturbation):
         judge_seed: Seed of the held-out views; another one.
 
     Raises:
-        InvalidValueError: A value is out of its range, there are not as many radii as attributes, or the judge would
-            look at the attack's views.
+        InvalidValueError: As in `Perturbation`, or the judge would look at the attack's views.
     """
 
     eps: tuple[Radius, ...] = (1.0,)
     norm: NormName = "linf"
     steps: Steps = 150
     step_factor: Annotated[float, above(0), Called("FACTOR")] = 13.0
+    momentum: Share = 0.8
+    schedule: Schedule = "linear"
+    required_views: PositiveFraction = 0.8
     noise_draws: Count = 1
     sh_degree: Degree | None = 1
     optimiser: OptimiserName = "adam"
-    schedule: Schedule = "linear"
-    momentum: Share = 0.8
-    gradient_power: Fraction = 1.0
     batch: Annotated[int, at_least(1, "views")] = 3
     pool: Annotated[int, at_least(0, "views", "0 draws new ones at each step")] = 200
     validation: Annotated[int, at_least(1, "views")] = 12
     validate_every: Steps = 50
     stop_at: PositiveFraction | None = None
-    required_views: PositiveFraction = 0.8
     held_out: Annotated[int, at_least(1, "views")] = 60
     judge_seed: Seed = 1000
     image_psnr: Annotated[float, above(0, "dB", "26 is easily seen, 40 hardly")] | None = 26.3
@@ -207,7 +187,7 @@ class EotConfig(Perturbation):
 
         Between equals it orders by the mean of the verdicts' scores.
         """
-        from attacks.objectives import Verdict
+        from attacks.pgd import Verdict
 
         successes, unambiguous = (
             sum(all(getattr(verdict, name) for verdict in row) for row in rows) for name in ("success", "unambiguous")

@@ -8,9 +8,10 @@ from typing import Any
 import polars as pl
 
 from attacks.dagger.config import Config, DaggerConfig, EotConfig
-from attacks.objectives import Verdict, reached_by
+from attacks.objectives import reached_by
 from attacks.observe.measures import STRICT, aim_figures
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
+from attacks.pgd import Verdict
 
 FIXED, DRAWN = "dagger", "dagger-eot"
 """Kinds of results, by where views come from."""

@@ -12,10 +12,11 @@ from torch import Tensor
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution
 from attacks.detectors.base import Detections, Detector
-from attacks.objectives import Target, Verdict, confidence
+from attacks.objectives import Target, confidence
 from attacks.observe.look import Looked, detection_rows, place_cells, report_cells, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, as_saved, detect_views, image_change
+from attacks.pgd import Verdict
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import RenderFn
 from mi_splat.io.images import through_png

@@ -7,7 +7,7 @@ bits, decides.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -17,8 +17,8 @@ from attacks.dagger.config import DaggerConfig, EnsembleLoss
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Objective, Target, Verdict
-from attacks.pgd import Evaluation, Parameters
+from attacks.objectives import Objective, Target
+from attacks.pgd import Evaluation, Parameters, Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.images import quantise
@@ -29,21 +29,6 @@ if TYPE_CHECKING:
 
 _LOOKED_AT_ONCE = 4
 """Pictures that a detector gets together when nothing is differentiated."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Estimate:
-    """What the views of one step say of a point.
-
-    Attributes:
-        loss: Lower is better for the attacker.
-        gradients: Of the loss by each parameter.
-        error: Mean squared error of the pictures; 0 where nothing asked for it.
-    """
-
-    loss: float
-    gradients: Parameters
-    error: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -107,15 +92,12 @@ class Problem:
         Attacks", ICLR 2017), or that of the detector that resists most.
         """
         each = [self._evaluate(detector, parameters, views) for detector in self.detectors]
-        loss, gradients = _LOSSES[config.ensemble]([estimate for estimate, _ in each])
-        whole = config.verdict(list(zip(*(verdicts for _, verdicts in each), strict=True)))
-        return Evaluation(
-            loss=loss, gradients=gradients, success=whole.success, score=whole.score, unambiguous=whole.unambiguous
-        )
+        joint = _LOSSES[config.ensemble]([evaluation for evaluation, _ in each])
+        return replace(joint, verdict=config.verdict(list(zip(*(verdicts for _, verdicts in each), strict=True))))
 
     def _evaluate(
         self, detector: Detector, parameters: Parameters, views: Sequence[View]
-    ) -> tuple[Estimate, list[Verdict]]:
+    ) -> tuple[Evaluation, list[Verdict]]:
         """Mean loss of one detector over the views, its gradients, and the verdict of each view."""
         loss, verdicts = 0.0, []
         gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
@@ -131,22 +113,23 @@ class Problem:
             with torch.no_grad():
                 detections = detector.detect(quantise(picture)[None])[0]
             verdicts.append(self.objective.verdict(detections, target))
-        return Estimate(loss=loss, gradients=gradients, error=0.0), verdicts
+        return Evaluation(loss=loss, gradients=gradients), verdicts
 
     def _differentiable(self, parameters: Parameters, camera: Camera) -> Tensor:
         """The picture of the scene with these parameters of the object."""
         frozen = self.frozen.get(camera) if parameters.keys() == {"sh"} else None
         return self.render(self.subset.scene_with(parameters), camera) if frozen is None else frozen(parameters["sh"])
 
-    def estimate(self, parameters: Parameters, views: Sequence[View], weight: float = 0.0) -> Estimate:
-        """Mean loss over the views of one step and all detectors, and its gradients.
+    def estimate(self, parameters: Parameters, views: Sequence[View], weight: float = 0.0) -> tuple[Evaluation, float]:
+        """Mean loss over the views of one step and all detectors with its gradients, and the pictures' squared error.
 
         Every picture is rendered once for all detectors, and a detector gets all pictures together.
 
         Args:
             parameters: A point of the search.
             views: Those of one step, whose pictures have one size.
-            weight: Of the mean squared error of the pictures, before anything happens to them, in the loss.
+            weight: Of the mean squared error of the pictures, before anything happens to them, in the loss; without
+                it nothing is measured.
         """
         leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
         scene = self.subset.scene_with(self.complete(leaves))
@@ -163,7 +146,7 @@ class Problem:
             squares = torch.stack(errors).mean()
             total, error = total + weight * squares, float(squares.detach())
         parts = torch.autograd.grad(total, list(leaves.values()), materialize_grads=True)
-        return Estimate(loss=float(total.detach()), gradients=dict(zip(leaves, parts, strict=True)), error=error)
+        return Evaluation(loss=float(total.detach()), gradients=dict(zip(leaves, parts, strict=True))), error
 
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
@@ -209,20 +192,19 @@ def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None
             raise InvalidValueError(message(f"target{of}", expected, objective.label, do))
 
 
-def _mean(each: Sequence[Estimate]) -> tuple[float, Parameters]:
+def _mean(each: Sequence[Evaluation]) -> Evaluation:
     if len(each) == 1:
-        return each[0].loss, each[0].gradients
+        return each[0]
     names = each[0].gradients
-    gradients = {name: torch.stack([estimate.gradients[name] for estimate in each]).mean(0) for name in names}
-    return sum(estimate.loss for estimate in each) / len(each), gradients
+    gradients = {name: torch.stack([evaluation.gradients[name] for evaluation in each]).mean(0) for name in names}
+    return Evaluation(loss=sum(evaluation.loss for evaluation in each) / len(each), gradients=gradients)
 
 
-def _max(each: Sequence[Estimate]) -> tuple[float, Parameters]:
-    hardest = max(each, key=lambda estimate: estimate.loss)
-    return hardest.loss, hardest.gradients
+def _max(each: Sequence[Evaluation]) -> Evaluation:
+    return max(each, key=lambda evaluation: evaluation.loss)
 
 
-_LOSSES: dict[EnsembleLoss, Callable[[Sequence[Estimate]], tuple[float, Parameters]]] = {"mean": _mean, "max": _max}
+_LOSSES: dict[EnsembleLoss, Callable[[Sequence[Evaluation]], Evaluation]] = {"mean": _mean, "max": _max}
 
 
 class _Bounded(torch.autograd.Function):

@@ -44,7 +44,6 @@ class Result:
         object_gaussians: Number of Gaussians of the object.
         changed_gaussians: Number of Gaussians that differ.
         clamped_fraction: Fraction of the object's colour channels at the clamp (clean, mean over views).
-        warnings: Reasons to look twice before the result is believed, in words.
         objective: The aim and its settings.
         config: The full configuration.
         origin: Detectors, versions, variant, commit, scene hash.
@@ -52,6 +51,7 @@ class Result:
         transformations: The distribution that it was made for; None for fixed views.
         judged: The distribution that judged it.
         redraws: Cameras drawn in vain, as they did not show the object: held-out, validation and attacked views.
+        doubts: Of the choice of the object; the first of the warnings.
     """
 
     scene: GaussianScene
@@ -66,7 +66,6 @@ class Result:
     object_gaussians: int
     changed_gaussians: int
     clamped_fraction: float
-    warnings: tuple[str, ...]
     objective: Objective
     config: Config
     origin: dict[str, Any]
@@ -74,6 +73,7 @@ class Result:
     transformations: Transformations | None = None
     judged: Transformations | None = None
     redraws: dict[str, int] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
     @property
     def views(self) -> tuple[JudgedView, ...]:
@@ -137,10 +137,11 @@ class Result:
         """Views in which every detector is deceived."""
         return self.rates["success"]
 
-
-def find_warnings(result: Result) -> tuple[str, ...]:
-    """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
-    return tuple(_warnings_of_drawn(result) if isinstance(result.config, EotConfig) else _warnings_of_fixed(result))
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
+        drawn = isinstance(self.config, EotConfig)
+        return (*self.doubts, *(_warnings_of_drawn(self) if drawn else _warnings_of_fixed(self)))
 
 
 def _warnings_of_fixed(result: Result) -> list[str]:

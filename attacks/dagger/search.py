@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 from torch import Generator
 
 from attacks.dagger.checkpoint import Checkpoint, KeptSearch, check_point, load_state, save_state
-from attacks.dagger.config import DaggerConfig, EotConfig
+from attacks.dagger.config import Config, DaggerConfig, EotConfig
 from attacks.dagger.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution, batch_indices
 from attacks.optimisers import adam, momentum
-from attacks.pgd import Evaluation, Hooks, Judgement, Optimiser, Outcome, Parameters, SearchState, Step, pgd
+from attacks.pgd import Evaluation, Hooks, Optimiser, Outcome, Parameters, SearchState, Step, Verdict, pgd
 from mi_splat.view_freezing import freeze_views
 
 VALIDATION_SEED_OFFSET = 500_000_000
@@ -51,10 +51,9 @@ def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, 
         lambda point: problem.evaluate(point, views, config),
         reference,
         budget,
-        step=config.step,
         steps=config.steps,
+        optimiser=_optimiser(config),
         starts=starts(),
-        optimiser=_momentum(config),
         early_stop=config.early_stop,
         hooks=Hooks(on_step=on_step),
     )
@@ -107,69 +106,54 @@ def search_drawn(
     kept = None if checkpoint is None else load_state(checkpoint.path, key=key)
     if kept is None:
         price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
-        begun, seconds = None, 0.0
-    else:
-        check_point(kept.search, reference, config.steps)
-        begun, price, seconds = kept.search, kept.price, kept.seconds
-    batches = _Batches(problem, views, config, 0 if begun is None else begun.optimiser.index, price)
+        kept = KeptSearch(search=SearchState.at(reference), price=price, seconds=0.0)
+    check_point(kept.search, reference, config.steps)
+    index, price, seconds = kept.search.optimiser.index, kept.price, kept.seconds
+
+    def evaluate(point: Parameters) -> Evaluation:
+        """Loss and gradients over the views of the next step; the price of their pictures' error follows it."""
+        nonlocal index, price
+        numbers = batch_indices(index, seed=config.seed, batch=config.batch, pool=config.pool)
+        batch = [views.view(config.seed, number, keep=config.pool > 0) for number in numbers]
+        evaluation, error = problem.estimate(point, batch, 0.0 if price is None else price.now)
+        index, price = index + 1, price and price.after(error)
+        return evaluation
 
     def keep(search: SearchState) -> None:
         if checkpoint is not None and search.optimiser.index % checkpoint.every == 0:
             spent = seconds + time.perf_counter() - clock
-            save_state(KeptSearch(search=search, price=batches.price, seconds=spent), checkpoint.path, key=key)
+            save_state(KeptSearch(search=search, price=price, seconds=spent), checkpoint.path, key=key)
 
+    judge = _judge(problem, views, config, reference)
     outcome = pgd(
-        batches,
+        evaluate,
         reference,
         config.budget,
-        step=config.step,
         steps=config.steps,
-        optimiser=_momentum(config) if config.optimiser == "momentum" else _adam(config),
+        optimiser=_optimiser(config),
+        starts=kept.search,
         early_stop=config.stop_at is not None,
-        hooks=Hooks(
-            judge=_judge(problem, views, config, reference),
-            every=config.validate_every,
-            on_step=on_step,
-            on_state=keep,
-        ),
-        begun=begun,
+        hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step, on_state=keep),
     )
     return outcome, seconds + time.perf_counter() - clock
 
 
-def _momentum(config: DaggerConfig | EotConfig) -> Optimiser:
-    return momentum(decay=config.momentum, schedule=config.schedule, steps=config.steps, power=config.gradient_power)
-
-
-def _adam(config: EotConfig) -> Optimiser:
-    return adam(decay=config.momentum, schedule=config.schedule, steps=config.steps)
-
-
-class _Batches:
-    """Loss and gradients over the views of each step in turn; the price of their pictures' error follows it."""
-
-    def __init__(
-        self, problem: Problem, views: ViewDistribution, config: EotConfig, first: int, price: ImagePrice | None
-    ) -> None:
-        self._problem, self._views, self._config = problem, views, config
-        self._index, self.price = first, price
-
-    def __call__(self, point: Parameters) -> Evaluation:
-        estimate = self._problem.estimate(point, self._batch(), 0.0 if self.price is None else self.price.now)
-        self._index += 1
-        if self.price is not None:
-            self.price = self.price.after(estimate.error)
-        return Evaluation(loss=estimate.loss, gradients=estimate.gradients)
-
-    def _batch(self) -> list[View]:
-        config = self._config
-        numbers = batch_indices(self._index, seed=config.seed, batch=config.batch, pool=config.pool)
-        return [self._views.view(config.seed, number, keep=config.pool > 0) for number in numbers]
+def _optimiser(config: Config) -> Optimiser:
+    if isinstance(config, EotConfig) and config.optimiser == "adam":
+        return adam(config.step, decay=config.momentum, schedule=config.schedule, steps=config.steps)
+    return momentum(
+        config.budget,
+        config.step,
+        decay=config.momentum,
+        schedule=config.schedule,
+        steps=config.steps,
+        power=config.gradient_power,
+    )
 
 
 def _judge(
     problem: Problem, views: ViewDistribution, config: EotConfig, reference: Parameters
-) -> Callable[[Parameters], Judgement]:
+) -> Callable[[Parameters], tuple[Parameters, Verdict]]:
     """The judge of a search: validation views, which look at what the image budget makes of a point."""
     validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
     limit = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps).limit
@@ -178,21 +162,21 @@ def _judge(
     def error(point: Parameters) -> float:
         return problem.error(point, validation)
 
-    def judged(point: Parameters) -> tuple[float, Judgement]:
+    def verdict_on(point: Parameters) -> tuple[float, Verdict]:
         """The share of views in which every detector is deceived, and what it says of the point."""
         rows = problem.verdicts(point, validation)
         whole, share = config.verdict(rows), sum(all(verdict.success for verdict in row) for row in rows) / len(rows)
-        ended = whole.success and share >= stop_at - 1e-9
-        return share, Judgement(point=point, success=whole.success, score=whole.score, unambiguous=ended)
+        return share, dataclasses.replace(whole, unambiguous=whole.success and share >= stop_at - 1e-9)
 
-    def judge(point: Parameters) -> Judgement:
+    def judge(point: Parameters) -> tuple[Parameters, Verdict]:
         if limit is None:
-            return judged(point)[1]
+            return point, verdict_on(point)[1]
         within = fitted(point, reference, limit, error)
-        share, nearer = judged(within)
+        share, verdict = verdict_on(within)
         if within is not point or share == 1:
-            return nearer
-        farther = judged(stretched(point, reference, config.budget, limit, error))[1]
-        return farther if farther.score > nearer.score else nearer
+            return within, verdict
+        farther = stretched(point, reference, config.budget, limit, error)
+        _, beyond = verdict_on(farther)
+        return (farther, beyond) if beyond.score > verdict.score else (within, verdict)
 
     return judge

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import pytest
 import torch
@@ -14,23 +14,28 @@ from attacks.limits import NormName
 from attacks.optimisers import momentum
 from attacks.pgd import (
     START,
-    Ball,
     Evaluation,
     Hooks,
-    Judgement,
     OptimiserState,
+    Outcome,
     Parameters,
     SearchState,
     Step,
+    Verdict,
     rank,
 )
 from attacks.pgd import pgd as search
 from mi_splat.errors import InvalidValueError
 
-pgd = functools.partial(search, optimiser=momentum(decay=0.0, schedule="constant", steps=1))
 Oracle = Callable[[Parameters], Evaluation]
 REFERENCE = {"sh": torch.zeros(4, 3)}
 GOAL = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
+
+
+def pgd(evaluate: Oracle, reference: Parameters, ball: Budget, *, step: Mapping[str, float], **more: Any) -> Outcome:
+    """Plain steps of a fixed length."""
+    plain = momentum(ball, step, decay=0.0, schedule="constant", steps=1)
+    return search(evaluate, reference, ball, optimiser=plain, **more)
 
 
 def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -> Oracle:
@@ -42,7 +47,7 @@ def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -
         (gradient,) = torch.autograd.grad(loss, [leaf])
         value = float(loss.detach())
         mark = 1 / (1 + value) if score is None else score(leaf.detach())
-        return Evaluation(loss=value, gradients={"sh": gradient}, success=value <= aim, score=mark, unambiguous=True)
+        return Evaluation(loss=value, gradients={"sh": gradient}, verdict=Verdict(value <= aim, mark, True))
 
     return evaluate
 
@@ -103,13 +108,8 @@ def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
 
     def scripted(point: Parameters) -> Evaluation:
         loss, success, score = next(calls)
-        return Evaluation(
-            loss=loss,
-            gradients={"sh": torch.ones_like(point["sh"])},
-            success=success,
-            score=score,
-            unambiguous=success and score > 0.75,
-        )
+        verdict = Verdict(success, score, unambiguous=success and score > 0.75)
+        return Evaluation(loss=loss, gradients={"sh": torch.ones_like(point["sh"])}, verdict=verdict)
 
     budget = Budget(radius={"sh": 10.0})
     found = pgd(scripted, REFERENCE, budget, step={"sh": 1.0}, steps=4, early_stop=False)
@@ -118,19 +118,8 @@ def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
 
 
 def test_early_stop_waits_for_a_unambiguous_success() -> None:
-    calls = iter([(False, False), (True, False), (True, False), (True, True), (True, True)])
-
-    def scripted(point: Parameters) -> Evaluation:
-        success, unambiguous = next(calls)
-        return Evaluation(
-            loss=1.0,
-            gradients={"sh": torch.ones_like(point["sh"])},
-            success=success,
-            score=0.8,
-            unambiguous=unambiguous,
-        )
-
-    found = pgd(scripted, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
+    oracle = scripted((False, False), (True, False), (True, False), (True, True), (True, True))
+    found = pgd(oracle, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
     assert len(found.trace) == 4
     assert found.best.index == 3
 
@@ -166,7 +155,7 @@ def test_what_is_not_finite_is_an_error(bad: float) -> None:
         def evaluate(point: Parameters) -> Evaluation:
             gradient = torch.full_like(point["sh"], bad if where == "gradient" else 1.0)
             loss = bad if where == "loss" else 1.0
-            return Evaluation(loss=loss, gradients={"sh": gradient}, success=False, score=0.0, unambiguous=False)
+            return Evaluation(loss=loss, gradients={"sh": gradient})
 
         return evaluate
 
@@ -189,7 +178,7 @@ def scripted(*points: tuple[bool, bool]) -> Oracle:
     def evaluate(point: Parameters) -> Evaluation:
         success, unambiguous = next(calls)
         gradients = {"sh": torch.ones_like(point["sh"])}
-        return Evaluation(loss=1.0, gradients=gradients, success=success, score=0.8, unambiguous=unambiguous)
+        return Evaluation(loss=1.0, gradients=gradients, verdict=Verdict(success, 0.8, unambiguous))
 
     return evaluate
 
@@ -233,28 +222,21 @@ def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are
 
 def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
     """Momentum as in Dong et al. 2018: the sum of the gradients so far, each over its l1 norm."""
-    made: list[float] = []
-
-    class Momentum:
-        def __init__(self, ball: Ball, step: Mapping[str, float], state: OptimiserState) -> None:
-            made.append(step["sh"])
-            self.state, self._total, self._ball, self._step = state, torch.zeros(4, 3), ball, step["sh"]
-
-        def __call__(self, gradients: Parameters) -> Parameters:
-            self._total = self._total + gradients["sh"] / gradients["sh"].abs().sum()
-            return {"sh": -self._step * self._ball.steepest({"sh": self._total})["sh"]}
-
     points: list[Tensor] = []
-    plain = bowl()
+    plain, budget = bowl(), Budget(radius={"sh": 9.0}, norm="linf")
+
+    def summed(gradients: Parameters, memory: OptimiserState) -> tuple[Parameters, OptimiserState]:
+        total = memory.velocity.get("sh", 0.0) + gradients["sh"] / gradients["sh"].abs().sum()
+        change = {"sh": -0.25 * budget.steepest({"sh": total})["sh"]}
+        return change, OptimiserState(index=memory.index + 1, velocity={"sh": total})
 
     def watched(point: Parameters) -> Evaluation:
         points.append(point["sh"])
         return plain(point)
 
-    budget = Budget(radius={"sh": 9.0}, norm="linf")
     start = {"sh": torch.full((4, 3), 0.1)}
-    pgd(watched, REFERENCE, budget, step={"sh": 0.25}, steps=3, starts=[start, start], optimiser=Momentum)
-    assert made == [0.25, 0.25]
+    search(watched, REFERENCE, budget, steps=3, starts=[start, start], optimiser=summed)
+    assert len(points) == 8
     for first, second in zip(points[:4], points[4:], strict=True):
         assert torch.equal(first, second)
     # The third element is 0.1 from its goal: the plain sign step would turn around at once, momentum carries on.
@@ -298,10 +280,9 @@ def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> Non
     """Every second step and the last; the best is what the judge gave back, not the search's own point."""
     seen: list[float] = []
 
-    def judge(point: Parameters) -> Judgement:
+    def judge(point: Parameters) -> tuple[Parameters, Verdict]:
         seen.append(float(point["sh"].sum()))
-        half = {"sh": point["sh"] / 2}
-        return Judgement(point=half, success=False, score=len(seen) / 10, unambiguous=False)
+        return {"sh": point["sh"] / 2}, Verdict(success=False, score=len(seen) / 10, unambiguous=False)
 
     hooks = Hooks(judge=judge, every=2)
     found = pgd(bowl(), REFERENCE, Budget(radius={"sh": 9.0}), step={"sh": 0.5}, steps=5, hooks=hooks)
@@ -312,14 +293,12 @@ def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> Non
 
 def test_a_search_goes_on_from_its_state_to_the_same_bits() -> None:
     states: list[SearchState] = []
-    falling = momentum(decay=0.8, schedule="linear", steps=6)
     budget = Budget(radius={"sh": 2.0})
-    whole = search(
-        bowl(), REFERENCE, budget, step={"sh": 0.5}, steps=6, optimiser=falling, hooks=Hooks(on_state=states.append)
-    )
+    falling = momentum(budget, {"sh": 0.5}, decay=0.8, schedule="linear", steps=6)
+    whole = search(bowl(), REFERENCE, budget, steps=6, optimiser=falling, hooks=Hooks(on_state=states.append))
     assert [state.optimiser.index for state in states] == [1, 2, 3, 4, 5, 6]
     assert START.velocity == {}
-    rest = search(bowl(), REFERENCE, budget, step={"sh": 0.5}, steps=6, optimiser=falling, begun=states[2])
+    rest = search(bowl(), REFERENCE, budget, steps=6, optimiser=falling, starts=states[2])
     assert rest.trace == whole.trace
     assert rest.best == whole.best
     assert torch.equal(rest.parameters["sh"], whole.parameters["sh"])

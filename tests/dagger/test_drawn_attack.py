@@ -13,11 +13,11 @@ from attacks.budgets import Budget
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import EotConfig
 from attacks.limits import NORM_NAMES, NormName
-from attacks.objectives import Verdict, hide, relabel, untargeted
+from attacks.objectives import hide, relabel, untargeted
 from attacks.observe.measures import AIMS, joint_views
 from attacks.observe.rates import banded, count
 from attacks.observe.views import as_saved
-from attacks.pgd import Parameters
+from attacks.pgd import Parameters, Verdict
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError

@@ -63,9 +63,8 @@ def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
         lambda parameters: problem.evaluate(parameters, views, config),
         reference,
         config.budget,
-        step=config.step,
         steps=config.steps,
-        optimiser=momentum(decay=0.0, schedule="constant", steps=1),
+        optimiser=momentum(config.budget, config.step, decay=0.0, schedule="constant", steps=1),
         early_stop=False,
     )
     for detectors in (FINE, [FINE]):

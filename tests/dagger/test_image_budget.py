@@ -10,7 +10,6 @@ import torch
 from attacks.budgets import Budget
 from attacks.dagger.config import EotConfig
 from attacks.dagger.image_budget import ImagePrice, fitted, stretched
-from attacks.dagger.result import find_warnings
 from mi_splat.errors import InvalidValueError
 from tests.dagger.toy import quick
 
@@ -87,7 +86,7 @@ def test_a_result_that_is_below_its_budget_warns() -> None:
     assert not any("dB of the validation views" in warning for warning in found.warnings)
     assert isinstance(found.config, EotConfig)
     asked_for_more = dataclasses.replace(found, config=dataclasses.replace(found.config, image_psnr=45.0))
-    assert any("less than the 45 dB of the validation views" in one for one in find_warnings(asked_for_more))
+    assert any("less than the 45 dB of the validation views" in one for one in asked_for_more.warnings)
 
 
 def test_an_impossible_limit_is_refused() -> None:

@@ -12,7 +12,8 @@ from attacks.dagger.problem import Problem, bounded
 from attacks.dagger.views import View
 from attacks.detectors.base import Detections, Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Objective, Verdict, hide, joint_verdict, reached_by, relabel
+from attacks.objectives import Objective, hide, joint_verdict, reached_by, relabel
+from attacks.pgd import Verdict
 from mi_splat.cameras import Camera
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene

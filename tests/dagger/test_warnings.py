@@ -13,7 +13,7 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.figures import counted
 from attacks.dagger.judging import JudgedView
-from attacks.dagger.result import Result, find_warnings
+from attacks.dagger.result import Result
 from attacks.detectors.base import Detections
 from attacks.objectives import hide, relabel
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -89,7 +89,7 @@ def with_figures(result: Result, **figures: Any) -> Result:
 
 def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
     ambiguous = with_figures(sound, success=True, score=0.8, unambiguous=False)
-    assert find_warnings(ambiguous) == ("another class is still detected on the object with more confidence",)
+    assert ambiguous.warnings == ("another class is still detected on the object with more confidence",)
 
 
 @pytest.mark.parametrize(("left", "strict"), [(0.49, True), (0.5, False), (0.91, False)])
@@ -104,9 +104,9 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Resul
     # What a view shows in which nothing was reported before is not the object's own class.
     unknown = dataclasses.replace(view, target=dataclasses.replace(view.target, original=None))
     two = of_views(result, seen, unknown)
-    assert strict or f"the object's own class is still reported on it, at up to {left:.0%}" in find_warnings(two)
+    assert strict or f"the object's own class is still reported on it, at up to {left:.0%}" in two.warnings
     expected = () if strict else (f"the object's own class is still reported on it, at up to {left:.0%}",)
-    assert find_warnings(result) == expected
+    assert result.warnings == expected
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_noise_that_does_as_well_is_warned_of(
 ) -> None:
     best = dataclasses.replace(sound.best, success=success)
     figures = {"success": success, "score": score, "unambiguous": success, "noise": {**noise, "draws": 2}}
-    found = find_warnings(dataclasses.replace(with_figures(sound, **figures), best=best))
+    found = dataclasses.replace(with_figures(sound, **figures), best=best).warnings
     assert ("random noise of the same size does as well" in found) is warned
 
 
@@ -136,13 +136,13 @@ def test_limits_of_the_warnings(sound: Result, field: str, limit: float) -> None
         first = dataclasses.replace(sound.trace[0], zero_gradient_fraction=value)
         return dataclasses.replace(sound, trace=(first, *sound.trace[1:]))
 
-    assert find_warnings(with_value(limit)) == ()
-    assert len(find_warnings(with_value(limit + 0.01))) == 1
+    assert with_value(limit).warnings == ()
+    assert len(with_value(limit + 0.01).warnings) == 1
 
 
 def test_a_failure_is_not_called_ambiguous(sound: Result) -> None:
     failed = with_figures(sound, success=False, score=0.4, unambiguous=False)
-    assert find_warnings(failed) == ("success in the search did not survive the saved file and 8-bit pictures",)
+    assert failed.warnings == ("success in the search did not survive the saved file and 8-bit pictures",)
 
 
 @pytest.mark.parametrize(("score", "warned"), [(0.49, True), (0.5, False)])
@@ -151,4 +151,4 @@ def test_an_object_that_is_hardly_seen_before_is_warned_of(sound: Result, score:
     seen = Detections(view.target.box[None], torch.tensor([score]), ("car",))
     faint = dataclasses.replace(view, clean=dataclasses.replace(view.clean, detections=seen))
     message = "the clean picture of view 0 has no detection of 0.5 or more on the object"
-    assert (message in find_warnings(of_views(sound, faint))) is warned
+    assert (message in of_views(sound, faint).warnings) is warned

@@ -18,9 +18,9 @@ from attacks.dagger.result import Result
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import Relabel, Verdict
+from attacks.objectives import Relabel
 from attacks.observe.views import as_saved
-from attacks.pgd import Parameters, Step
+from attacks.pgd import Parameters, Step, Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 
@@ -134,9 +134,9 @@ class Runs:
         near = Budget(radius=config.step, norm=config.norm)
 
         def line(point: Parameters, index: int) -> Step:
-            found = problem.evaluate(point, [view], config)
-            values = {name: getattr(found, name) for name in ("loss", "score", "success", "unambiguous")}
-            return Step(index=index, zero_gradient_fraction=0.0, **values)
+            here = problem.evaluate(point, [view], config)
+            assert here.verdict is not None
+            return Step(index=index, loss=here.loss, zero_gradient_fraction=0.0, **dataclasses.asdict(here.verdict))
 
         kept, best = reference, line(reference, 0)
         for index in range(1, config.steps + 1):
