@@ -54,7 +54,7 @@ def fill(store: Store, name: str, jobs: dict[str, Job]) -> None:
     for label, job in jobs.items():
         task = task_for(job, store, {})
         index.add(job, label)
-        index.set_key(job, task.code, task.key)
+        index.set_key(job, task)
         folder = store.folder_of(task.key)
         folder.mkdir(parents=True)
         rows = [{"sum": sum(job.config.values), "first": job.config.values[0], "name": label}]

@@ -180,8 +180,8 @@ def _tell(failed: Mapping[str, str], paths: list[Path], study: Path) -> None:
 
 
 def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
+    from mi_splat.ledger.child import Limits
     from mi_splat.ledger.engines import InProcess, Processes
-    from mi_splat.ledger.watching import Limits
 
     limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     if options.scheduler is not None:

@@ -29,7 +29,7 @@ from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Event, Job, Ledger, Part
-from mi_splat.ledger.running import task_for
+from mi_splat.ledger.running import looked_up
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.resume import SPLAT
@@ -214,17 +214,8 @@ class StudySteps:
 
     def finished(self, job: Job) -> Done | None:
         """The result of a job, if it and all before it are there."""
-        store, done = self._ledger.store, dict[str, Done]()
-
-        def find(needed_job: Job) -> Done | None:
-            if any(find(needed) is None for needed in needed_job.before):
-                return None
-            result = store.done(task_for(needed_job, store, done).key)
-            if result is not None:
-                done[needed_job.identity] = result
-            return result
-
-        return find(job)
+        *_, (_, _, done) = looked_up([job], self._ledger.store)
+        return done
 
     def made(self) -> Iterator[tuple[str, Job]]:
         """Every job up to the splats, in the order of the study, and what is told of it while it runs."""

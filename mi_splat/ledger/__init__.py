@@ -33,7 +33,7 @@ Results are looked at when they are used: a file that was changed since is an er
 from __future__ import annotations
 
 from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, Out, Part
-from mi_splat.ledger.ledger import Ledger
+from mi_splat.ledger.running import Ledger
 from mi_splat.ledger.store import Store
 
 __all__ = ["Done", "Event", "HeldError", "Job", "Ledger", "OnEvent", "Out", "Part", "Store"]

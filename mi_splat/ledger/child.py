@@ -1,65 +1,221 @@
-"""A process that runs one task after the other, for the one that watches it: `python -m mi_splat.ledger.child STORE`.
+"""A child process that runs one task after the other, and what watches it: limits, and what to say of one that ended.
 
-Tasks come as lines of JSON; what happens goes back in the same form. The process ends with the first job that raises,
-so that the next one has a new process, and at once when who watches it ends.
+`python -m mi_splat.ledger.child STORE DESCRIPTOR` runs the tasks that come through a socket. It ends with the first job
+that raises, so that the next one has a new process, and at once when who watches it ends.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import os
 import queue
+import signal
+import subprocess
 import sys
+import tempfile
 import threading
 import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from mi_splat.ledger.job import DiskFullError, Event, HeldError, Task
+from mi_splat.errors import message
+from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
 
+_LOOK = 0.25
+"""Seconds between two looks at the time and the memory."""
+_SHOWN = 2000
+"""Characters of what a process said last."""
 _BETWEEN = 0.1
 """Least seconds between two reports of progress."""
 
 
-def main(store: Store) -> None:
-    """Run the tasks that come."""
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what a job prints is no answer
-    tasks: queue.SimpleQueue[str] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(tasks,), daemon=True).start()
-    last = 0.0
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a job may use; None is as much as it likes.
 
-    def say(**values: Any) -> None:
-        answers.write(json.dumps(values) + "\n")
+    Attributes:
+        seconds: Time.
+        megabytes: Resident memory.
+    """
+
+    seconds: float | None = None
+    megabytes: float | None = None
+
+    def broken(self, process: int, seconds: float) -> str:
+        """Which limit a process has broken after some seconds, in words; empty for none."""
+        if self.seconds is not None and seconds > self.seconds:
+            return f"ran longer than {self.seconds:g} s"
+        if self.megabytes is not None and (used := memory_of(process)) > self.megabytes:
+            return f"used {used:,.0f} MB of memory, more than {self.megabytes:,.0f}"
+        return ""
+
+
+class Child:
+    """A process that runs tasks one after the other, and a new one when that has ended.
+
+    Args:
+        folder: The store.
+        limits: Of each task.
+        environment: Variables that differ from those of this process.
+        cores: Numbers of the processor's cores that it may use; empty for all.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        limits: Limits | None = None,
+        environment: Mapping[str, str] | None = None,
+        cores: Sequence[int] = (),
+    ) -> None:
+        self._store, self._limits = Store(folder), limits or Limits()
+        self._environment, self._cores = dict(environment or {}), tuple(cores)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._pipe: Any = None
+        self._said: Any = None
+        self._stopped = False
+
+    def run(self, task: Task, on_event: OnEvent = nobody) -> Outcome:
+        """Run a task, and write down what it could not write down itself: by what signal or limit it was ended.
+
+        Raises:
+            EngineError: No child process can be started.
+        """
+        process, failures = self._started(), list[str]()
+        if self._stopped:
+            return Outcome(state="stopped", text="the engine was closed")
+
+        def tell(event: Event) -> None:
+            if event.state == "failed":
+                failures.append(event.text)
+            on_event(event)
+
+        begun = time.monotonic()
+        try:
+            self._pipe.send(task)
+        except OSError:  # it was killed while it had nothing to do
+            self.close()
+            return self.run(task, on_event)
+        answer = self._answer(process, self._limits, tell)
+        if isinstance(answer, Outcome):
+            return answer
+        self.close()
+        if self._stopped:
+            return Outcome(state="stopped", text="the engine was closed")
+        if not failures:
+            seconds = round(time.monotonic() - begun, 3)
+            tries = self._store.note_failure(task, answer, seconds)
+            text = f"try {tries}: {answer}"
+            tell(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
+        return Outcome(state="failed", text=failures[0])
+
+    def stop(self) -> None:
+        """Have another thread's `run` come to its end now; what it did counts as no try."""
+        self._stopped = True
+        if (process := self._process) is not None:
+            process.kill()
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._pipe.close()
+            self._said.close()
+            self._process = None
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        if self._process is not None and self._process.poll() is None:
+            return self._process
+        self.close()
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
+        self._pipe, end = Pipe()
+        environment = {**os.environ, **self._environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        command = [sys.executable, "-m", __name__, str(self._store.folder.absolute()), str(end.fileno())]
+        files: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._said, "stderr": self._said}
+        with end:
+            process = subprocess.Popen(
+                command, env=environment, start_new_session=True, pass_fds=[end.fileno()], **files
+            )
+        if self._cores and hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(process.pid, self._cores)
+        self._process = process
+        if isinstance(answer := self._answer(process, Limits(), nobody), str):
+            self.close()
+            raise EngineError(message("child process", "one that starts", answer, "see what it says"))
+        return process
+
+    def _answer(self, process: subprocess.Popen[bytes], limits: Limits, tell: OnEvent) -> Outcome | str:
+        """What the process says at the end of a task; or how it ended, or which limit it broke."""
+        begun = looked = time.monotonic()
+        while True:
+            try:
+                if self._pipe.poll(_LOOK):
+                    answer: Event | Outcome = self._pipe.recv()
+                    if isinstance(answer, Outcome):
+                        return answer
+                    tell(answer)
+            except (EOFError, OSError):
+                return self._end(process)
+            if time.monotonic() - looked > _LOOK:
+                looked = time.monotonic()
+                if broken := limits.broken(process.pid, looked - begun):
+                    return broken
+
+    def _end(self, process: subprocess.Popen[bytes]) -> str:
+        """How a process ended, in words, and what it said last."""
+        status = process.wait()
+        how = f"ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
+        self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - _SHOWN))
+        said = self._said.read().decode("utf-8", "replace").strip()
+        return f"{how}: {said}" if said else how
+
+
+def memory_of(process: int) -> float:
+    """Resident memory of a process in MB (1e6 bytes); 0 where it cannot be told."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except OSError:
+        shown = subprocess.run(["ps", "-o", "rss=", "-p", str(process)], capture_output=True, text=True, check=False)
+        return float(shown.stdout.strip() or 0) * 1024 / 1e6
+
+
+def serve(store: Store, pipe: Connection) -> None:
+    """Run the tasks that come through a pipe, and say what happens."""
+    tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(pipe, tasks), daemon=True).start()
+    last = 0.0
 
     def tell(event: Event) -> None:
         nonlocal last
         if event.state != "progress" or time.monotonic() - last > _BETWEEN:
             last = time.monotonic()
-            say(event=dataclasses.asdict(event))
+            pipe.send(event)
 
-    say(ready=True)
+    pipe.send(Outcome(state="ready"))
     while True:
-        values = json.loads(tasks.get())
-        values.pop("key")
         try:
-            run_job(store, Task(**values), tell)
+            run_job(store, tasks.get(), tell)
+            pipe.send(Outcome(state="done"))
         except HeldError as error:
-            say(ended="held", text=str(error))
+            pipe.send(Outcome(state="held", text=str(error)))
         except DiskFullError as error:
-            say(ended="stopped", text=str(error))
-        else:
-            say(ended="done", text="")
+            pipe.send(Outcome(state="stopped", text=str(error)))
 
 
-def _listen(tasks: queue.SimpleQueue[str]) -> None:
-    for line in sys.stdin:
-        tasks.put(line)
-    os._exit(1)  # nobody watches any more
+def _listen(pipe: Connection, tasks: queue.SimpleQueue[Task]) -> None:
+    while True:
+        try:
+            tasks.put(pipe.recv())
+        except (EOFError, OSError):
+            os._exit(1)  # nobody watches any more
 
 
 if __name__ == "__main__":
-    main(Store(Path(sys.argv[1])))
+    serve(Store(Path(sys.argv[1])), Connection(int(sys.argv[2])))

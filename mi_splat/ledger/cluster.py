@@ -10,14 +10,15 @@ import contextlib
 import importlib
 import itertools
 import threading
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import install, message
+from mi_splat.ledger.child import Child, Limits
 from mi_splat.ledger.engines import environment, free_cache
-from mi_splat.ledger.job import Event, OnEvent, Task, nobody
+from mi_splat.ledger.job import EngineError, Event, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.store import Store
-from mi_splat.ledger.watching import Child, EngineError, Limits, Outcome, Report
 
 _WINDOW = 64
 """Most tasks that the scheduler knows at a time."""
@@ -65,28 +66,31 @@ class Cluster:
         self._futures: dict[str, Any] = {}
         self._on_event = on_event
 
-    def submit(self, task: Task, report: Report) -> None:
-        """Run a task on some worker."""
+    def submit(self, task: Task) -> Future[Outcome]:
+        """Run a task on a worker of Dask's choice."""
         name = f"{task.key}-{next(self._numbers)}"  # a task that is tried again is another one to Dask
         options: dict[str, Any] = {"key": name, "pure": False}
-        future = self._client.submit(run_in_child, self._folder, task, self._limits, **options)
-        self._futures[name] = future  # Dask forgets a task whose future nobody has
-        future.add_done_callback(lambda ended: report(self._outcome(name, task, ended)))
+        outcome: Future[Outcome] = Future()
+        # Dask forgets a task whose future nobody has
+        self._futures[name] = self._client.submit(run_in_child, self._folder, task, self._limits, **options)
+        self._futures[name].add_done_callback(lambda ended: self._end(name, task, ended, outcome))
+        return outcome
 
-    def _outcome(self, name: str, task: Task, ended: Any) -> Outcome:
-        """How a task ended; the scheduler forgets it."""
+    def _end(self, name: str, task: Task, ended: Any, outcome: Future[Outcome]) -> None:
+        """Say how a task ended; the scheduler forgets it."""
         self._futures.pop(name, None)
-        if ended.status == "finished":
-            outcome: Outcome = ended.result()
-            ended.release()
-            self._on_event(Event(state=outcome.state, key=task.key, kind=task.kind, text=outcome.text))
-            return outcome
         error = ended.exception() if ended.status == "error" else None
-        text = f"{ended.status} at Dask" if error is None else f"{type(error).__name__}: {error}"
-        if type(error).__name__ == "KilledWorker":
+        if ended.status == "finished":
+            result: Outcome = ended.result()
+            ended.release()
+            self._on_event(Event(state=result.state, key=task.key, kind=task.kind, text=result.text))
+            outcome.set_result(result)
+        elif type(error).__name__ == "KilledWorker":
+            text = f"KilledWorker: {error}"
             Store(Path(self._folder)).note_failure(task, text, 0.0)
-            return Outcome(key=task.key, state="failed", text=text)
-        return Outcome(key=task.key, state="stopped", text=text, error=error)
+            outcome.set_result(Outcome(state="failed", text=text))
+        else:
+            outcome.set_exception(error or EngineError(f"{ended.status} at Dask"))
 
     def close(self) -> None:
         """Have the scheduler forget what no worker has begun; the cluster stays."""

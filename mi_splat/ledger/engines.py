@@ -15,10 +15,10 @@ from typing import Protocol
 from mi_splat.io.atomic import HOST
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.locks import locked_folder
-from mi_splat.ledger.job import Event, HeldError, OnEvent, Task, nobody
+from mi_splat.ledger.child import Child, Limits
+from mi_splat.ledger.job import Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
-from mi_splat.ledger.watching import Child, Limits, Outcome, Report
 
 
 class Engine(Protocol):
@@ -30,8 +30,8 @@ class Engine(Protocol):
 
     window: int
 
-    def submit(self, task: Task, report: Report) -> None:
-        """Run a task some time, and call `report` with the outcome, or with the error that the engine has itself."""
+    def submit(self, task: Task) -> Future[Outcome]:
+        """Run a task some time; the future raises what is the engine's own error, and none of a job's."""
         ...
 
     def close(self) -> None:
@@ -47,14 +47,15 @@ class InProcess:
     def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
         self._store, self._on_event = Store(folder), on_event
 
-    def submit(self, task: Task, report: Report) -> None:
+    def submit(self, task: Task) -> Future[Outcome]:
         """Run a task now."""
+        outcome: Future[Outcome] = Future()
         try:
             run_job(self._store, task, self._on_event)
+            outcome.set_result(Outcome(state="done"))
         except HeldError as error:
-            report(Outcome(key=task.key, state="held", text=str(error)))
-        else:
-            report(Outcome(key=task.key, state="done"))
+            outcome.set_result(Outcome(state="held", text=str(error)))
+        return outcome
 
     def close(self) -> None:
         """Nothing is left."""
@@ -87,9 +88,9 @@ class Processes:
             self._idle.put(child)
         self._threads = ThreadPoolExecutor(workers)
 
-    def submit(self, task: Task, report: Report) -> None:
+    def submit(self, task: Task) -> Future[Outcome]:
         """Run a task as soon as a child process is free."""
-        self._threads.submit(self._run, task).add_done_callback(lambda future: report(outcome_of(future, task)))
+        return self._threads.submit(self._run, task)
 
     def _run(self, task: Task) -> Outcome:
         child = self._idle.get()
@@ -111,14 +112,6 @@ class Processes:
         for child in self._children:
             child.close()
         self._caches.close()
-
-
-def outcome_of(future: Future[Outcome], task: Task) -> Outcome:
-    """The outcome that a future holds, of its error, too."""
-    if future.cancelled():
-        return Outcome(key=task.key, state="stopped", text="the engine was closed")
-    error = future.exception()
-    return future.result() if error is None else Outcome(key=task.key, state="stopped", text=str(error), error=error)
 
 
 def environment(kernels: Path) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import statistics
 import time
@@ -9,13 +10,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.import_closure import code_digest
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Done, Job
-from mi_splat.ledger.running import task_for
+from mi_splat.ledger.job import Job, Task
+from mi_splat.ledger.running import looked_up
 from mi_splat.ledger.store import Store
 
 STATES = ("waiting", "ready", "running", "done", "failed")
@@ -45,7 +47,7 @@ class Entry:
 
 
 class Index:
-    """The jobs of a plan by name, and the keys of all jobs of a store.
+    """The jobs of a plan by name: labels, and the keys as a driver has last known them.
 
     Args:
         folder: The store.
@@ -53,37 +55,38 @@ class Index:
     """
 
     def __init__(self, folder: Path, name: str) -> None:
-        self._path, self._keys_path = folder / "plans" / f"{name}.json", folder / "plans" / "keys"
+        self._path = folder / "plans" / f"{name}.json"
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._jobs: dict[str, tuple[str, list[str], list[str]]] = {}
-        self._keys = read_keys(folder)
+        self._known = {line[0]: line[4:] for line in _read(self._path)} if self._path.is_file() else {}
+        self._lines: dict[str, list[Any]] = {}
         self._written = time.monotonic()
-        self._changed = False
 
     def add(self, job: Job, label: str = "") -> None:
         """A job of the plan, under one more label."""
-        if job.identity not in self._jobs:
-            self._jobs[job.identity] = (job.kind, [other.identity for other in job.before], [])
-            self._changed = True
-        labels = self._jobs[job.identity][2]
-        if label and label not in labels:
-            labels.append(label)
-            self._changed = True
+        if (line := self._lines.get(job.identity)) is None:
+            before = [needed.identity for needed in job.before]
+            line = [job.identity, job.kind, before, [], *self._known.get(job.identity, ("", ""))]
+            self._lines[job.identity] = line
+        if label and label not in line[3]:
+            line[3].append(label)
         if time.monotonic() - self._written > _OFTEN:
             self.write()
 
-    def set_key(self, job: Job, code: str, key: str) -> None:
+    def set_key(self, job: Job, task: Task) -> None:
         """The key of a job whose inputs are done."""
-        if self._keys.get(job.identity) != (code, key):
-            self._keys[job.identity] = (code, key)
-            with self._keys_path.open("a") as file:
-                file.write(f"{job.identity} {code} {key}\n")
+        self._lines[job.identity][4:] = task.code, task.key
+        self.add(job)
 
     def write(self) -> None:
-        """Write the list of jobs, if it has grown."""
-        if self._changed:
-            save_text(json.dumps([[name, *rest] for name, rest in self._jobs.items()]), self._path)
-            self._written, self._changed = time.monotonic(), False
+        """Write the list of jobs."""
+        save_text(json.dumps(list(self._lines.values())), self._path)
+        self._written = time.monotonic()
+
+
+def _read(path: Path) -> list[list[Any]]:
+    """Identity, kind, identities of those before, labels, code and key of every job of a plan."""
+    lines: list[list[Any]] = _READER.read_json_value(path)
+    return lines
 
 
 def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
@@ -92,27 +95,15 @@ def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
     Raises:
         InvalidValueError: An input is not there, or a finished job was changed.
     """
-    index, results = Index(store.folder, name), dict[str, Done | None]()
+    index = Index(store.folder, name)
+    for job, task, _ in looked_up(jobs.values(), store):
+        index.add(job)
+        if task is not None:
+            index.set_key(job, task)
     for label, job in jobs.items():
-        _resolve(job, store, index, results)
         index.add(job, label)
     index.write()
     return status(store, name)
-
-
-def _resolve(job: Job, store: Store, index: Index, results: dict[str, Done | None]) -> None:
-    """Look up a job, those before it first; what reads one that is not done has no key yet."""
-    if job.identity in results:
-        return
-    for needed in job.before:
-        _resolve(needed, store, index, results)
-    index.add(job)
-    finished = {needed.identity: done for needed in job.before if (done := results[needed.identity]) is not None}
-    results[job.identity] = None
-    if all(needed.identity in finished for needed in job.before):
-        task = task_for(job, store, finished)
-        index.set_key(job, task.code, task.key)
-        results[job.identity] = store.done(task.key)
 
 
 def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
@@ -137,13 +128,6 @@ def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
     return seconds, unknown
 
 
-def read_keys(folder: Path) -> dict[str, tuple[str, str]]:
-    """Code and key of every job, by its identity, as the drivers have last known them."""
-    path = folder / "plans" / "keys"
-    lines = path.read_text().splitlines() if path.is_file() else []
-    return {parts[0]: (parts[1], parts[2]) for parts in map(str.split, lines) if len(parts) == 3}
-
-
 def status(store: Store, name: str) -> list[Entry]:
     """The jobs of a plan and their states, as of its last planning.
 
@@ -153,29 +137,24 @@ def status(store: Store, name: str) -> list[Entry]:
     path = store.folder / "plans" / f"{name}.json"
     if not path.is_file():
         raise InvalidValueError(message(str(path), "a plan", "none", "plan or run the study first"))
-    jobs, keys = _READER.read_json_value(path), read_keys(store.folder)
-    digests = {kind: code_digest(kind) for kind in {kind for _, kind, _, _ in jobs}}
+    lines = _read(path)
     finished, live, failed = store.keys(), store.leases.live(), store.failed()
-    known = {name: keys[name][1] for name, kind, _, _ in jobs if name in keys and keys[name][0] == digests[kind]}
-    earlier = {name: before for name, _, before, _ in jobs}
-    done: dict[str, bool] = {}
+    keys = {identity: key if code_digest(kind) == code else "" for identity, kind, _, _, code, key in lines}
+    earlier = {identity: before for identity, _, before, *_ in lines}
 
-    def is_done(name: str) -> bool:
+    @functools.cache
+    def is_done(identity: str) -> bool:
         """Whether a job is done with all before it: where one of these has changed, the key is of what it was."""
-        if name not in done:
-            done[name] = known.get(name) in finished and all(is_done(other) for other in earlier[name])
-        return done[name]
+        return keys[identity] in finished and all(map(is_done, earlier[identity]))
 
-    entries = []
-    for name, kind, before, labels in jobs:
-        key = known.get(name, "")
-        if is_done(name):
-            state = "done"
-        elif key in live:
-            state = "running"
-        elif key in failed:
-            state = "failed"
-        else:
-            state = "ready" if all(map(is_done, before)) else "waiting"
-        entries.append(Entry(labels=tuple(labels), kind=kind, state=state, key=key))
-    return entries
+    def state(identity: str) -> str:
+        if is_done(identity):
+            return "done"
+        if keys[identity] in live or keys[identity] in failed:
+            return "running" if keys[identity] in live else "failed"
+        return "ready" if all(map(is_done, earlier[identity])) else "waiting"
+
+    return [
+        Entry(labels=tuple(labels), kind=kind, state=state(identity), key=keys[identity])
+        for identity, kind, _, labels, *_ in lines
+    ]

@@ -47,8 +47,16 @@ class Job:
     @cached_property
     def identity(self) -> str:
         """32 hex digits that stand for the job and all before it: known before anything is done, and never a key."""
-        inputs = {name: _identity(source) for name, source in self.inputs.items()}
+        inputs = {
+            name: f"{source.job.identity}/{source.pattern}" if isinstance(source, Part) else f"path {source.absolute()}"
+            for name, source in self.sources.items()
+        }
         return digest({"kind": self.kind, "config": self.config_json, "inputs": inputs})
+
+    @cached_property
+    def sources(self) -> Mapping[str, Part | Path]:
+        """The inputs, a job as the part `*` of itself."""
+        return {name: s.part(ALL) if isinstance(s, Job) else s for name, s in self.inputs.items()}
 
     def part(self, pattern: str) -> Part:
         """Some of the files that the job leaves, as an input: only their names and bytes count.
@@ -61,8 +69,7 @@ class Job:
     @property
     def before(self) -> tuple[Job, ...]:
         """The jobs that it reads."""
-        sources = [source.job if isinstance(source, Part) else source for source in self.inputs.values()]
-        return tuple(source for source in sources if isinstance(source, Job))
+        return tuple(source.job for source in self.sources.values() if isinstance(source, Part))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,12 +78,6 @@ class Part:
 
     job: Job
     pattern: str = ALL
-
-
-def _identity(source: Job | Part | Path) -> str:
-    if isinstance(source, Part):
-        return f"{source.job.identity}/{source.pattern}"
-    return source.identity if isinstance(source, Job) else f"path {source.absolute()}"
 
 
 def by_depth(jobs: Iterable[Job]) -> list[list[Job]]:
@@ -209,6 +210,23 @@ class Event:
 
 
 OnEvent = Callable[[Event], None]
+
+
+class EngineError(MiSplatError):
+    """What runs jobs does not work itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How an engine's try of a task ended.
+
+    Attributes:
+        state: "done", "held" (another process does it), "failed" (one try), or "stopped" (nothing can be done now).
+        text: Why.
+    """
+
+    state: str
+    text: str = ""
 
 
 def nobody(event: Event) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import queue
 import shutil
 from collections import Counter
 from dataclasses import dataclass
@@ -11,10 +10,9 @@ from dataclasses import dataclass
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.import_closure import closure, code_digest
 from mi_splat.ledger.engines import Engine
-from mi_splat.ledger.job import Task
+from mi_splat.ledger.job import Outcome, Task
 from mi_splat.ledger.store import FILES, Store, differences
 from mi_splat.ledger.values import decoded, encoded
-from mi_splat.ledger.watching import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,15 +51,12 @@ def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) 
     pairs = [(key, task) for key, task, record_code in older if record_code == code]
     chosen = {number * len(pairs) // max(1, verify) for number in range(verify)} if verify < len(pairs) else None
     again = [pair for number, pair in enumerate(pairs) if chosen is None or number in chosen]
-    outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
     try:
-        for _, task in again:
-            engine.submit(task, outcomes.put)
-        ended = {outcome.key: outcome for outcome in (outcomes.get() for _ in again)}
+        outcomes = [outcome.result() for outcome in [engine.submit(task) for _, task in again]]
     finally:
         engine.close()
-    for key, task in again:
-        _compare(store, key, ended[task.key])
+    for (key, task), outcome in zip(again, outcomes, strict=True):
+        _compare(store, key, task.key, outcome)
     verified = tuple(task.key for _, task in again)
     note = {"code": code, "verified": list(verified), "reason": reason}
     rest = [pair for pair in pairs if pair[1].key not in verified]
@@ -84,15 +79,15 @@ def _older(store: Store, kind: str) -> list[tuple[str, Task, str]]:
     return older
 
 
-def _compare(store: Store, key: str, outcome: Outcome) -> None:
+def _compare(store: Store, key: str, again: str, outcome: Outcome) -> None:
     """Raise unless a job that was made again is the older one."""
     do = "run the study: its results are other ones"
     if outcome.state != "done":
-        raise InvalidValueError(message(f"job {outcome.key}", "a result under today's code", outcome.text, do))
-    names = differences(store.existing(key).record, store.existing(outcome.key).record)
+        raise InvalidValueError(message(f"job {again}", "a result under today's code", outcome.text, do))
+    names = differences(store.existing(key).record, store.existing(again).record)
     if names:
         got = f"another {', '.join(names)}"
-        raise InvalidValueError(message(f"job {outcome.key}", f"the bytes of {key}", got, do))
+        raise InvalidValueError(message(f"job {again}", f"the bytes of {key}", got, do))
 
 
 def _take(store: Store, key: str, task: Task, note: dict[str, object]) -> None:

@@ -1,4 +1,4 @@
-"""The one function that runs a job; every engine calls it, in whatever process."""
+"""The one function that runs a job, which every engine calls in whatever process; and the ledger of this process."""
 
 from __future__ import annotations
 
@@ -7,17 +7,32 @@ import importlib
 import math
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.import_closure import closure, code_digest
-from mi_splat.ledger.job import DiskFullError, Done, Event, Job, OnEvent, Out, Part, Row, Task, nobody
+from mi_splat.ledger.job import (
+    DiskFullError,
+    Done,
+    Event,
+    HeldError,
+    Job,
+    OnEvent,
+    Out,
+    Part,
+    Row,
+    Task,
+    by_depth,
+    nobody,
+)
 from mi_splat.ledger.store import TRIES, Store, content_of_path, origin
 from mi_splat.ledger.values import decoded, encoded
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_POLL = 0.2
+"""Seconds between two looks at a job that another process does."""
 
 
 def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
@@ -44,6 +59,44 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
     return store.existing(task.key)
 
 
+class Ledger:
+    """A store of results and what does jobs in this process.
+
+    Attributes:
+        store: The folder of results.
+    """
+
+    def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
+        self.store, self._on_event = Store(folder), on_event
+        self._done: dict[str, Done] = {}
+
+    def do(self, job: Job) -> Done:
+        """The result of a job, and before it those of all that it reads; only what is not there is done.
+
+        What another process does now is waited for. Earlier failures do not count.
+
+        Raises:
+            InvalidValueError: A file of a job or an input was changed.
+            Exception: Whatever a kind raises.
+        """
+        for needed in (needed for level in by_depth([job]) for needed in level):
+            self._done[needed.identity] = self._do(task_for(needed, self.store, self._done))
+        return self._done[job.identity]
+
+    def _do(self, task: Task) -> Done:
+        if len(self.store.failures(task.key)) >= TRIES:
+            self.store.forgive(task.key)
+        told = False
+        while True:
+            try:
+                return run_job(self.store, task, self._on_event)
+            except HeldError as error:
+                if not told:
+                    self._on_event(Event(state="held", key=task.key, kind=task.kind, text=str(error)))
+                told = True
+                time.sleep(_POLL)
+
+
 def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
     """A job as a task.
 
@@ -53,14 +106,25 @@ def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
         finished: Those jobs, by their identity.
     """
     inputs: dict[str, dict[str, str]] = {}
-    for name, source in sorted(job.inputs.items()):
-        if isinstance(source, Path):
-            inputs[name] = {"content": content_of_path(source), "path": str(source.absolute())}
+    for name, source in job.sources.items():
+        if isinstance(source, Part):
+            done = finished[source.job.identity]
+            inputs[name] = {"content": done.content_of(source.pattern), "job": done.key, "part": source.pattern}
         else:
-            part = source if isinstance(source, Part) else source.part("*")
-            done = finished[part.job.identity]
-            inputs[name] = {"content": done.content_of(part.pattern), "job": done.key, "part": part.pattern}
+            inputs[name] = {"content": content_of_path(source), "path": str(source.absolute())}
     return Task(kind=job.kind, config=job.config_json, inputs=inputs, code=code_digest(job.kind))
+
+
+def looked_up(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | None, Done | None]]:
+    """Jobs, after all before them: each with its task if its inputs are done, and with its result if it is there."""
+    finished: dict[str, Done] = {}
+    for job in (job for level in by_depth(jobs) for job in level):
+        task = done = None
+        if all(needed.identity in finished for needed in job.before):
+            task = task_for(job, store, finished)
+            if (done := store.done(task.key)) is not None:
+                finished[job.identity] = done
+        yield job, task, done
 
 
 def input_paths(store: Store, task: Task) -> dict[str, Path]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,20 +43,25 @@ def export(jobs: Iterable[Job], folder: Path, store: Path, *, options: Sequence[
     ordered = [job for level in levels for job in level]
     numbers = {job.identity: number for number, job in enumerate(ordered)}
     folder.mkdir(parents=True, exist_ok=True)
-    save_text(json.dumps([_as_json(job, numbers) for job in ordered]), folder / JOBS)
+
+    def as_json(source: Part | Path) -> Any:
+        return [numbers[source.job.identity], source.pattern] if isinstance(source, Part) else str(source.absolute())
+
+    lines = [[job.kind, job.config_json, {n: as_json(s) for n, s in job.sources.items()}] for job in ordered]
+    save_text(json.dumps(lines), folder / JOBS)
     first, submit = 0, ["#!/bin/sh", "set -e", 'cd "$(dirname "$0")"', "after="]
     for number, level in enumerate(levels):
         each = -(-len(level) // MOST_ELEMENTS)
         elements = -(-len(level) // each)
         command = [sys.executable, "-m", "mi_splat.ledger.slurm", str(store.absolute()), str(folder.absolute() / JOBS)]
-        lines = [
+        script = [
             "#!/bin/sh",
             *(f"#SBATCH {option}" for option in (f"--array=0-{elements - 1}", *options)),
             f"first=$(({first} + SLURM_ARRAY_TASK_ID * {each}))",
             f"last=$((first + {each} < {first + len(level)} ? first + {each} : {first + len(level)}))",
             f'exec {shlex.join(command)} "$first" "$last"',
         ]
-        save_text("\n".join(lines) + "\n", folder / f"level-{number}.sbatch")
+        save_text("\n".join(script) + "\n", folder / f"level-{number}.sbatch")
         submit.append(f"after=$(sbatch --parsable ${{after:+--dependency=afterany:$after}} level-{number}.sbatch)")
         first += len(level)
     save_text("\n".join(submit) + "\n", folder / SUBMIT)
@@ -76,7 +81,7 @@ def read_jobs(path: Path) -> list[Job]:
             if isinstance(source, str):
                 sources[name] = Path(source)
             elif source[0] < len(jobs):
-                sources[name] = jobs[source[0]] if source[1] is None else jobs[source[0]].part(source[1])
+                sources[name] = jobs[source[0]].part(source[1])
             else:
                 raise InvalidValueError(message(str(path), "jobs in their order", source, "export the study again"))
         jobs.append(Job(kind=kind, config=decoded(config, closure(kind)), inputs=sources))
@@ -98,20 +103,6 @@ def run(store: Path, jobs: Path, first: int, last: int) -> int:
     for number, text in failed.items():
         sys.stderr.write(f"job {number}: {text}\n")
     return len(failed)
-
-
-def _as_json(job: Job, numbers: Mapping[str, int]) -> list[Any]:
-    inputs: dict[str, Any] = {}
-    for name, source in job.inputs.items():
-        if isinstance(source, Path):
-            inputs[name] = str(source.absolute())
-        else:
-            inputs[name] = (
-                [numbers[source.job.identity], source.pattern]
-                if isinstance(source, Part)
-                else [numbers[source.identity], None]
-            )
-    return [job.kind, job.config_json, inputs]
 
 
 if __name__ == "__main__":

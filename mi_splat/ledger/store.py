@@ -31,6 +31,7 @@ AGAIN = "delete its folder, so that it is made again"
 _RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
 _KEY_DIGITS = 32
 _SYNCED_AT_ONCE = 8
+_versions, _commit = functools.cache(provenance.versions), functools.cache(provenance.commit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +197,7 @@ class Store:
         """Write down that a job failed; returns how often it has."""
         path = self.folder / "failed" / f"{task.key}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        tries = [*self.failures(task.key), {"error": error, "seconds": seconds, "versions": versions()}]
+        tries = [*self.failures(task.key), {"error": error, "seconds": seconds, "versions": _versions()}]
         save_json({"kind": task.kind, "config": task.config, "tries": tries}, path)
         return len(tries)
 
@@ -249,18 +250,7 @@ def task_of(record: Mapping[str, Any]) -> Task:
 
 def origin() -> dict[str, Any]:
     """What every record says of what made it."""
-    return {"versions": versions(), "commit": _commit(), "torch": provenance.torch_arithmetic()}
-
-
-@functools.cache
-def versions() -> dict[str, str]:
-    """See `mi_splat.provenance.versions`; looked up once."""
-    return provenance.versions()
-
-
-@functools.cache
-def _commit() -> str | None:
-    return provenance.commit()
+    return {"versions": _versions(), "commit": _commit(), "torch": provenance.torch_arithmetic()}
 
 
 def content_of_path(path: Path) -> str:

@@ -15,12 +15,12 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Done, Event, Job, Ledger, Store
+from mi_splat.ledger.child import Limits
 from mi_splat.ledger.engines import InProcess, Processes, share_of_cores
 from mi_splat.ledger.index import forecast, plan, status
-from mi_splat.ledger.job import Task
+from mi_splat.ledger.job import EngineError, Task
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
 from mi_splat.ledger.running import task_for
-from mi_splat.ledger.watching import EngineError, Limits
 from tests.ledger.drive import two_levels, walk
 from tests.project.layers import ROOT
 
@@ -104,6 +104,19 @@ def test_what_a_job_raises_in_this_process_ends_the_plan(tmp_path: Path) -> None
         Driver(tmp_path, InProcess(tmp_path)).run([grid({"bad": walk(0, trouble="raise")})])
 
 
+def test_an_interrupt_in_this_process_ends_the_plan_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    events: list[str] = []
+
+    def tell(event: Event) -> None:
+        events.append(event.state)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Driver(tmp_path, InProcess(tmp_path, on_event=tell)).run([grid({str(n): walk(n) for n in range(3)})])
+    assert events == ["running"]
+    assert capsys.readouterr().err == ""
+
+
 def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
     store, first = Store(tmp_path), walk(1)
     jobs = {"second": walk(2, one=first), "third": walk(3)}
@@ -163,11 +176,10 @@ def test_a_driver_waits_for_a_job_of_another_machine_until_that_has_died(
 
 def test_an_engine_that_is_closed_blames_no_job(tmp_path: Path) -> None:
     engine = Processes(tmp_path, workers=1)
-    outcomes: list[str] = []
-    engine.submit(_task(tmp_path, walk(0, steps=1, seconds=60.0)), lambda outcome: outcomes.append(outcome.state))
+    outcome = engine.submit(_task(tmp_path, walk(0, steps=1, seconds=60.0)))
     until(lambda: bool(Store(tmp_path).leases.live()))
     engine.close()
-    assert outcomes == ["stopped"]
+    assert outcome.result().state == "stopped"
     assert not (tmp_path / "failed").exists()
 
 

@@ -17,10 +17,11 @@ from pathlib import Path
 import pytest
 
 from mi_splat.ledger import Store
+from mi_splat.ledger.child import Limits
 from mi_splat.ledger.cluster import Cluster
 from mi_splat.ledger.engines import InProcess, Processes
+from mi_splat.ledger.job import EngineError
 from mi_splat.ledger.plans import Driver, grid
-from mi_splat.ledger.watching import EngineError, Limits
 from tests.ledger.drive import two_levels, walk
 from tests.ledger.test_engines import bytes_of
 from tests.project.layers import ROOT
