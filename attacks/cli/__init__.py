@@ -141,11 +141,11 @@ def _dispatch(words: list[str]) -> int:
 
     with running_command(given):
         if most is None:
-            return int(module.run(options))
+            return module.run(options) or DONE
         from mi_splat.io.picture_files import pixel_limit
 
         with pixel_limit(most):
-            return int(module.run(options))
+            return module.run(options) or DONE
 
 
 def parse(name: str, words: Sequence[str]) -> Any:

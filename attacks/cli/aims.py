@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from torch import Tensor
@@ -44,38 +44,7 @@ def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:
     return dataclasses.replace(selection, object=DEFAULT_OBJECT) if nothing else selection
 
 
-def object_name(selection: Selection) -> str:
-    """The object, as a human calls it."""
-    if selection.is_empty:
-        return f"the {DEFAULT_OBJECT}"
-    return "the selection" if selection.object is None else f"the {selection.object}"
-
-
-def sentence(objective: Objective, detectors: Sequence[str], name: str, *, success: bool, clear: bool = True) -> str:
-    """What detectors make of an attacked object, measured by the aim.
-
-    Args:
-        objective: The aim.
-        detectors: Their names, at least one.
-        name: The object, as a human calls it.
-        success: Whether the aim was reached.
-        clear: Whether no other class is reported there with more confidence.
-    """
-    who, plural = " and ".join(detectors), len(detectors) > 1
-    see, take, do = ("see", "take", "do") if plural else ("sees", "takes", "does")
-    if objective.label is not None:
-        wanted = f"{'an' if objective.label[0] in 'aeiou' else 'a'} {objective.label}"
-        if not success:
-            return f"{who} {do} not see {wanted} in place of {name}"
-        if not clear:
-            return f"{who} {see} {wanted} where {name} is, and something else there with more confidence"
-        return f"{who} {see} {wanted} in place of {name}"
-    if objective.name == "hide":
-        return f"{who} {see} nothing in place of {name}" if success else f"{who} still {see} something where {name} is"
-    return f"{who} {do} not take {name} for what it was" if success else f"{who} still {take} {name} for what it was"
-
-
-def write_result(result: Result, loaded: SplatScene, mask: Tensor, out: Path, *, force: bool) -> dict[str, str]:
+def write_result(result: Result, loaded: SplatScene, mask: Tensor, out: Path, *, force: bool) -> None:
     """Write a result, the object's mask, and of a scene file its parts and the XML that names them.
 
     Args:
@@ -84,13 +53,9 @@ def write_result(result: Result, loaded: SplatScene, mask: Tensor, out: Path, *,
         mask: (N,) bool, the object's Gaussians.
         out: Folder, which appears whole or not at all.
         force: Whether an older result may be replaced.
-
-    Returns:
-        Path of every file by its name.
     """
     with new_folder(out, force=force) as folder:
         save_mask(mask, folder / MASK)
-        # A bare splat has no cameras, and so makes no scene file.
-        parts = write_scene(loaded, result.scene, folder / "attacked.xml") if loaded.cameras else []
-        names = [path.name for path in (*write_files(result, folder), folder / MASK, *parts)]
-    return {name: str(out / name) for name in names}
+        if loaded.cameras:  # a bare splat has none, and so makes no scene file
+            write_scene(loaded, result.scene, folder / "attacked.xml")
+        write_files(result, folder)

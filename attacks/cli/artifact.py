@@ -8,6 +8,7 @@ from typing import Annotated
 
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import ResultOptions
 from mi_splat.fields import Called, Folder
 
 EXAMPLES = (
@@ -17,8 +18,8 @@ EXAMPLES = (
 SEE_ALSO = ("artifact-check", "cloak", "dagger-eot")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArtifactOptions:
+@dataclass(frozen=True, kw_only=True)
+class ArtifactOptions(ResultOptions):
     """Copy a finished result into a folder that others can check: its record, raw rows, cameras, and manifest.
 
     Splats and pictures are left out unless --whole is given. Nothing is packed whose files were changed, or whose rows
@@ -28,23 +29,18 @@ class ArtifactOptions:
     result: Positional[Annotated[Path, Called("RESULT")]]
     """Folder of the finished result."""
     out: Folder = Path("out/artifact")
-    """Folder for the copy: a new one, written whole."""
     whole: bool = False
     """Copy splats and pictures, too, so that others can score the splats again."""
-    force: bool = False
-    """Replace an older artifact in --out."""
-    json: bool = False
-    """Print what was packed as one JSON document on stdout."""
 
 
-def run(options: ArtifactOptions) -> int:
+def run(options: ArtifactOptions) -> None:
     """Copy the result, and say what the copy holds."""
     from attacks.report.checking import check_figures, read_result
     from attacks.report.packing import pack
     from attacks.report.results import story_of
-    from mi_splat.io.folders import RECORD, check_new_folder
+    from mi_splat.io.folders import check_new_folder
 
-    check_new_folder(options.out, force=options.force, record=RECORD)
+    check_new_folder(options.out, force=options.force)
     with progress("packing", total=None):
         figures = story_of(read_result(options.result)).figures
         result = pack(options.result, options.out, figures, whole=options.whole, force=options.force)
@@ -59,4 +55,3 @@ def run(options: ArtifactOptions) -> int:
         f"mi-splat artifact-check {options.out} --manifest {result.manifest.sha256}",
         as_json=options.json,
     )
-    return 0

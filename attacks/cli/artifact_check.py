@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from attacks.cli.options import Detectors
 from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, message
 from mi_splat.fields import Called, Folder, Fraction, at_least
 
@@ -25,8 +25,8 @@ EXAMPLES = (
 SEE_ALSO = ("artifact", "evaluate")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArtifactCheckOptions:
+@dataclass(frozen=True, kw_only=True)
+class ArtifactCheckOptions(JsonOptions):
     """Check results: the bytes of every file, and every figure, derived again from the raw rows alone.
 
     Each file and each figure is a line, green, red, or grey where it was left out. The exit status is 1 if one is red.
@@ -49,8 +49,6 @@ class ArtifactCheckOptions:
     """Use each so manieth camera (--rescore)."""
     rate_tolerance: Fraction = 0.02
     """How far a rate may move (--rescore); on another machine scores differ in their last digits."""
-    json: bool = False
-    """Print the lines as one JSON document on stdout."""
 
 
 def run(options: ArtifactCheckOptions) -> int:
@@ -68,7 +66,10 @@ def run(options: ArtifactCheckOptions) -> int:
     for number, folder in enumerate(options.folders):
         checks[str(folder)] = _lines(folder, options.manifest[number] if options.manifest else None, options)
         if not options.json:
-            _tell(folder, checks[str(folder)])
+            for line in checks[str(folder)]:
+                show(f"{line.colour:5}  {line.name}: {line.words}")
+            red = sum(line.passed is False for line in checks[str(folder)])
+            show(f"{folder}: {red} of {len(checks[str(folder)])} lines are red.")
     if options.json:
         show_json({folder: [line.as_dict() for line in lines] for folder, lines in checks.items()})
     return 1 if any(line.passed is False for lines in checks.values() for line in lines) else 0
@@ -95,7 +96,7 @@ def _rescored(result: Result, story: Story, options: ArtifactCheckOptions) -> li
     from attacks.cli.names import load_detectors
     from attacks.report.rescoring import fingerprints, rescore
 
-    limit_threads((os.cpu_count() or 1) // 2)
+    limit_threads()
     with progress("loading the detectors", total=None) as advance:
         names = options.detectors or tuple(fingerprints(result.record))
         detectors = load_detectors(names, options.weights)
@@ -108,10 +109,3 @@ def _rescored(result: Result, story: Story, options: ArtifactCheckOptions) -> li
             rate_tolerance=options.rate_tolerance,
             on_view=lambda done, total: advance(f"looking again, {done:,} of {total:,}"),
         )
-
-
-def _tell(folder: Path, lines: list[Check]) -> None:
-    for line in lines:
-        show(f"{line.colour:5}  {line.name}: {line.words}")
-    red = sum(line.passed is False for line in lines)
-    show(f"{folder}: {red} of {len(lines)} lines are red.")

@@ -6,16 +6,14 @@ It stands here and not among the commands of mi_splat, since its page is made by
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from attacks.report.wording import number
 from mi_splat import provenance
-from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cli.console import progress, show, show_json, show_table, warn
+from mi_splat.cli.console import progress, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.errors import MiSplatError, install
 from mi_splat.fields import Called, Folder, Seed, between
 
@@ -30,8 +28,8 @@ EXAMPLES = (
 SEE_ALSO = ("render", "report")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareOptions:
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions(ResultOptions):
     """Compare renderers on one splat: pictures, gradients, time and memory.
 
     Writes result.json, a sheet for each camera (the pictures side by side, and where each two differ), the pictures
@@ -50,7 +48,6 @@ class CompareOptions:
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
     out: Folder = Path("out/compare")
-    """Folder for the results."""
     gradients: bool = True
     """Compare the gradients of methods that have them."""
     rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
@@ -61,17 +58,11 @@ class CompareOptions:
     """By how much differences are multiplied in the pictures."""
     seed: Seed = 0
     """Of the random weights of the pixels whose weighted sum is differentiated."""
-    force: bool = False
-    """Replace a comparison that is in the folder."""
-    json: bool = False
-    """Print result.json on stdout."""
 
 
-PAGE = "compare.html"
-
-
-def run(options: CompareOptions) -> int:
+def run(options: CompareOptions) -> None:
     """Compare, and write what came of it."""
+    from attacks.cli.summary import show_summary
     from mi_splat.cli.cameras import find_cameras, renderer_of
     from mi_splat.comparison.compare import CompareConfig, compare
     from mi_splat.comparison.methods import load_methods
@@ -101,9 +92,7 @@ def run(options: CompareOptions) -> int:
             "given": list(options.methods),
             "background": list(settings.background),
             "near": settings.near,
-            "gradients": options.gradients,
-            "rounds": options.rounds,
-            "seed": options.seed,
+            **asdict(config),
             "amplify": options.amplify,
             "lpips": options.lpips,
             **as_dict(comparison, methods),
@@ -115,15 +104,8 @@ def run(options: CompareOptions) -> int:
         with new_folder(options.out, force=options.force) as folder:
             save_sheets(comparison.pictures, folder, factor=options.amplify)
             save_json(document, folder / RECORD)
-            has_page = _page(document, folder, options.out)
-    if options.json:
-        show_json({**document, "out": str(options.out)})
-    else:
-        _tell(document)
-        show(f"{options.out}: a sheet for each camera, {RECORD}{f', {PAGE}' if has_page else ''}")
-    for text in warnings:
-        warn(f"warning: {text}")
-    return 0
+            _save_page(document, folder, options.out)
+    show_summary(options.out, as_json=options.json)
 
 
 def _lpips(warnings: list[str]) -> Perceptual | None:
@@ -137,7 +119,7 @@ def _lpips(warnings: list[str]) -> Perceptual | None:
         return None
 
 
-def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
+def _save_page(document: Mapping[str, Any], folder: Path, out: Path) -> None:
     """Write the page into the folder, which will be called `out`, where the packages for it are there."""
     from attacks.report.charts import missing_packages
     from attacks.report.page import write_page
@@ -147,25 +129,5 @@ def _page(document: Mapping[str, Any], folder: Path, out: Path) -> bool:
     missing = missing_packages()
     if missing:
         warn(f"no page: {' and '.join(missing)} not installed; {install('report')}, then mi-splat report")
-        return False
-    write_page([finished(renderers.read(out, document, files=folder), out, document)], folder / PAGE)
-    return True
-
-
-def _tell(document: Mapping[str, Any]) -> None:
-    """A table for each two methods, and one of what they cost."""
-    from mi_splat.comparison.compare import GRADIENT
-
-    for pair in document["pairs"]:
-        show(" and ".join(pair["methods"]))
-        rows = [("  PSNR", "the same pictures" if pair["psnr"] is None else number(pair["psnr"], unit="dB"))]
-        rows += [("  SSIM", number(pair["ssim"], ".4f")), ("  LPIPS", number(pair["lpips"], ".4f"))]
-        if pair["gradients"] is not None:
-            cosines = (f"{name} {number(pair['gradients'][name]['cosine'], '.3f')}" for name in ATTRIBUTES)
-            rows.append(("  cosine of gradients", ", ".join(cosines)))
-        show_table((name, value.replace("\u00a0", " ")) for name, value in rows)
-    for name, costs in document["methods"].items():
-        if costs["picture"] is not None:
-            alone, both = costs["picture"], costs[GRADIENT]
-            with_gradient = f", {both['seconds']:.3f} s with the gradient" if both else ""
-            show(f"{name}: {alone['seconds']:.3f} s a picture ({alone['ratio']:.2f} times the first){with_gradient}")
+    else:
+        write_page([finished(renderers.read(out, document, files=folder), out, document)], folder / "compare.html")

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.cli.options import AttackOptions
 from attacks.dagger.config import EotConfig
-from attacks.rate import Rate
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
-from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.cli.console import Advance, limit_threads, progress
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
-    from attacks.dagger.result import Result
     from attacks.pgd import Step
 
 
@@ -31,7 +27,7 @@ EXAMPLES = (
 SEE_ALSO = ("dagger", "evaluate", "study", "detectors")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DaggerEotOptions(AttackOptions):
     """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
 
@@ -52,16 +48,15 @@ class DaggerEotOptions(AttackOptions):
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""
     out: Folder = Path("out/dagger-eot")
-    """Folder for the results: a new one, written whole when the attack has ended."""
 
 
-def run(options: DaggerEotOptions) -> int:
-    """Attack, write the report, and say in four lines what happened."""
+def run(options: DaggerEotOptions) -> None:
+    """Attack, write what came of it, and say it."""
     from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
+    from attacks.cli.summary import show_summary
     from attacks.dagger.attack import attack_views
     from attacks.dagger.checkpoint import Checkpoint
-    from attacks.dagger.report import summary
     from attacks.dagger.views import ViewDistribution
     from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe
@@ -71,48 +66,30 @@ def run(options: DaggerEotOptions) -> int:
     if options.view.up != (0.0, 0.0, 1.0):
         raise InvalidValueError(message("up", "0 0 1", options.view.up, "turn the splat: regions have world z upwards"))
     check_new_folder(options.out, force=options.force)
-    limit_threads((os.cpu_count() or 1) // 2)
-    config, checkpoint = options.config, Checkpoint(path=options.checkpoint or _beside(options.out))
+    limit_threads()
+    config = options.config
+    checkpoint = Checkpoint(path=options.checkpoint or options.out.with_name(f"{options.out.name}.checkpoint"))
     with progress("loading the scene and the detectors", total=config.steps + 1) as advance:
         loaded = open_scene(options.scene)
         selection = chosen_object(loaded, options.selection)
         chosen = choose(loaded, selection, options.view)
         name, camera = next(iter(chosen.cameras.items()))
         detectors = load_detectors(options.detectors, options.weights)
-        views = ViewDistribution(
-            loaded.scene,
-            chosen.mask,
-            camera,
-            Transformations(cameras=options.region, pictures=options.pictures),
-            render=chosen.render,
-        )
+        drawn = Transformations(cameras=options.region, pictures=options.pictures)
+        views = ViewDistribution(loaded.scene, chosen.mask, camera, drawn, render=chosen.render)
         advance("looking at the object", 0)
         checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
         objective = aim(options.objective, options.target, options.confidence)
         result = attack_views(
-            views, detectors, objective, config=config, checkpoint=checkpoint, on_step=follow(advance)
+            views, detectors, objective, config=config, checkpoint=checkpoint, on_step=_follow(advance)
         )
-        origin = {
-            "scene": str(options.scene),
-            "selection": selection.as_dict(),
-            "cameras": [name],
-            "reference": describe(name, camera),
-        }
-        result = dataclasses.replace(result, origin={**result.origin, **origin})
-        files = write_result(result, loaded, chosen.mask, options.out, force=options.force)
-    if options.json:
-        show_json({**summary(result), "files": files})
-    else:
-        _tell(result, options)
-    return 0
+        origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": [name]}
+        result = replace(result, origin={**result.origin, **origin, "reference": describe(name, camera)})
+        write_result(result, loaded, chosen.mask, options.out, force=options.force)
+    show_summary(options.out, as_json=options.json)
 
 
-def _beside(out: Path) -> Path:
-    """Where the search is kept while it runs."""
-    return out.with_name(f"{out.name}.checkpoint")
-
-
-def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
+def _follow(advance: Advance) -> Callable[[Step], None]:
     """A callback that shows each step of the attack, and how it did when it was last judged."""
     from attacks.pgd import NOT_JUDGED
 
@@ -125,33 +102,3 @@ def follow(advance: Callable[..., None]) -> Callable[[Step], None]:
         advance(f"attacking: step {step.index}, loss {step.loss:.3f}{judged}")
 
     return note
-
-
-def _tell(result: Result, options: DaggerEotOptions) -> None:
-    """What happened, warnings if there are some, and where to look."""
-    from attacks.cli.aims import object_name, sentence
-    from attacks.dagger.report import CONTACT
-
-    radii = ", ".join(f"{name} {eps:g}" for name, eps in result.config.radius.items())
-    said = sentence(result.objective, options.detectors, object_name(options.selection), success=True)
-    show(
-        f"{'SUCCESS' if result.success else 'FAILED'}: {said} in {_counted(result.rate)} held-out views; "
-        f"{result.config.required_views:.0%} are needed."
-    )
-    show(
-        f"Step {result.best.index} of {result.config.steps} was best by the validation views "
-        f"(budget in {result.config.norm}: {radii}; {result.seconds:.0f} s)."
-    )
-    psnr, rates = result.image.psnr, result.rates
-    change = "No picture changed" if psnr is None else f"The held-out pictures changed to a PSNR of {psnr:.1f} dB"
-    noise, clean = _counted(rates["noise_success"]), _counted(rates["clean_success"])
-    show(f"{change}; random noise of the same size: {noise}; no attack: {clean}.")
-    for warning in result.warnings:
-        show(f"warning: {warning}")
-    show(f"Look at {options.out / CONTACT} first. Beside it: the splat (attacked.ply), the object (mask.npy) and every")
-    show("number (result.json).")
-
-
-def _counted(rate: Rate) -> str:
-    low, high = rate.interval
-    return f"{rate.successes} of {rate.total} ({low:.0%} to {high:.0%})"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from attacks.cli.options import ClassName, Confidence, OneDetector, PositiveRadius, Seeds
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector
+from attacks.detectors.registry import DETECTORS
 from attacks.limits import NormName
-from mi_splat.cli.console import limit_threads, progress, show, show_json
+from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.fields import Called, Folder, Steps
 from mi_splat.io.parsing import read_json
 from mi_splat.selection.config import Selection
@@ -31,8 +31,8 @@ EXAMPLES = (
 SEE_ALSO = ("dagger", "evaluate")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DaggerSanityOptions:
+@dataclass(frozen=True, kw_only=True)
+class DaggerSanityOptions(ResultOptions):
     """Check whether DAGGER is a sane attack on an object and a detector, so that its failures can be believed.
 
     Success has to rise with the radius, many steps, white boxes and gradients have to do no worse than one step,
@@ -66,11 +66,6 @@ class DaggerSanityOptions:
     steps: Steps = 20
     """Number of steps of an attack."""
     out: Folder = Path("out/sanity")
-    """Folder for the results: a new one, written whole when the last check has ended."""
-    force: bool = False
-    """Replace an older result in --out."""
-    json: bool = False
-    """Print the findings as one JSON document on stdout."""
 
 
 ATTACKS = 13
@@ -84,7 +79,7 @@ def run(options: DaggerSanityOptions) -> int:
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 
     check_new_folder(options.out, force=options.force)
-    limit_threads((os.cpu_count() or 1) // 2)
+    limit_threads()
     findings: list[Finding] = []
     with progress("loading the scene and the detectors", total=ATTACKS * options.seeds) as advance:
         case, conditions = _case(options)
@@ -141,11 +136,12 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
 
 def _surrogate(options: DaggerSanityOptions) -> Detector | None:
     """The detector that attacks are transferred from; None if there is none."""
-    from attacks.cli.names import loadable
-
-    if options.surrogate == "none":
-        return None
     if options.surrogate != "auto":
-        return load_detector(options.surrogate)
-    others = [name for name in loadable() if name != options.detector]
-    return load_detector(others[0]) if others else None
+        return None if options.surrogate == "none" else load_detector(options.surrogate)
+    for name, spec in DETECTORS.items():
+        if name.endswith(("_small", "_coco")) and name != options.detector:
+            missing = spec.missing()
+            if not missing:
+                return load_detector(name)
+            warn(f"{name} is left out: {missing}")
+    return None

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attacks.cli.options import Confidence, Detectors
+from attacks.cli.options import Confidence, DetectorOptions
 from mi_splat import provenance
 from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.errors import message
 from mi_splat.fields import Folder
 
@@ -23,13 +22,16 @@ if TYPE_CHECKING:
 
     from attacks.detectors.base import Detections, Detector
 
+    Report = tuple[Mapping[str, object] | None, str, Tensor, Detections]
+    """Where from, by which detector; the picture, (H, W, 3) sRGB in [0, 1], and what is reported on it."""
+
 
 EXAMPLES = ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",)
 SEE_ALSO = ("detectors", "evaluate")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetectOptions:
+@dataclass(frozen=True, kw_only=True)
+class DetectOptions(DetectorOptions, ResultOptions):
     """Let detectors look at pictures, or at splats and scenes from cameras; draw the boxes and list them.
 
     Writes a picture with boxes for each picture and detector, and result.json, into --out.
@@ -37,69 +39,38 @@ class DetectOptions:
 
     inputs: Positional[tuple[Path, ...]] = ()
     """Pictures, splat files and scene XMLs; at least one."""
-    detectors: Detectors = ("fasterrcnn_small",)
-    """Names of detectors (see `mi-splat detectors`)."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where splats and scenes are looked at from."""
     min_confidence: Confidence = 0.3
     """Confidence from which a detection is drawn and listed."""
     out: Folder = Path("out/detect")
-    """Folder for the results; a new one."""
-    force: bool = False
-    """Replace a folder that an earlier call has written."""
-    json: bool = False
-    """Print the detections as one JSON document on stdout."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
-    """What one detector reports on one picture.
-
-    Attributes:
-        source: The picture's file, or that of the scene.
-        camera: Where from, as JSON can hold it; None of a picture.
-        detector: Its name.
-        image: (H, W, 3) sRGB in [0, 1].
-        detections: What is reported.
-    """
-
-    source: Path
-    camera: Mapping[str, object] | None
-    detector: str
-    image: Tensor
-    detections: Detections
-
-    @property
-    def name(self) -> str:
-        """What the picture with boxes is called."""
-        from mi_splat.io.documents import file_name
-
-        camera = "" if self.camera is None else f"-{self.camera['name']}"
-        return file_name(f"{self.source.stem}{camera}-{self.detector}")
-
-
-def run(options: DetectOptions) -> int:
+def run(options: DetectOptions) -> None:
     """Detect, draw the boxes, and list them."""
     from attacks.cli.names import load_detectors
-    from attacks.observe.drawing import annotated
-    from mi_splat.io.documents import save_json, save_png
+    from attacks.observe.drawing import annotated, listed
+    from mi_splat.io.documents import file_name, save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 
-    if not options.inputs:
-        raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
-    _check_idle(options)
+    _check_inputs(options)
     check_new_folder(options.out, force=options.force)
-    with progress("loading") as advance:
+    rows: dict[str, dict[str, Any]] = {}
+    with progress("loading") as advance, new_folder(options.out, force=options.force) as folder:
         # Not before the first file is read and its cameras are found: a wrong name is told at once.
         detectors = functools.cache(lambda: load_detectors(options.detectors, options.weights))
-        pictures: list[Seen] = []
         for source in options.inputs:
             advance(f"looking at {source}")
-            pictures += seen_in(source, detectors, options.view)
-        named = dict(zip(_distinct([seen.name for seen in pictures]), pictures, strict=True))
-        rows = {name: {**_row(seen, options.min_confidence), "picture": f"{name}.png"} for name, seen in named.items()}
+            for camera, detector, image, detections in _reports(source, detectors, options.view):
+                where = "" if camera is None else f"-{camera['name']}"
+                name = file_name(f"{source.stem}{where}-{detector}")
+                while name in rows:
+                    name = f"{name}-{len(rows)}"
+                items = [item for item in listed(detections) if item["score"] >= options.min_confidence]
+                rows[name] = {"source": str(source), "camera": camera, "detector": detector, "detections": items}
+                rows[name] |= {"size": [image.shape[1], image.shape[0]], "picture": f"{name}.png"}
+                drawn = annotated(image, detections, name, min_confidence=options.min_confidence)
+                save_png(drawn, folder / f"{name}.png")
         document = {
             "story": "detect",
             "min_confidence": options.min_confidence,
@@ -108,34 +79,23 @@ def run(options: DetectOptions) -> int:
             "pictures": list(rows.values()),
             **provenance.origin(),
         }
-        with new_folder(options.out, force=options.force) as folder:
-            for name, seen in named.items():
-                drawn = annotated(seen.image, seen.detections, name, min_confidence=options.min_confidence)
-                save_png(drawn, folder / f"{name}.png")
-            save_json(document, folder / RECORD)
-    lines = [f"{name}: {_boxes(row) or 'nothing'}" for name, row in rows.items()]
+        save_json(document, folder / RECORD)
+    lines = [f"{name}: {_reported(row) or 'nothing'}" for name, row in rows.items()]
     lines.append(f"{options.out}: {len(rows)} pictures with boxes, and {RECORD}")
     show_result({**document, "out": str(options.out)}, *lines, as_json=options.json)
-    return 0
 
 
-def _boxes(row: Mapping[str, Any]) -> str:
+def _reported(row: Mapping[str, Any]) -> str:
     return ", ".join(f"{item['label']} {item['score']:.0%}" for item in row["detections"])
 
 
-def seen_in(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Seen]:
+def _reports(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Report]:
     """What every detector reports on a picture, or on a scene from every camera.
 
     Args:
         source: A picture, or a scene.
         detectors: Loads them; they have different names.
         view: Where a scene is looked at from.
-
-    Yields:
-        A value for each picture and detector.
-
-    Raises:
-        MiSplatError: The file cannot be read, or a camera is not there.
     """
     import torch
 
@@ -150,58 +110,34 @@ def seen_in(source: Path, detectors: Callable[[], list[Detector]], view: CameraO
         for detector in detectors():
             with torch.no_grad():
                 (detections,) = detector.detect(image[None])
-            yield Seen(source=source, camera=None, detector=detector.name, image=image, detections=detections)
+            yield None, detector.name, image, detections
         return
     loaded = open_scene(source)
     cameras = find_cameras(loaded, view)
     render = renderer_of(loaded, view, cameras)
     records = [describe(name, camera) for name, camera in cameras.items()]
     for seen in detect_views(loaded.scene, list(cameras.values()), detectors(), render=render):
-        camera, detections = records[seen.view], seen.detections
-        yield Seen(source=source, camera=camera, detector=seen.detector, image=seen.image, detections=detections)
+        yield records[seen.view], seen.detector, seen.image, seen.detections
 
 
-def _check_idle(options: DetectOptions) -> None:
-    """Raise if a flag says where a scene is looked at from, and there is none among the inputs."""
-    if any(not _is_picture(source) for source in options.inputs):
-        return
+def _check_inputs(options: DetectOptions) -> None:
+    """Raise if there are none, or a flag says where a scene is looked at from, and there is none among them."""
+    if not options.inputs:
+        raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
     idle = [f"--{name}" for name in _given(options.view) if name != "background"]
-    if idle:
+    if idle and all(map(_is_picture, options.inputs)):
         got = f"pictures only, and {', '.join(idle)}"
         raise UsageError(message("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out"))
 
 
 def _given(view: CameraOptions) -> dict[str, Any]:
     """What was said of the cameras, by the name of the flag, as JSON can hold it."""
-    usual = CameraOptions()
-    names = [field.name for field in dataclasses.fields(usual)]
-    values = {name: getattr(view, name) for name in names if getattr(view, name) != getattr(usual, name)}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+    usual = dataclasses.asdict(CameraOptions())
+    given = {name: value for name, value in dataclasses.asdict(view).items() if value != usual[name]}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
 
 
 def _is_picture(source: Path) -> bool:
     from mi_splat.datasets.pictures import SUFFIXES
 
     return source.suffix.lower() in SUFFIXES
-
-
-def _row(seen: Seen, min_confidence: float) -> dict[str, Any]:
-    """One picture and detector as JSON can hold it; boxes are x0, y0, x1, y1 in pixels."""
-    from attacks.observe.drawing import listed
-
-    return {
-        "source": str(seen.source),
-        "camera": seen.camera,
-        "detector": seen.detector,
-        "size": [seen.image.shape[1], seen.image.shape[0]],
-        "detections": [item for item in listed(seen.detections) if item["score"] >= min_confidence],
-    }
-
-
-def _distinct(names: list[str]) -> list[str]:
-    """The names, with a number behind those that were there before."""
-    distinct: list[str] = []
-    for name in names:
-        numbered = (f"{name}-{number}" for number in itertools.count(len(distinct)))
-        distinct.append(next(other for other in itertools.chain([name], numbered) if other not in distinct))
-    return distinct

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mi_splat.cli.flags import Flag, Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.fields import Called, Fraction, above, at_least, between
 from mi_splat.selection.config import Selection
 
@@ -23,8 +23,18 @@ Processes = Annotated[int, between(0, 1024)]
 Threads = Annotated[int, between(1, 1024)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AttackOptions:
+@dataclass(frozen=True, kw_only=True)
+class DetectorOptions:
+    """The detectors that a command uses."""
+
+    detectors: Detectors = ("fasterrcnn_small",)
+    """Names of detectors (see `mi-splat detectors`)."""
+    weights: tuple[Path, ...] = ()
+    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttackOptions(DetectorOptions, ResultOptions):
     """What an attack on one object takes, from chosen cameras or from a region; what is written is told by each."""
 
     scene: Positional[Path] = Path("scenes/car_street.xml")
@@ -39,11 +49,3 @@ class AttackOptions:
     """Class that the detectors shall see there (relabel); None is person."""
     confidence: Confidence | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
-    detectors: Detectors = ("fasterrcnn_small",)
-    """Names of the detectors that are attacked at once (see `mi-splat detectors`)."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-    force: bool = False
-    """Replace an older result in --out."""
-    json: bool = False
-    """Print the result as one JSON document on stdout."""

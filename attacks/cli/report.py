@@ -10,6 +10,7 @@ from attacks.report.charts import need_packages
 from attacks.report.wording import plural
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
 
@@ -20,8 +21,8 @@ EXAMPLES = (
 SEE_ALSO = ("view", "evaluate", "dagger", "cloak")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReportOptions:
+@dataclass(frozen=True, kw_only=True)
+class ReportOptions(JsonOptions):
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
     Takes folders that mi-splat dagger, dagger-eot, study, dagger-sanity, evaluate, compare, detect and cloak have
@@ -37,11 +38,9 @@ class ReportOptions:
     """Heading of the page; None is made of the results."""
     force: bool = False
     """Replace the page if it is there."""
-    json: bool = False
-    """Print what is on the page as one JSON document on stdout."""
 
 
-def run(options: ReportOptions) -> int:
+def run(options: ReportOptions) -> None:
     """Read the results and write the page."""
     from attacks.report.page import ENDINGS, write_page
     from attacks.report.results import read_section
@@ -68,4 +67,3 @@ def run(options: ReportOptions) -> int:
             if section.warnings:
                 warn(f"{section.folder}: {plural(len(section.warnings), 'warning')} on the page")
         show(f"{options.out}: open it in any browser; it asks nothing of any network.")
-    return 0

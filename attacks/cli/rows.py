@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.fields import Folder
 
 EXAMPLES = (
@@ -17,8 +18,8 @@ EXAMPLES = (
 SEE_ALSO = ("report", "evaluate", "artifact")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RowsOptions:
+@dataclass(frozen=True, kw_only=True)
+class RowsOptions(JsonOptions):
     """Show the rows of a result: a line for each splat, view and detector, from which every figure is counted.
 
     Without --csv or --json it says which columns there are and what they mean. Takes a folder that mi-splat dagger,
@@ -31,11 +32,9 @@ class RowsOptions:
     """Which table: what is reported on the object, every single detection, or (cloak) pictures without a detector."""
     csv: bool = False
     """Write the table as CSV on stdout."""
-    json: bool = False
-    """Print it as one JSON document on stdout."""
 
 
-def run(options: RowsOptions) -> int:
+def run(options: RowsOptions) -> None:
     """Read a table and show it."""
     from attacks.observe.rows import columns_of, rows, rows_bytes
     from mi_splat.cli.console import show, show_json, show_table
@@ -49,4 +48,3 @@ def run(options: RowsOptions) -> int:
     else:
         show_table([(column.name, column.words) for column in columns])
         show(f"{len(table):,} rows; --csv or --json prints them.")
-    return 0

@@ -32,15 +32,18 @@ class Advance(Protocol):
         ...
 
 
-def limit_threads(most: int) -> None:
+def limit_threads(most: int | None = None) -> None:
     """Leave cores to Dr.Jit, unless OMP_NUM_THREADS is set: it and torch each bring a pool of threads, and two fight.
 
     On two busy cores an attack was measured to take 17 times as long with two full pools.
+
+    Args:
+        most: Threads of torch; None is half of the cores.
     """
     if "OMP_NUM_THREADS" not in os.environ:
         import torch
 
-        torch.set_num_threads(max(1, most))
+        torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2 if most is None else most))
 
 
 def warn(text: str) -> None:

@@ -271,8 +271,14 @@ def _dashed(word: str) -> str:
 
 
 def _given_or_own(kind: type, defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """The defaults of a dataclass's fields by their names; `dataclasses.MISSING` where there is none."""
-    fields = dataclasses.fields(kind)
+    """The defaults of a dataclass's fields by their names; `dataclasses.MISSING` where there is none.
+
+    Those of the class itself come first, then those that it shares with other commands.
+    """
+    ranks = {
+        name: rank for rank, base in reversed([*enumerate(kind.__mro__)]) for name in inspect.get_annotations(base)
+    }
+    fields = sorted(dataclasses.fields(kind), key=lambda field: ranks[field.name])
     own = {
         field.name: field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
         for field in fields

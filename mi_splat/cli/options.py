@@ -10,12 +10,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Flag, Word
 from mi_splat.errors import message, nearest
-from mi_splat.fields import Called, Length, Range, between
+from mi_splat.fields import Called, Folder, Length, Range, between
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXIS = re.compile(r"[+-]?[xyz]")
@@ -120,6 +121,24 @@ Azimuth = Annotated[float, between(-360, 360, "degrees")]
 Elevation = Annotated[float, between(-90, 90, "degrees", "90 is straight down")]
 FieldOfView = Annotated[float, Range(low=0, high=180, open_low=True, open_high=True, unit="degrees", do="45 is usual")]
 Point = Annotated[tuple[float, float, float], Range(unit="world units"), Called("X Y Z")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JsonOptions:
+    """What a command takes that prints a result."""
+
+    json: bool = False
+    """Print one JSON document on stdout instead of text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultOptions(JsonOptions):
+    """What a command takes that writes a folder of results."""
+
+    out: Folder = Path("out")
+    """Folder for the results: a new one, written whole at the end."""
+    force: bool = False
+    """Replace an older result in --out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -107,8 +107,8 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert "detectors/fake_colour/missed: " in capsys.readouterr().out
     assert cli.main([*words[:-1], "again"]) == 0
     text = capsys.readouterr().out
-    assert "taken for the target, attacked" in text
-    assert "95 % interval" in text
+    assert "fake_colour: taken for the target, attacked" in text
+    assert "missed attacked, of those found clean" in text
 
 
 def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

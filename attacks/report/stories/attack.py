@@ -150,6 +150,8 @@ def _change(view: Record, target: str | None) -> str:
 
 def _figures(record: Record) -> Iterator[Figure]:
     """Other rates, what the pictures lost, the size of the change, steps and time."""
+    for name, rates in record["rates"].items() if len(record["rates"]) > 1 else ():
+        yield Figure(label=name, rate=Rate.of(rates["success"]))
     yield Figure(label="no attack, on the same views", rate=Rate.of(record["clean_rate"]))
     yield Figure(label="success without another class of more confidence", rate=Rate.of(record["unambiguous_rate"]))
     image, noise = record["image"], [value for value in record["noise_psnr"] if value is not None]

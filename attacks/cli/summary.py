@@ -1,0 +1,36 @@
+"""What a command says of the result that it has written: the figures of its page, or its record with --json."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from attacks.report.wording import FIXED
+from mi_splat.cli.console import show, show_json, show_table, warn
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
+
+
+def show_summary(result: Path, *, as_json: bool) -> None:
+    """Print the figures, the conclusion and the warnings of a finished result, and where to look.
+
+    Args:
+        result: Its folder.
+        as_json: Whether to print its record instead, as one JSON document.
+    """
+    if as_json:
+        show_json({**read_json(result / RECORD), "out": str(result)})
+        return
+    from attacks.report.results import read_section
+
+    section = read_section(result)
+    show_table((_plain(figure.row[0]), _plain(figure.cell)) for figure in section.all_figures)
+    show(_plain(section.conclusion))
+    for text in section.warnings:
+        warn(f"warning: {_plain(text)}")
+    if section.pictures:
+        show(f"Look at {section.pictures[0].path} first.")
+    show(f"{result}: every number is in {RECORD}; mi-splat report {result} makes a page.")
+
+
+def _plain(text: str) -> str:
+    return text.replace(FIXED, " ")
