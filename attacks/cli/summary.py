@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from attacks.report.wording import FIXED
+from attacks.rate import FIXED
 from mi_splat.cli.console import show, show_json, show_table, warn
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
