@@ -225,7 +225,7 @@ def test_an_attack_that_fails_is_a_result(
     words = ["--object", "thing", "--eps", eps, "--noise-draws", "1", "--out", str(tmp_path)]
     assert cli.main(["dagger", *words]) == 0
     text = capsys.readouterr().out
-    assert "The attack did not reach its aim, 0 of 1 view." in text
+    assert "The attack did not reach its aim: 0 of 1 view" in text
     assert next(line for line in text.splitlines() if line.startswith("pictures, attacked")).endswith(change)
     psnr = json.loads((tmp_path / "result.json").read_text())["image_psnr"]
     assert (psnr is None) == (eps == "1e-6")
