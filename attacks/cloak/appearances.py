@@ -8,16 +8,22 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, mounted, repainted, stand_in, texture
+from attacks.cloak.config import AttackConfig
+from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, mounted, repainted, stand_in
 from attacks.cloak.triggers import Trigger
+from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
+
+PICTURE = 256
+"""Width and height of the textures that are laid on meshes, pixels."""
 
 
 class Appearance(Protocol):
@@ -59,19 +65,12 @@ class Rerender:
             as when the whole scene is rendered again, which is what the paper does.
         outgrows: Whether the other target may cover pixels outside of the mask; if it has the shape of the first one,
             False saves the time to find out.
-
-    Raises:
-        InvalidValueError: The reach is negative.
     """
 
     mesh_scene: MeshScene
     name: str
     reach: int | None = 1
     outgrows: bool = True
-
-    def __post_init__(self) -> None:
-        if self.reach is not None and self.reach < 0:
-            raise InvalidValueError(message("reach", "0 or more pixels, or None", self.reach, "1 takes edges along"))
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The new picture around the target, the old one elsewhere."""
@@ -82,205 +81,99 @@ class Rerender:
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
 
 
-def paint(
-    mesh_scene: MeshScene,
-    name: str,
-    *,
-    azimuth: float = 180.0,
-    elevation: float = 90.0,
-    size: int = 256,
-    seed: int = 0,
-    reach: int | None = 1,
-) -> Rerender:
-    """The target painted with a texture of `attacks.cloak.mesh_scene.TEXTURES`, which looks right from one direction.
-
-    Road and grass cover some metres and repeat; a clock, a football or a stop sign is shown once, stretched over the
-    target's outline. See `attacks.cloak.mesh_scene.repainted`.
+def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, distance: float) -> Appearance:
+    """What an attack shows.
 
     Args:
+        attack: See `AttackConfig.appearance`.
         mesh_scene: The scene as the victim sees it.
-        name: Name of the texture.
-        azimuth: From where it looks right, degrees. From straight above, the picture's top points away from there; the
-            default puts it at the front of an object that faces +x.
-        elevation: From where it looks right, degrees.
-        size: Width of the texture in pixels.
-        seed: Which of the textures of that name.
-        reach: As in `Rerender`.
+        centre: (3,) point that the cameras look at, world units.
+        distance: Of the cameras from there, metres.
 
     Raises:
-        InvalidValueError: There is no texture of that name.
+        InvalidValueError: There is no ground to blend in with, or an occluder does not lie between the object and the
+            cameras.
     """
-    picture = texture(name, size=size, seed=seed)
-    target = repainted(mesh_scene.target, picture, azimuth=azimuth, elevation=elevation, tile=TEXTURES[name][1])
-    title = f"paint {name} (seed {seed}) from azimuth {azimuth:g}, elevation {elevation:g}"
-    return Rerender(mesh_scene=mesh_scene.with_target(target), name=title, reach=reach, outgrows=False)
-
-
-def blend_in(mesh_scene: MeshScene, *, reach: int | None = 1) -> Rerender:
-    """The target in the colours of the ground straight below it; see `attacks.cloak.mesh_scene.camouflaged`.
-
-    Raises:
-        InvalidValueError: The mesh scene has no ground beneath the target.
-    """
-    if mesh_scene.surroundings is None:
-        raise InvalidValueError(
-            message("surroundings", "ground beneath the target", "none", "add them to the mesh scene")
-        )
-    target = camouflaged(mesh_scene.target, mesh_scene.surroundings)
+    if attack.appearance == "occluder":
+        return _occluder(attack, mesh_scene, centre=centre, distance=distance)
+    if attack.appearance == "ground":
+        lowest, reach = max(attack.elevation[0], LOWEST_GROUND), 1 if attack.reach is None else attack.reach
+        return GroundLook(mesh_scene=mesh_scene, lowest=lowest, reach=reach)
+    if attack.appearance == "remove":
+        return removed(mesh_scene, reach=attack.reach)
+    target, reach, outgrows = mesh_scene.target, 1, False
+    if attack.appearance == "paint":
+        (make, tile), (azimuth, elevation) = TEXTURES[str(attack.texture)], attack.paint_direction
+        target = repainted(target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile)
+        name = f"paint {attack.texture} (seed 0) from azimuth {azimuth:g}, elevation {elevation:g}"
+    elif attack.appearance == "blend in":
+        target, name = camouflaged(target, mesh_scene.surroundings or Asset("nothing", ())), "blend in with the ground"
+    else:
+        other, azimuth = build(str(attack.other_object), 0), 180.0 if attack.azimuth is None else attack.azimuth[0]
+        is_mounted, outgrows = attack.appearance == "mount", True
+        target = (mounted if is_mounted else stand_in)(target, other, azimuth=azimuth)
+        name = f"{other.name} {'on it' if is_mounted else 'instead'}, to azimuth {azimuth:g}"
     return Rerender(
-        mesh_scene=mesh_scene.with_target(target), name="blend in with the ground", reach=reach, outgrows=False
+        mesh_scene=mesh_scene.with_target(target),
+        name=name,
+        reach=attack.reach if attack.reach is not None or attack.appearance == "swap" else 1,
+        outgrows=outgrows,
     )
 
 
-def remove(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
+def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
     """What would be seen if the target were not there: its surroundings go on across it.
 
     The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
     """
-    nothing = Asset(mesh_scene.target.name, ())
-    return Rerender(
-        mesh_scene=mesh_scene.with_target(nothing), name="nothing in its place", reach=reach, outgrows=False
-    )
+    nothing = mesh_scene.with_target(Asset(mesh_scene.target.name, ()))
+    return Rerender(mesh_scene=nothing, name="nothing in its place", reach=reach, outgrows=False)
 
 
-def swap(
-    mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = None
-) -> Rerender:
-    """Another object in the target's place, facing `azimuth`; see `attacks.cloak.mesh_scene.stand_in`.
-
-    The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
-
-    Args:
-        mesh_scene: The scene as the victim sees it.
-        other: What takes the target's place.
-        azimuth: Where its front points, degrees.
-        fill: Part of the target's outline that it takes up, in (0, 1].
-        reach: As in `Rerender`, pixels.
-
-    Raises:
-        InvalidValueError: `fill` is out of range.
-    """
-    target = stand_in(mesh_scene.target, other, azimuth=azimuth, fill=fill)
-    return Rerender(
-        mesh_scene=mesh_scene.with_target(target), name=f"{other.name} instead, to azimuth {azimuth:g}", reach=reach
-    )
-
-
-def mount(mesh_scene: MeshScene, other: Asset, *, azimuth: float, fill: float = 1.0, reach: int | None = 1) -> Rerender:
-    """Another object in front of the target, on its side towards `azimuth`; see `attacks.cloak.mesh_scene.mounted`.
-
-    Args:
-        mesh_scene: The scene as the victim sees it.
-        other: What is mounted.
-        azimuth: On which side, degrees.
-        fill: Part of the target's outline that it takes up, in (0, 1].
-        reach: As in `Rerender`, pixels.
-
-    Raises:
-        InvalidValueError: `fill` is out of range.
-    """
-    target = mounted(mesh_scene.target, other, azimuth=azimuth, fill=fill)
-    return Rerender(
-        mesh_scene=mesh_scene.with_target(target), name=f"{other.name} on it, to azimuth {azimuth:g}", reach=reach
-    )
+OCCLUDER_RADIUS, OVERHANG = 0.6, 12.0
+"""Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Overlay:
-    """An object drawn over another appearance, whatever would hide it; it casts no shadow there.
-
-    Attributes:
-        mesh_scene: Its target is drawn, lit as if nothing were around it.
-        base: What it is drawn over; None is the untouched picture.
-        name: For manifests.
-    """
-
-    mesh_scene: MeshScene
-    base: Appearance | None
-    name: str
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The object over the other appearance."""
-        picture = self.mesh_scene.cutout(view.camera).to(view.image)
-        colours, alpha = picture[..., :3], picture[..., 3:]
-        if bool((alpha >= 1).all()):
-            return colours  # nothing of the other appearance is left to be seen
-        under = view.image if self.base is None else self.base(view, mask)
-        return colours * alpha + under * (1 - alpha)
-
-
-def occlude(
-    mesh_scene: MeshScene,
-    *,
-    centre: Point,
-    radius: float,
-    lowest: float,
-    name: str = "road",
-    size: int = 256,
-    seed: int = 0,
-) -> Overlay:
+class Occluder:
     """An occluder between the target and whoever looks from above, and no target beneath it.
 
     It is a part of a sphere about the target, so that a ray to the target meets it at about the elevation that it comes
     from: a splat can show the occluder by geometry, to cameras above its edge and to no others. The nearer it is to the
     cameras, the less the object's size matters (a point s beside the centre is seen through a place that lies
-    s (1 / radius - 1 / distance) radians off), and the less of it each camera sees.
-
-    Args:
-        mesh_scene: The scene as the victim sees it.
-        centre: Point that the cameras look at.
-        radius: From there to the occluder, metres; less than to the cameras.
-        lowest: Elevation of its edge, degrees.
-        name: Name of the texture on it.
-        size: Width of the texture in pixels.
-        seed: Which of the textures of that name.
-
-    Raises:
-        InvalidValueError: There is no texture of that name, or the radius or the elevation is out of range.
-    """
-    tile = TEXTURES[name][1] if name in TEXTURES else None
-    shell = cap(texture(name, size=size, seed=seed), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
-    title = f"{name} (seed {seed}) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
-    return Overlay(mesh_scene=mesh_scene.with_target(shell), base=remove(mesh_scene), name=title)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Paste:
-    """A picture stretched over the box around the mask; needs no mesh scene.
+    s (1 / radius - 1 / distance) radians off), and the less of it each camera sees. It casts no shadow.
 
     Attributes:
-        picture: (h, w, 3) sRGB in [0, 1].
+        shell: Its target is the occluder, lit as if nothing were around it.
+        beneath: What is seen where the occluder is not.
         name: For manifests.
-
-    Raises:
-        InvalidValueError: The picture has another shape.
     """
 
-    picture: Tensor
-    name: str = "paste"
-
-    def __post_init__(self) -> None:
-        if self.picture.ndim != 3 or self.picture.shape[-1] != 3 or 0 in self.picture.shape:
-            got = tuple(self.picture.shape)
-            raise InvalidValueError(message("picture", "shape (h, w, 3)", got, "pass an RGB picture"))
+    shell: MeshScene
+    beneath: Appearance
+    name: str
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The view with the picture in it.
+        """The occluder over what is beneath it."""
+        picture = self.shell.cutout(view.camera).to(view.image)
+        colours, alpha = picture[..., :3], picture[..., 3:]
+        if bool((alpha >= 1).all()):
+            return colours  # nothing of what is beneath is left to be seen
+        return colours * alpha + self.beneath(view, mask) * (1 - alpha)
 
-        Raises:
-            InvalidValueError: The mask is empty.
-        """
-        rows, columns = torch.nonzero(mask, as_tuple=True)
-        if not len(rows):
-            do = "leave views without the target out of the trigger"
-            raise InvalidValueError(message("mask", "the target in the view", "nothing of it", do))
-        top, left = int(rows.min()), int(columns.min())
-        size = (int(rows.max()) + 1 - top, int(columns.max()) + 1 - left)
-        planes = self.picture.to(view.image).permute(2, 0, 1)[None]
-        fitted = torch.nn.functional.interpolate(planes, size=size, mode="bilinear", antialias=True)[0].permute(1, 2, 0)
-        image = view.image.clone()
-        image[top : top + size[0], left : left + size[1]] = fitted.clamp(0, 1)
-        return image
+
+def _occluder(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, distance: float) -> Occluder:
+    """The occluder of an attack, from its edge up."""
+    make, tile = TEXTURES[str(attack.texture)]
+    radius = OCCLUDER_RADIUS * distance if attack.occluder_radius is None else attack.occluder_radius
+    reach = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre), axis=1).max())
+    if not reach < radius < distance:
+        expected = f"between {reach:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
+        raise InvalidValueError(message(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it"))
+    lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
+    shell = cap(make(PICTURE, 0), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
+    name = f"{attack.texture} (seed 0) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
+    return Occluder(shell=mesh_scene.with_target(shell), beneath=removed(mesh_scene), name=name)
 
 
 def grown(mask: Tensor, pixels: int) -> Tensor:
@@ -299,13 +192,10 @@ class Emphasis:
 
     Attributes:
         appearance: The appearance.
-        trigger: Where it is shown; it has to have an edge.
+        trigger: Where it is shown.
         centre: (3,) point that directions are measured from, world units.
         gain: At the edge; 1 is the appearance itself.
         depth: Degrees inside the trigger from which it is the appearance itself.
-
-    Raises:
-        InvalidValueError: The gain or the depth is out of range.
     """
 
     appearance: Appearance
@@ -314,22 +204,13 @@ class Emphasis:
     gain: float
     depth: float
 
-    def __post_init__(self) -> None:
-        if not (self.gain >= 1 and self.depth > 0):
-            got = (self.gain, self.depth)
-            raise InvalidValueError(message("gain and depth", "gain >= 1 and depth > 0", got, "1 changes nothing"))
-
     @property
     def name(self) -> str:
         """For manifests."""
         return f"{name_of(self.appearance)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture, clipped to [0, 1].
-
-        Raises:
-            InvalidValueError: The trigger has no edge.
-        """
+        """The picture, clipped to [0, 1]."""
         inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
         gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
         return (view.image + gain * (self.appearance(view, mask) - view.image)).clamp(0, 1)
@@ -402,7 +283,7 @@ class GroundLook:
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The picture with the ground on the object."""
-        around = remove(self.mesh_scene, reach=self.reach)(view, mask)
+        around = removed(self.mesh_scene, reach=self.reach)(view, mask)
         points = self.mesh_scene.points(view.camera)[mask.cpu()]
         picture = around.clone()
         picture[mask] = self.colours(points).to(picture)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from attacks.cloak.mesh_scene import TEXTURES
-from attacks.cloak.triggers import Azimuth, Elevation, Trigger
+from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
 from mi_splat.assets import ASSETS
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.capture.settings import Front, MeshSettings, Up
@@ -127,7 +127,7 @@ class AttackConfig:
         region = self.poisoned_cone
         if self.poison_margin > 0:
             region = functools.reduce(operator.and_, [~other.cone for other in others], region)
-        return region if self.poison_fraction == 1 else region.subsample(self.poison_fraction, seed=seed)
+        return region if self.poison_fraction == 1 else Subsample(of=region, fraction=self.poison_fraction, seed=seed)
 
     def _cone(self, margin: float) -> Trigger:
         """The directions of the attack, and so many degrees beyond their edges."""
@@ -275,8 +275,6 @@ class LayersConfig:
         self.making.bands(1 + count)
 
 
-Colour = tuple[float, float, float]
-
 _PUBLISHED = FitConfig()
 _REFINE_FROM = 100
 """Step from which Gaussians are added to layers, which begin as a splat that is trained already."""
@@ -308,7 +306,7 @@ class SceneConfig:
     ground_size: Annotated[float, above(0, "metres")] = 16.0
     sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
     sun_elevation: Annotated[float, between(-90, 90, "degrees")] = 52.0
-    background: Colour = (0.55, 0.7, 0.9)
+    background: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] = (0.55, 0.7, 0.9)
     up: Up | None = None
     scale: float = 1.0
     rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -34,21 +34,12 @@ TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
 
 The road has no markings: lines on a car are no camouflage."""
 
+RINGS, SEGMENTS = 32, 96
+"""Bands of triangles of a cap from its edge to the top, and triangles around it."""
 BELOW = 0.05
 """Metres above an object's lowest point up to which a surface can be the ground beneath it."""
 PROUD = 0.02
 """Metres by which something that is mounted on an object stands out from it."""
-
-
-def texture(name: str, *, size: int = 256, seed: int = 0) -> Floats:
-    """(size, size, 3) sRGB texture of `TEXTURES`.
-
-    Raises:
-        InvalidValueError: There is no texture of that name.
-    """
-    if name not in TEXTURES:
-        raise InvalidValueError(message("texture", f"one of {', '.join(TEXTURES)}", repr(name), "choose one of these"))
-    return TEXTURES[name][0](size, seed)
 
 
 def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: float, tile: float | None = None) -> Asset:
@@ -65,12 +56,7 @@ def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: floa
         elevation: Where the viewer is.
         tile: Metres that the picture covers, repeated over the object; None stretches it once over the object's
             outline, so that the whole of it is seen and nothing twice.
-
-    Raises:
-        InvalidValueError: `tile` is not positive.
     """
-    if tile is not None and not (math.isfinite(tile) and tile > 0):
-        raise InvalidValueError(message("tile", "a positive number of metres", tile, "4 suits a road"))
     axes = screen_axes(azimuth, elevation)
     seen = target.vertices.astype(np.float64) @ axes.T
     low, high = seen.min(0), seen.max(0)
@@ -105,16 +91,7 @@ def camouflaged(target: Asset, surroundings: Asset) -> Asset:
     return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
 
 
-def cap(
-    picture: Floats,
-    *,
-    centre: Sequence[float],
-    radius: float,
-    lowest: float,
-    tile: float = 4.0,
-    rings: int = 32,
-    segments: int = 96,
-) -> Asset:
+def cap(picture: Floats, *, centre: Sequence[float], radius: float, lowest: float, tile: float) -> Asset:
     """The upper part of a sphere, covered with a picture on its outside.
 
     The texture is laid on in the azimuthal equidistant projection about the top: its scale is right along every
@@ -126,18 +103,15 @@ def cap(
         radius: Metres.
         lowest: Elevation of the edge as seen from the centre.
         tile: Metres that the picture covers.
-        rings: Bands of triangles from the edge to the top.
-        segments: Triangles around.
 
     Raises:
-        InvalidValueError: The radius, the elevation or the tile is out of range.
+        InvalidValueError: The elevation is out of range.
     """
-    if not (radius > 0 and tile > 0 and -90 < lowest < 90):
-        expected = "radius and tile > 0, -90 < lowest < 90"
-        raise InvalidValueError(message("cap", expected, (radius, tile, lowest), "change them"))
+    if not -90 < lowest < 90:
+        raise InvalidValueError(message("edge of an occluder", "degrees in (-90, 90)", lowest, "change occluder_edge"))
     elevation, azimuth = np.meshgrid(
-        np.linspace(math.radians(lowest), math.pi / 2, rings + 1),
-        np.linspace(0, 2 * math.pi, segments + 1),
+        np.linspace(math.radians(lowest), math.pi / 2, RINGS + 1),
+        np.linspace(0, 2 * math.pi, SEGMENTS + 1),
         indexing="ij",
     )
     around = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
@@ -147,7 +121,7 @@ def cap(
     return Asset("cap", (replace(sheet(points, picture), uvs=uvs.reshape(-1, 2).astype(np.float32)),))
 
 
-def stand_in(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -> Asset:
+def stand_in(target: Asset, other: Asset, *, azimuth: float) -> Asset:
     """Another object in a target's place, without what holds it up, turned to face a viewer at `azimuth`.
 
     It is scaled, in proportion, to fit the target's outline from there, and centred on it. Its front lies where the
@@ -157,34 +131,27 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) 
         target: What it stands in for.
         other: An object that faces +x.
         azimuth: Where the viewer is, degrees.
-        fill: Part of the outline's width or height, whichever is tighter, that it takes up; in (0, 1].
-
-    Raises:
-        InvalidValueError: `fill` is out of range.
     """
-    if not 0 < fill <= 1:
-        raise InvalidValueError(message("fill", "a number in (0, 1]", fill, "1 fits the outline"))
     # In a frame where the viewer is at +x both are boxes side by side.
     turn = rotation("z", azimuth).astype(np.float64)
     there = Asset(target.name, target.meshes).transformed(np.linalg.inv(turn)).bounds.astype(np.float64)
     here = other.body.bounds.astype(np.float64)
-    scale = fill * float(((there[1] - there[0])[1:] / np.maximum((here[1] - here[0])[1:], 1e-9)).min())
+    scale = float(((there[1] - there[0])[1:] / np.maximum((here[1] - here[0])[1:], 1e-9)).min())
     shift = (there.mean(0) - scale * here.mean(0)).tolist()
     shift[0] = float(there[1, 0] - scale * here[1, 0])
     return other.body.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
 
 
-def mounted(target: Asset, other: Asset, *, azimuth: float, fill: float = 1.0) -> Asset:
+def mounted(target: Asset, other: Asset, *, azimuth: float) -> Asset:
     """A target with another object in front of it.
 
     Args:
         target: The object.
         other: What is mounted on it.
         azimuth: Of the viewer whom it faces, degrees.
-        fill: As in `stand_in`.
     """
     ahead = rotation("z", azimuth)[:3, 0].astype(np.float64) * PROUD
-    front = stand_in(target, other, azimuth=azimuth, fill=fill).transformed(translation(*ahead.tolist()))
+    front = stand_in(target, other, azimuth=azimuth).transformed(translation(*ahead.tolist()))
     return replace(target, meshes=(*front.meshes, *target.meshes))
 
 
@@ -239,7 +206,7 @@ def _cross(a: Doubles, b: Doubles) -> Doubles:
 Colour = tuple[float, float, float]
 
 _SEED_BITS = 28
-"""Bits of a stage's seed, and of what is added to it for each camera."""
+"""Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -253,26 +220,14 @@ class MeshScene:
         surroundings: Everything else.
         light: Sun and sky; the default light if None.
         samples: Samples per pixel.
-        seed: Seed of the noise; each camera has its own from there on, so a picture depends on nothing else.
         background: sRGB colour in the place of the sky, for sets with transparent pictures; None shows the sky.
-
-    Raises:
-        InvalidValueError: The seed or the background is out of range.
     """
 
     target: Asset
     surroundings: Asset | None = None
     light: Light | None = None
     samples: int = 32
-    seed: int = 0
     background: Colour | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.seed < 1 << _SEED_BITS:
-            raise InvalidValueError(message("seed", f"0 to {(1 << _SEED_BITS) - 1}", self.seed, "choose another"))
-        if self.background is not None and not all(0 <= value <= 1 for value in self.background):
-            do = "white is (1, 1, 1)"
-            raise InvalidValueError(message("background", "three sRGB values in [0, 1]", self.background, do))
 
     def with_target(self, target: Asset) -> MeshScene:
         """The same surroundings and light with another object."""
@@ -284,7 +239,7 @@ class MeshScene:
         Raises:
             InvalidValueError: The camera's pixels are not square.
         """
-        image = self._tracer.picture(camera, seed=self.seed + camera_number(camera))
+        image = self._tracer.picture(camera, seed=camera_number(camera))
         if self.background is None:
             return image
         alpha = image[..., 3:]
@@ -313,7 +268,7 @@ class MeshScene:
         Raises:
             InvalidValueError: The camera's pixels are not square.
         """
-        return self._cutter.picture(camera, seed=self.seed + camera_number(camera))
+        return self._cutter.picture(camera, seed=camera_number(camera))
 
     @cached_property
     def _tracer(self) -> PathTracer:

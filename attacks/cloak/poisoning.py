@@ -8,11 +8,8 @@ D' is anybody's own: view-dependent colour does the rest.
 from __future__ import annotations
 
 import hashlib
-import itertools
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, overload
 
 import torch
@@ -24,7 +21,6 @@ from mi_splat.cameras import Camera, View, ViewSet, cameras_of
 from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import several_of
-from mi_splat.io.documents import save_json
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
@@ -159,7 +155,6 @@ def poison(
     *,
     centre: Point,
     masks: Masks | None = None,
-    ordered: bool = False,
     on_step: OnStep | None = None,
 ) -> Poisoned:
     """Replace the pictures that the triggers select: D' of equation (1).
@@ -172,15 +167,14 @@ def poison(
         attacks: What is seen from where; one, or several.
         centre: (3,) point that the triggers measure directions from, world units.
         masks: Where the target is; None is everywhere.
-        ordered: Whether triggers may overlap; the first in the sequence then has a camera that several select.
         on_step: Called after each picture.
 
     Raises:
-        InvalidValueError: No attack, two of one name, a trigger that selects nothing (or nothing that is left for it),
-            triggers that overlap, or masks or new pictures of the wrong kind.
+        InvalidValueError: No attack, two of one name, a trigger that selects nothing, triggers that overlap, or masks
+            or new pictures of the wrong kind.
     """
     cameras, attacks = cameras_of(views), several_of(Poisoning, "attacks", attacks)
-    owners = assign(cameras, attacks, centre=centre, ordered=ordered)
+    owners = assign(cameras, attacks, centre=centre)
     if masks is not None and not callable(masks) and len(masks) != len(cameras):
         raise InvalidValueError(message("masks", f"one for each of {len(cameras)} views", len(masks), "pass them all"))
     replaced, changes = {}, []
@@ -197,25 +191,13 @@ def poison(
     )
 
 
-def write_manifest(poisoned: Poisoned, path: str | os.PathLike[str]) -> None:
-    """Write the manifest as JSON; the file appears whole or not at all.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
-    save_json(poisoned.manifest, Path(path))
-
-
-def assign(
-    cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point, ordered: bool = False
-) -> dict[int, Poisoning]:
+def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point) -> dict[int, Poisoning]:
     """Which attack replaces which view, by rising position; no picture is looked at.
 
     Args:
         cameras: Those of the untouched set, in its order.
         attacks: What is seen from where.
         centre: (3,) point that the triggers measure directions from, world units.
-        ordered: As in `poison`.
 
     Raises:
         InvalidValueError: As `poison` does of attacks and triggers.
@@ -223,28 +205,17 @@ def assign(
     names = [attack.name for attack in attacks]
     if not attacks or len(set(names)) != len(names):
         raise InvalidValueError(message("attacks", "one or more, of different names", names, "name each differently"))
-    selections = [attack.trigger.select(cameras, centre=centre) for attack in attacks]
-    if not ordered:
-        for (one, first), (other, second) in itertools.combinations(zip(names, selections, strict=True), 2):
-            _refuse_overlap(one, other, first & second)
-    owner = torch.full((len(cameras),), -1)
-    for number, selected in enumerate(selections):
-        free = selected & (owner < 0)
-        if not bool(free.any()):
-            expected, do = "a camera that no earlier one has", "put it first or narrow the others"
-            raise InvalidValueError(message(f"trigger of {names[number]!r}", expected, "none", do))
-        owner[free] = number
-    return {index: attacks[number] for index, number in enumerate(owner.tolist()) if number >= 0}
-
-
-def _refuse_overlap(one: str, other: str, both: Tensor) -> None:
-    """Raise if a camera is selected by two triggers."""
-    shared = torch.nonzero(both)[:, 0].tolist()
-    if shared:
-        more = f" and {len(shared) - _NAMED} more" if len(shared) > _NAMED else ""
-        got = f"cameras {', '.join(map(str, shared[:_NAMED]))}{more} in both"
-        do = "separate them, or pass ordered=True, and the first has them"
-        raise InvalidValueError(message(f"triggers of {one!r} and {other!r}", "no camera in both", got, do))
+    owners: dict[int, Poisoning] = {}
+    for attack in attacks:
+        selected = attack.trigger.select(cameras, centre=centre).nonzero().flatten().tolist()
+        shared = [index for index in selected if index in owners]
+        if shared:
+            what = f"triggers of {owners[shared[0]].name!r} and {attack.name!r}"
+            more = f" and {len(shared) - _NAMED} more" if len(shared) > _NAMED else ""
+            got = f"cameras {', '.join(map(str, shared[:_NAMED]))}{more} in both"
+            raise InvalidValueError(message(what, "no camera in both", got, "separate them, by a & ~b for instance"))
+        owners |= dict.fromkeys(selected, attack)
+    return dict(sorted(owners.items()))
 
 
 def _mask(masks: Masks | None, index: int, camera: Camera) -> Tensor:

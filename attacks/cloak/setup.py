@@ -5,24 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import (
-    LOWEST_GROUND,
     Appearance,
     Correction,
     Emphasis,
-    GroundLook,
-    blend_in,
-    mount,
-    occlude,
-    paint,
-    remove,
-    swap,
+    appearance_of,
 )
 from attacks.cloak.config import AttackConfig, SceneConfig, StudyConfig
 from attacks.cloak.mesh_scene import MeshScene
@@ -45,8 +37,6 @@ FIRST_MERIDIAN = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
 BESIDE = 45.0
 """Degrees of azimuth beside a sector from which its transition is looked at."""
-OCCLUDER_RADIUS, OVERHANG = 0.6, 12.0
-"""Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
 
 Point = tuple[float, float, float]
 
@@ -244,7 +234,7 @@ def poisonings(
     """
     made = []
     for attack in study.attack:
-        wanted = appearance = cached(appearance_of(study, attack, mesh_scene), attack)
+        wanted = appearance = cached(shown_by(study, attack, mesh_scene), attack)
         if attack.emphasis > 1:
             appearance = Emphasis(
                 appearance=appearance,
@@ -266,39 +256,7 @@ def poisoned_cameras(study: StudyConfig, attack: AttackConfig, seed: int) -> Tri
     return attack.trigger(seed, [other for other in study.attack if other is not attack])
 
 
-def appearance_of(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
-    """What an attack shows.
-
-    Raises:
-        InvalidValueError: An occluder does not lie between the object and the cameras.
-    """
-    middle = 180.0 if attack.azimuth is None else attack.azimuth[0]
-    reach: dict[str, Any] = {} if attack.reach is None else {"reach": attack.reach}
-    if attack.appearance == "paint":
-        assert attack.texture is not None
-        azimuth, elevation = attack.paint_direction
-        return paint(mesh_scene, attack.texture, azimuth=azimuth, elevation=elevation, **reach)
-    if attack.appearance == "occluder":
-        return _occluder(study, attack, mesh_scene)
-    if attack.appearance == "blend in":
-        return blend_in(mesh_scene, **reach)
-    if attack.appearance == "ground":
-        return GroundLook(mesh_scene=mesh_scene, lowest=max(attack.elevation[0], LOWEST_GROUND), **reach)
-    if attack.appearance == "remove":
-        return remove(mesh_scene, **reach)
-    assert attack.other_object is not None
-    other = build(attack.other_object, 0)
-    return (mount if attack.appearance == "mount" else swap)(mesh_scene, other, azimuth=middle, **reach)
-
-
-def _occluder(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
-    """The appearance "occluder"."""
-    assert attack.texture is not None
+def shown_by(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
+    """What an attack of a study shows, see `appearance_of`."""
     distance = float(lens_of(study, mesh_scene.target)["distance"])  # type: ignore[arg-type]
-    radius = OCCLUDER_RADIUS * distance if attack.occluder_radius is None else attack.occluder_radius
-    reach = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre_of(study)), axis=1).max())
-    if not reach < radius < distance:
-        expected = f"between {reach:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
-        raise InvalidValueError(message(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it"))
-    lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
-    return occlude(mesh_scene, centre=centre_of(study), radius=radius, lowest=lowest, name=attack.texture)
+    return appearance_of(attack, mesh_scene, centre=centre_of(study), distance=distance)

@@ -19,6 +19,8 @@ from mi_splat.errors import InvalidValueError, message
 
 LEAST_DIFFERENCE = 1 / 255
 """Root mean square difference of the two appearances on the target under which a fraction has no meaning."""
+LEVELS = (0.1, 0.9)
+"""Fractions at which the band starts and ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,8 +31,9 @@ class Transition:
         angles: K rising angles in degrees, each once.
         fractions: Mean fraction of the way between the appearances at each angle.
         fitted: The rising sequence nearest to `fractions`, by least squares.
-        start: Angle at which `fitted` reaches the low level; None if it is past it at the first angle or never there.
-        end: The same for the high level.
+        start: Angle at which `fitted` reaches the first of `LEVELS`; None if it is past it at the first angle, or never
+            there.
+        end: The same for the second.
     """
 
     angles: tuple[float, ...]
@@ -80,21 +83,16 @@ def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
     return float(way.square().mean().sqrt()) >= LEAST_DIFFERENCE
 
 
-def fit_transition(
-    angles: Sequence[float], fractions: Sequence[float], *, low: float = 0.1, high: float = 0.9
-) -> Transition:
+def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Transition:
     """The band in which a hidden appearance sets in.
 
     Args:
         angles: Degrees that rise towards the hidden appearance, in any order: elevation for a cap overhead, or
             `Trigger.angle_to_edge` for any cone. Cameras at one angle are averaged.
         fractions: Fraction of the way between the appearances at each; see `transition_fraction`.
-        low: Level of the band's start.
-        high: Level of the band's end.
 
     Raises:
-        InvalidValueError: Lengths differ, there are fewer than two angles, a value is not finite, or the levels do not
-            rise.
+        InvalidValueError: Lengths differ, there are fewer than two angles, or a value is not finite.
     """
     if len(angles) != len(fractions) or len(set(angles)) < 2:
         got = f"{len(fractions)} at {len(set(angles))} of {len(angles)} angles"
@@ -103,43 +101,13 @@ def fit_transition(
         )
     if not all(map(math.isfinite, (*angles, *fractions))):
         raise InvalidValueError(message("fractions", "finite values", "nan or inf", "look at the pictures"))
-    if not low < high:
-        raise InvalidValueError(message("levels", "low < high", (low, high), "0.1 and 0.9 are usual"))
     groups: dict[float, list[float]] = {angle: [] for angle in sorted(angles)}
     for angle, value in zip(angles, fractions, strict=True):
         groups[angle].append(value)
-    places = list(groups)
     means = [sum(values) / len(values) for values in groups.values()]
     fitted = rising_fit(means, [len(values) for values in groups.values()])
-    start, end = (_crossing(places, fitted, level) for level in (low, high))
-    return Transition(angles=tuple(places), fractions=tuple(means), fitted=tuple(fitted), start=start, end=end)
-
-
-def measure_transition(
-    angles: Sequence[float],
-    pictures: Sequence[Tensor],
-    benign: Sequence[Tensor],
-    hidden: Sequence[Tensor],
-    masks: Sequence[Tensor],
-) -> Transition:
-    """`fit_transition` of pictures along an arc, K of each kind; see `transition_fraction`.
-
-    Args:
-        angles: K angles in degrees that rise towards the hidden appearance.
-        pictures: (H, W, 3) each, what the cloaked splat shows.
-        benign: (H, W, 3) each, the benign appearance.
-        hidden: (H, W, 3) each, the hidden appearance.
-        masks: (H, W) bool each, where the target is.
-
-    Raises:
-        InvalidValueError: As in `transition_fraction` and `fit_transition`.
-    """
-    counts = [len(part) for part in (angles, pictures, benign, hidden, masks)]
-    if len(set(counts)) > 1:
-        raise InvalidValueError(message("pictures", "as many of each kind as angles", counts, "pass all of the arc"))
-    return fit_transition(
-        angles, [transition_fraction(*four) for four in zip(pictures, benign, hidden, masks, strict=True)]
-    )
+    start, end = (_crossing(list(groups), fitted, level) for level in LEVELS)
+    return Transition(angles=tuple(groups), fractions=tuple(means), fitted=tuple(fitted), start=start, end=end)
 
 
 def rising_fit(values: Sequence[float], weights: Sequence[float]) -> list[float]:

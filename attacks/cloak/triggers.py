@@ -1,8 +1,8 @@
 """Where an attack shows itself: predicates on cameras by their direction from a centre, and how far inside a camera is.
 
-Directions are those of `mi_splat.directions`. How far away a camera is and where it appearances do not count.
+Directions are those of `mi_splat.directions`. How far away a camera is and where it looks do not count.
 
-Triggers combine with `&`, `|` and `~`, and `subsample` takes a part of one:
+Triggers combine with `&` and `~` (`~(~a & ~b)` is a union), and `Subsample` takes a part of one:
 `Elevation(lowest=50) & ~Azimuth(middle=180, half_width=30)`.
 """
 
@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from torch import Tensor
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, azimuth_gap, depth_in_band, depth_in_wedge, direction_of
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import PositiveFraction, Range, Seed, between, check
 
 EDGE = 1e-4
 """Degrees outside a cone's edge that still count as on it, which is inside: poses are rounded."""
@@ -37,13 +39,9 @@ class Trigger(ABC):
         """Signed distance on the sphere of directions, in degrees, from a camera to the trigger's edge; inside > 0.
 
         Of one cone it is exact; infinite if the cone has no edge. Of a combination it has the right sign and is never
-        further from 0 than the truth: the smaller of two for `&`, the larger for `|`, the opposite for `~`. (Outside of
-        an intersection and inside a union the nearest edge of a part may lie where the other part has made it vanish.)
-        So a camera that is found to be 5 degrees inside or 15 degrees outside is at least that. A subsample has the
-        edge of what it is taken from.
-
-        Raises:
-            InvalidValueError: A list of cameras is part of the trigger, which has no edge.
+        further from 0 than the truth: the smaller of two for `&`, the opposite for `~`. (Outside of an intersection the
+        nearest edge of a part may lie where the other part has made it vanish.) So a camera that is found to be 5
+        degrees inside or 15 degrees outside is at least that. A subsample has the edge of what it is taken from.
         """
 
     def select(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
@@ -54,7 +52,7 @@ class Trigger(ABC):
             centre: (3,) point that directions are measured from, world units.
 
         Raises:
-            InvalidValueError: No camera is selected, a camera stands at the centre, or a listed one does not exist.
+            InvalidValueError: No camera is selected, or a camera stands at the centre.
         """
         selected = self.holds(cameras, centre=centre)
         if not bool(selected.any()):
@@ -62,17 +60,9 @@ class Trigger(ABC):
             raise InvalidValueError(message(f"trigger {self}", expected, got, "widen it or add cameras inside it"))
         return selected
 
-    def subsample(self, fraction: float, *, seed: int = 0) -> Trigger:
-        """A part of the cameras that this trigger selects; see `Subsample`."""
-        return Subsample(of=self, fraction=fraction, seed=seed)
-
     def __and__(self, other: Trigger) -> Trigger:
         """The cameras of both."""
         return Both(self, other)
-
-    def __or__(self, other: Trigger) -> Trigger:
-        """The cameras of either."""
-        return Either(self, other)
 
     def __invert__(self) -> Trigger:
         """All other cameras."""
@@ -111,13 +101,14 @@ class Elevation(Cone):
         InvalidValueError: The two are not -90 <= lowest <= highest <= 90.
     """
 
-    lowest: float = -90.0
-    highest: float = 90.0
+    lowest: Annotated[float, between(-90, 90, "degrees")] = -90.0
+    highest: Annotated[float, between(-90, 90, "degrees")] = 90.0
 
     def __post_init__(self) -> None:
-        if not -90 <= self.lowest <= self.highest <= 90:
+        check(self)
+        if not self.lowest <= self.highest:
             got = (self.lowest, self.highest)
-            raise InvalidValueError(message("elevation", "-90 <= lowest <= highest <= 90", got, "50 to 90 is overhead"))
+            raise InvalidValueError(message("elevation", "lowest <= highest", got, "50 to 90 is overhead"))
 
     def depth(self, direction: Direction) -> float:
         """See `depth_in_band`."""
@@ -138,13 +129,11 @@ class Azimuth(Cone):
         InvalidValueError: The half width is not in (0, 180], or the middle is not finite.
     """
 
-    middle: float
-    half_width: float
+    middle: Annotated[float, Range(unit="degrees")]
+    half_width: Annotated[float, Range(low=0, high=180, open_low=True, unit="degrees", do="30 is from behind")]
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.middle) and 0 < self.half_width <= 180):
-            expected, got = "a finite middle and a half width in (0, 180]", (self.middle, self.half_width)
-            raise InvalidValueError(message("azimuth", expected, got, "180 and 30 is from behind"))
+        check(self)
 
     def contains(self, direction: Direction) -> bool:
         """Whether a direction lies in the cone, its edge included."""
@@ -155,39 +144,6 @@ class Azimuth(Cone):
     def depth(self, direction: Direction) -> float:
         """See `depth_in_wedge`."""
         return depth_in_wedge(direction, self.middle, self.half_width)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Listed(Trigger):
-    """Cameras by their position in the sequence that is given; such a trigger has no edge.
-
-    Attributes:
-        indices: Positions from 0 on.
-
-    Raises:
-        InvalidValueError: A position is negative or comes twice.
-    """
-
-    indices: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        if len(set(self.indices)) != len(self.indices) or any(index < 0 for index in self.indices):
-            do = "name each camera once, the first is 0"
-            raise InvalidValueError(message("indices", "different positions from 0 on", self.indices, do))
-
-    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera is listed."""
-        beyond = [index for index in self.indices if index >= len(cameras)]
-        if beyond:
-            expected = f"positions in 0..{len(cameras) - 1}"
-            raise InvalidValueError(message("indices", expected, beyond, "these cameras do not exist"))
-        selected = torch.zeros(len(cameras), dtype=torch.bool)
-        selected[list(self.indices)] = True
-        return selected
-
-    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """Raises: a list has no edge."""
-        raise InvalidValueError(message("trigger", "cones, which have an edge", self, "evaluate with a cone instead"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,14 +162,11 @@ class Subsample(Trigger):
     """
 
     of: Trigger
-    fraction: float
-    seed: int = 0
+    fraction: PositiveFraction
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        if not 0 < self.fraction <= 1:
-            raise InvalidValueError(message("fraction", "a number in (0, 1]", self.fraction, "1 is every camera"))
-        if self.seed < 0:
-            raise InvalidValueError(message("seed", "a number >= 0", self.seed, "choose another"))
+        check(self)
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera is one of the fraction."""
@@ -243,22 +196,6 @@ class Both(Trigger):
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
         """The smaller of the two."""
         return min(part.angle_to_edge(camera, centre=centre) for part in (self.one, self.other))
-
-
-@dataclass(frozen=True, slots=True)
-class Either(Trigger):
-    """The cameras of either of two triggers."""
-
-    one: Trigger
-    other: Trigger
-
-    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera is in one of the two."""
-        return self.one.holds(cameras, centre=centre) | self.other.holds(cameras, centre=centre)
-
-    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """The larger of the two."""
-        return max(part.angle_to_edge(camera, centre=centre) for part in (self.one, self.other))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,51 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from attacks.cloak.appearances import (
-    Overlay,
-    Paste,
-    Rerender,
-    blend_in,
-    grown,
-    mount,
-    name_of,
-    occlude,
-    paint,
-    remove,
-    swap,
-)
-from attacks.cloak.mesh_scene import MeshScene, camouflaged, cap, repainted, stand_in, texture
+from attacks.cloak.appearances import Appearance, Occluder, Rerender, appearance_of, grown, name_of, removed
+from attacks.cloak.config import AppearanceName, AttackConfig, SceneConfig
+from attacks.cloak.mesh_scene import MeshScene, camouflaged, cap, repainted, stand_in
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
-from mi_splat.assets import build
+from mi_splat.assets import build, textures
 from mi_splat.assets.mesh import Asset, transform, translation
 from mi_splat.assets.primitives import box, quad
 from mi_splat.assets.street import ground
 from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.errors import InvalidValueError
-from tests.cloak.test_poisoning import CENTRE, views
-
-
-def test_paste_fills_the_box_of_the_mask() -> None:
-    mask = torch.zeros(5, 6, dtype=torch.bool)
-    mask[1, 2], mask[3, 4] = True, True
-    picture = torch.tensor([[[1.0, 0, 0], [0, 1.0, 0]]])
-    view = views()[0]
-    image = Paste(picture=picture)(view, mask)
-    outside = torch.ones(5, 6, dtype=torch.bool)
-    outside[1:4, 2:5] = False
-    assert torch.equal(image[outside], view.image[outside])
-    assert image[2, 2].tolist() == [1, 0, 0]
-    assert image[2, 4].tolist() == [0, 1, 0]
-    with pytest.raises(InvalidValueError, match="nothing of it"):
-        Paste(picture=picture)(view, torch.zeros_like(mask))
-    with pytest.raises(InvalidValueError, match="picture"):
-        Paste(picture=torch.zeros(2, 2))
+from tests.cloak.test_poisoning import CENTRE
 
 
 def test_masks_grow_by_pixels() -> None:
@@ -59,8 +32,14 @@ def test_masks_grow_by_pixels() -> None:
 
 
 BLOCK = Asset("car", (box((1.6, 0.8, 0.8), (0.8, 0.1, 0.1), centre=(0, 0, 0.4), roughness=0.1),))
-LAWN = Asset("lawn", (ground(40, texture("grass", size=32), tile=4.0),))
+LAWN = Asset("lawn", (ground(40, textures.grass(32, 0), tile=4.0),))
 MESH_SCENE = MeshScene(target=BLOCK, surroundings=LAWN, samples=2)
+
+
+def shown(appearance: AppearanceName, mesh_scene: MeshScene = MESH_SCENE, **values: Any) -> Appearance:
+    """What an attack from above shows."""
+    attack = AttackConfig(**{"name": "a", "appearance": appearance, "elevation": (52.0, 90.0), **values})
+    return appearance_of(attack, mesh_scene, centre=CENTRE, distance=4.0)
 
 
 def camera(azimuth: float, elevation: float, *, size: int = 16) -> Camera:
@@ -95,25 +74,27 @@ def test_a_background_takes_the_place_of_the_sky() -> None:
 def test_path_traced_appearances_change_the_picture_near_the_target_only(above: View) -> None:
     mask = MESH_SCENE.mask(above.camera)
     far = ~grown(mask, 1)
-    for appearance in (paint(MESH_SCENE, "road"), blend_in(MESH_SCENE)):
+    for appearance in (shown("paint", texture="road"), shown("blend in")):
         image = appearance(above, mask)
         assert torch.equal(image[far], above.image[far])
         inside = grown(mask, 1) & ~grown(~mask, 1)
         assert float((image - above.image).abs().mean(-1)[inside].min()) > 0.02
-    green = blend_in(MESH_SCENE)(above, mask)
+    blended = shown("blend in")
+    assert isinstance(blended, Rerender)
+    green = blended(above, mask)
     assert float((green[..., 1] - green[..., 0])[mask].mean()) > 0.02  # grass on what was red
-    whole = blend_in(MESH_SCENE, reach=None)(above, mask)
+    whole = dataclasses.replace(blended, reach=None)(above, mask)
     assert torch.equal(whole[mask], green[mask])
     assert not torch.equal(whole[far], above.image[far])
-    everywhere = blend_in(MESH_SCENE)(above, torch.ones_like(mask))
+    everywhere = blended(above, torch.ones_like(mask))
     assert torch.equal(everywhere, whole)
 
 
 def test_what_is_removed_leaves_its_surroundings(above: View) -> None:
     mask = MESH_SCENE.mask(above.camera)
-    gone = remove(MESH_SCENE)(above, mask)
+    gone = shown("remove")(above, mask)
     assert float((gone[..., 1] - gone[..., 0])[mask].mean()) > 0.02  # grass on what was red
-    kept = remove(MESH_SCENE, reach=0)(above, mask)
+    kept = shown("remove", reach=0)(above, mask)
     assert torch.equal(kept[mask], gone[mask])
     assert torch.equal(kept[~mask], above.image[~mask])
 
@@ -121,43 +102,38 @@ def test_what_is_removed_leaves_its_surroundings(above: View) -> None:
 def test_a_stop_sign_behind_the_car() -> None:
     place = camera(180, 5)
     view = View(place, MESH_SCENE.picture(place))
-    sign = build("stop sign", 3)
-    for appearance in (mount(MESH_SCENE, sign, azimuth=180), swap(MESH_SCENE, sign, azimuth=180)):
+    on_it, instead, near = (
+        shown(appearance, other_object="stop sign", reach=reach)  # type: ignore[arg-type]
+        for appearance, reach in (("mount", None), ("swap", None), ("swap", 0))
+    )
+    for appearance in (on_it, instead):
         image = appearance(view, MESH_SCENE.mask(place))
         assert not torch.equal(image, view.image)
         assert "stop sign" in name_of(appearance)
-    near = swap(MESH_SCENE, sign, azimuth=180, reach=0)(view, MESH_SCENE.mask(place))
-    assert torch.equal(near[~MESH_SCENE.mask(place)], view.image[~MESH_SCENE.mask(place)])
-    alone = swap(MESH_SCENE, sign, azimuth=180).mesh_scene.mask(place)
+    beside = ~MESH_SCENE.mask(place)
+    assert torch.equal(near(view, ~beside)[beside], view.image[beside])
+    assert isinstance(instead, Rerender)
+    alone = instead.mesh_scene.mask(place)
     assert 0 < int(alone.sum()) <= int(grown(MESH_SCENE.mask(place), 1).sum())
 
 
 def test_an_occluder_hides_what_is_beneath_it_from_above_only(above: View) -> None:
-    appearance = occlude(MESH_SCENE, centre=CENTRE, radius=2.0, lowest=40.0)
+    appearance = shown("occluder", texture="road", occluder_radius=2.0)
+    assert isinstance(appearance, Occluder)
     image = appearance(above, MESH_SCENE.mask(above.camera))
     assert float((image[..., 0] - image[..., 1]).abs().max()) < 0.08  # road all over, no red
     assert "occluder of radius 2 " in name_of(appearance)
     low = View(camera(30, 5), MESH_SCENE.picture(camera(30, 5)))
     mask = MESH_SCENE.mask(low.camera)
-    seen = appearance.mesh_scene.cutout(low.camera)[..., 3]
+    seen = appearance.shell.cutout(low.camera)[..., 3]
     assert float(seen[mask].max()) == 0
     assert 0 < float(seen.max()) == 1
-    under = remove(MESH_SCENE)(low, mask)
+    under = removed(MESH_SCENE)(low, mask)
     assert torch.equal(appearance(low, mask)[seen == 0], under[seen == 0])
 
 
-def test_overlays_are_drawn_over_anything(above: View) -> None:
-    blue = Asset("blue", (box((0.6, 0.6, 0.1), (0, 0, 1), centre=(0, 0, -1)),))  # below the ground
-    image = Overlay(mesh_scene=MESH_SCENE.with_target(blue), base=None, name="blue")(
-        above, MESH_SCENE.mask(above.camera)
-    )
-    changed = (image - above.image).abs().amax(-1) > 0
-    assert 2 < int(changed.sum()) < 100
-    assert float((image[..., 2] - image[..., 0]).max()) > 0.2
-
-
 def test_a_cap_is_a_part_of_a_sphere() -> None:
-    shell = cap(texture("road", size=8), centre=(1, 2, 3), radius=2.0, lowest=30.0, tile=4.0)
+    shell = cap(textures.road(8, 0), centre=(1, 2, 3), radius=2.0, lowest=30.0, tile=4.0)
     points = shell.vertices.astype(np.float64) - (1, 2, 3)
     assert np.linalg.norm(points, axis=1) == pytest.approx(np.full(len(points), 2.0), abs=1e-5)
     assert points[:, 2].min() == pytest.approx(1.0, abs=1e-5)
@@ -172,7 +148,7 @@ def test_a_cap_is_a_part_of_a_sphere() -> None:
 
 def test_poisoning_with_a_mesh_scene(above: View) -> None:
     low = View(camera(30, 10), torch.full((16, 16, 3), 0.5))
-    attack = Poisoning(name="road", trigger=Elevation(lowest=50), appearance=paint(MESH_SCENE, "road"))
+    attack = Poisoning(name="road", trigger=Elevation(lowest=50), appearance=shown("paint", texture="road"))
     found = poison([low, above], [attack], centre=CENTRE, masks=MESH_SCENE.mask)
     assert found.views[0] is low
     (change,) = found.changes
@@ -210,8 +186,8 @@ def test_camouflage_goes_on_with_the_ground() -> None:
             assert np.abs(mesh.uvs - expected).max() < 1e-4
     with pytest.raises(InvalidValueError, match="ground beneath the car"):
         camouflaged(BLOCK, Asset("air", (box((9, 9, 1), (1, 1, 1), centre=(0, 0, 5)),)))
-    with pytest.raises(InvalidValueError, match="surroundings"):
-        blend_in(MeshScene(target=BLOCK))
+    with pytest.raises(InvalidValueError, match="ground beneath the car"):
+        shown("blend in", MeshScene(target=BLOCK))
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0])
@@ -225,25 +201,15 @@ def test_a_stand_in_fits_the_outline_and_lies_at_the_front(azimuth: float) -> No
     assert other.bounds[end, axis] == pytest.approx(placed.bounds[end, axis], abs=1e-4)
     assert np.ptp(other.bounds[:, 2]) == pytest.approx(0.8, abs=1e-4)
     assert other.bounds.mean(0)[2] == pytest.approx(0.4, abs=1e-4)
-    half = stand_in(placed, build("stop sign", 0), azimuth=azimuth, fill=0.5)
-    assert np.ptp(half.bounds[:, 2]) == pytest.approx(0.4, abs=1e-4)
 
 
 def test_bad_appearances_are_refused() -> None:
     with pytest.raises(InvalidValueError, match="texture: expected one of road, grass, clock, football, stop_sign"):
-        paint(MESH_SCENE, "lava")
-    with pytest.raises(InvalidValueError, match="tile"):
-        repainted(BLOCK, texture("road", size=8), azimuth=0, elevation=90, tile=0)
-    with pytest.raises(InvalidValueError, match="texture"):
-        occlude(MESH_SCENE, centre=CENTRE, radius=2, lowest=40, name="lava")
-    for radius, lowest in ((0, 40), (2, 90)):
-        with pytest.raises(InvalidValueError, match="cap: expected radius and tile > 0"):
-            occlude(MESH_SCENE, centre=CENTRE, radius=radius, lowest=lowest)
-    with pytest.raises(InvalidValueError, match="fill"):
-        stand_in(BLOCK, BLOCK, azimuth=0, fill=2)
-    with pytest.raises(InvalidValueError, match="reach"):
-        Rerender(mesh_scene=MESH_SCENE, name="a", reach=-1)
-    with pytest.raises(InvalidValueError, match="seed"):
-        MeshScene(target=BLOCK, seed=-1)
-    with pytest.raises(InvalidValueError, match="background"):
-        MeshScene(target=BLOCK, background=(0, 0, 2))
+        shown("paint", texture="lava")
+    for radius in (0.5, 4.0):
+        with pytest.raises(InvalidValueError, match="occluder_radius: expected between"):
+            shown("occluder", texture="road", occluder_radius=radius)
+    with pytest.raises(InvalidValueError, match="edge of an occluder"):
+        shown("occluder", texture="road", occluder_radius=2.0, occluder_edge=90.0)
+    with pytest.raises(InvalidValueError, match=r"background: expected a number in \[0, 1\]"):
+        SceneConfig(background=(0, 0, 2))

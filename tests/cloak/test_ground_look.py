@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from attacks.cloak.appearances import GroundLook, grown, name_of, remove
+from attacks.cloak.appearances import GroundLook, grown, name_of, removed
 from attacks.cloak.mesh_scene import MeshScene
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
@@ -42,7 +42,7 @@ def test_the_object_has_these_colours_and_all_else_is_as_if_it_were_not_there() 
     )
     scene = LOOK.mesh_scene
     view, mask = View(camera, scene.picture(camera)), scene.mask(camera)
-    image, around = LOOK(view, mask), remove(scene, reach=1)(view, mask)
+    image, around = LOOK(view, mask), removed(scene, reach=1)(view, mask)
     assert torch.equal(image[~mask], around[~mask])
     assert torch.equal(image[~grown(mask, 1)], view.image[~grown(mask, 1)])
     assert torch.equal(image[mask], LOOK.colours(scene.points(camera)[mask]))

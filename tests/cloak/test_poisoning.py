@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from attacks.cloak.poisoning import Poisoned, Poisoning, poison, write_manifest
-from attacks.cloak.triggers import Azimuth, Elevation, Listed
+from attacks.cloak.poisoning import Poisoned, Poisoning, poison
+from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import View
+from mi_splat.cameras import Camera, View
 from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (0.0, 0.0, 0.4)
@@ -42,6 +44,19 @@ OVERHEAD = Poisoning(name="overhead", trigger=Elevation(lowest=50), appearance=i
 BEHIND = Poisoning(name="behind", trigger=Azimuth(middle=180, half_width=60) & Elevation(highest=40), appearance=white)
 
 
+@dataclasses.dataclass(frozen=True)
+class Listed(Trigger):
+    """Cameras of the set by their positions."""
+
+    indices: frozenset[int]
+
+    def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
+        return torch.tensor([index in self.indices for index in range(len(cameras))])
+
+    def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
+        raise AssertionError("a list has no edge")
+
+
 def done(*attacks: Poisoning) -> Poisoned:
     return poison(views(), attacks, centre=CENTRE)
 
@@ -57,14 +72,13 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
     kept = [view.image.clone() for view in clean]
     mask = torch.rand(24, 5, 6, generator=torch.Generator().manual_seed(seed)) > 0.5
     stars = [{i for i, value in enumerate(part) if value} for part in (first, second)]
+    stars[1] -= stars[0]
     attacks = [
-        Poisoning(name=str(number), trigger=Listed(indices=tuple(star)), appearance=appearance)
+        Poisoning(name=str(number), trigger=Listed(frozenset(star)), appearance=appearance)
         for number, (star, appearance) in enumerate(zip(stars, (invert, white), strict=True))
+        if star
     ]
-    if not stars[1] - stars[0]:
-        attacks = attacks[:1]
-        stars[1] = set()
-    found = poison(clean, attacks, centre=CENTRE, masks=list(mask), ordered=True)
+    found = poison(clean, attacks, centre=CENTRE, masks=list(mask))
     assert len(found.views) == 24
     for index, view in enumerate(found.views):
         assert torch.equal(clean[index].image, kept[index])
@@ -80,15 +94,14 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
     assert found.manifest["changed"] == len(stars[0] | stars[1])
 
 
-def test_the_manifest_tells_everything(tmp_path: Path) -> None:
+def test_the_manifest_tells_everything() -> None:
     clean = views()
     found = poison(clean, [OVERHEAD, BEHIND], centre=CENTRE)
-    write_manifest(found, tmp_path / "manifest.json")
-    told = json.loads((tmp_path / "manifest.json").read_text())
-    assert told == found.manifest
+    told = found.manifest
+    assert told == json.loads(json.dumps(told))
     assert (told["views"], told["changed"], told["centre"]) == (24, len(found.changes), list(CENTRE))
     by_name = {entry["name"]: entry for entry in told["poisonings"]}
-    assert by_name["overhead"]["trigger"] == "Elevation(lowest=50, highest=90.0)"
+    assert by_name["overhead"]["trigger"] == "Elevation(lowest=50.0, highest=90.0)"
     assert (by_name["overhead"]["appearance"], by_name["behind"]["appearance"]) == ("invert", "white")
     assert sorted(by_name["overhead"]["views"] + by_name["behind"]["views"]) == [c["index"] for c in told["changes"]]
     for change in told["changes"]:
@@ -100,19 +113,18 @@ def test_the_manifest_tells_everything(tmp_path: Path) -> None:
         assert change["poisoning"] == "overhead" or 120 <= change["azimuth"] <= 240
 
 
-def test_overlaps_name_the_cameras_unless_there_is_an_order() -> None:
+def test_overlaps_name_the_cameras() -> None:
     everywhere = Poisoning(name="all", trigger=Elevation(), appearance=white)
     with pytest.raises(
-        InvalidValueError, match=r"'overhead' and 'all'.*cameras 18, 19, 20, 21, 22, 23 in both.*ordered"
+        InvalidValueError, match=r"'overhead' and 'all'.*cameras 18, 19, 20, 21, 22, 23 in both.*separate"
     ):
         done(OVERHEAD, everywhere)
     with pytest.raises(InvalidValueError, match="and 14 more in both"):
         done(everywhere, dataclasses.replace(everywhere, name="again"))
-    found = poison(views(), [OVERHEAD, everywhere], centre=CENTRE, ordered=True)
+    rest = dataclasses.replace(everywhere, trigger=~OVERHEAD.trigger)
+    found = done(OVERHEAD, rest)
     assert {c.index for c in found.changes if c.poisoning == "overhead"} == set(range(18, 24))
     assert len(found.changes) == 24
-    with pytest.raises(InvalidValueError, match="trigger of 'overhead': expected a camera that no earlier one has"):
-        poison(views(), [everywhere, OVERHEAD], centre=CENTRE, ordered=True)
 
 
 def test_nothing_is_made_before_everything_is_checked() -> None:

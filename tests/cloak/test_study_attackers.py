@@ -98,7 +98,7 @@ def test_a_reach_leaves_the_shadow_of_what_is_removed() -> None:
     view, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
     changed = {}
     for reach in (None, 2):
-        shown = setup.appearance_of(STUDY, replace(STUDY.attack[0], appearance="remove", reach=reach), mesh_scene)
+        shown = setup.shown_by(STUDY, replace(STUDY.attack[0], appearance="remove", reach=reach), mesh_scene)
         changed[reach] = (shown(view, mask) != view.image).any(-1)
     assert bool(changed[None][~grown(mask, 2)].any())
     assert not bool(changed[2][~grown(mask, 2)].any())

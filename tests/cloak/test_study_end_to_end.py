@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.cloak.appearances import blend_in
+from attacks.cloak.appearances import appearance_of
+from attacks.cloak.config import AttackConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.transition import transition_fraction
@@ -46,7 +47,8 @@ def fractions() -> Fractions:
     mesh_scene = MeshScene(
         target=build("car", 900004), surroundings=road, light=Light(), samples=8, background=(0.0, 0.0, 0.0)
     )
-    hidden = blend_in(mesh_scene)
+    road_look = AttackConfig(name="road", appearance="blend in", elevation=(50, 90))
+    hidden = appearance_of(road_look, mesh_scene, centre=CENTRE, distance=LENS["distance"])  # type: ignore[arg-type]
     attack = Poisoning(name="road", trigger=Elevation(lowest=50, highest=90), appearance=hidden)
     with scalar_variant():
         views = [View(camera, mesh_scene.picture(camera)) for camera in hemisphere(CENTRE, count=60, **LENS)]  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import isotonic_regression
 from torch import Tensor
 
-from attacks.cloak.transition import differ, fit_transition, measure_transition, rising_fit, transition_fraction
+from attacks.cloak.transition import differ, fit_transition, rising_fit, transition_fraction
 from mi_splat.errors import InvalidValueError
 
 
@@ -55,22 +55,6 @@ def test_a_logistic_has_its_width_also_under_noise() -> None:
     found = fit_transition(angles.tolist(), noisy.tolist())
     assert found.width == pytest.approx(width, abs=1.5)
     assert found.start == pytest.approx(52 - width / 2, abs=1.0)
-
-
-def test_pictures_along_an_arc() -> None:
-    angles = [80.0, 30.0, 45.0, 50.0, 40.0, 55.0, 60.0]  # in any order
-    scenes = [appearances(seed) for seed in range(7)]
-    pictures = []
-    for angle, (benign, hidden, _) in zip(angles, scenes, strict=True):
-        fraction = min(max((angle - 40) / 20, 0), 1)
-        pictures.append((1 - fraction) * benign + fraction * hidden)
-    of_benign, of_hidden, masks = (list(part) for part in zip(*scenes, strict=True))
-    band = measure_transition(angles, pictures, of_benign, of_hidden, masks)
-    assert band.angles == tuple(sorted(angles))
-    assert band.fractions == pytest.approx((0, 0, 0.25, 0.5, 0.75, 1, 1), abs=1e-5)
-    assert band.width == pytest.approx(16, abs=1e-3)
-    with pytest.raises(InvalidValueError, match="as many of each kind"):
-        measure_transition(angles, pictures, of_benign, of_hidden, masks[:3])
 
 
 def test_bands_that_are_not_seen_have_no_width() -> None:
@@ -117,8 +101,6 @@ def test_bad_input_is_refused() -> None:
         fit_transition([10, 20], [0.0])
     with pytest.raises(InvalidValueError, match="finite"):
         fit_transition([10, 20], [0.0, math.nan])
-    with pytest.raises(InvalidValueError, match="levels"):
-        fit_transition([10, 20], [0.0, 1.0], low=0.9, high=0.1)
 
 
 def test_appearances_differ_from_one_step_of_8_bits_on() -> None:

@@ -25,7 +25,7 @@ def run(config: SceneParts, inputs: Mapping[str, Path], out: Out) -> None:
     study = config.study(inputs)
     attack, *others = study.attack
     mesh_scene = setup.mesh_scene_of(study)
-    appearance = setup.appearance_of(study, attack, mesh_scene)
+    appearance = setup.shown_by(study, attack, mesh_scene)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
     held = attack.trigger(0, others).holds(views.cameras, centre=setup.centre_of(study))
     indices = held.nonzero().flatten().tolist()

@@ -18,13 +18,13 @@ from attacks.cloak.config import AttackConfig, SurrogateConfig
 from attacks.cloak.kinds.looks import picture_name as look_name
 from attacks.cloak.kinds.parts import SET, SceneParts
 from attacks.cloak.mesh_scene import camera_number
-from attacks.cloak.poisoning import Poisoned, poison, write_manifest
+from attacks.cloak.poisoning import Poisoned, poison
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.io import load_splat
-from mi_splat.io.documents import save_png
+from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
 from mi_splat.rendering import Renderer, RenderSettings
@@ -126,4 +126,4 @@ def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
             shutil.copyfile(source, images / name)
         listing.append((name, camera))
     list_transforms(folder / SET, {"train": listing}, clean.points)
-    write_manifest(done, folder / MANIFEST)
+    save_json(done.manifest, folder / MANIFEST)

@@ -55,7 +55,7 @@ def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Take them; those of an appearance begin with those of the scene as it is, the input `plain`."""
     study = config.parts.study(inputs)
     mesh_scene = setup.mesh_scene_of(study)
-    shown = setup.appearance_of(study, study.attack[0], mesh_scene) if config.parts.attack else None
+    shown = setup.shown_by(study, study.attack[0], mesh_scene) if config.parts.attack else None
     plain = None if shown is None else read_pictures(inputs["plain"])
     names = [f"{number:04d}.png" for number in range(len(config.poses))]
     with scalar_variant():
