@@ -89,11 +89,12 @@ def _asked(options: CloakOptions) -> StudyConfig:
 
 def _tell(summary: dict[str, Any], options: CloakOptions) -> None:
     """The figures that matter, for each detector."""
-    from attacks.cloak.rates import ROWS, words_of
+    from attacks.cloak.rates import RATES
+    from attacks.tables import cell
 
     for name, rates in summary["by_detector"].items():
         show(name)
-        show_table([(f"  {ROWS[key]}", words_of(rates[key])) for key in _SHOWN if rates[key] is not None])
+        show_table([(f"  {RATES[key]}", cell(rates[key])) for key in _SHOWN if rates[key] is not None])
     drop, band = summary["benign_psnr_drop"], summary["transition_degrees"]
     if drop is not None:
         clean = summary["benign_psnr"]["clean"]

@@ -21,7 +21,6 @@ from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.plots import LABELS, draw_rates, new_axes, save_figure
-from attacks.cloak.rates import words_of
 from attacks.cloak.steps import StudySteps, TrainedSplat
 from attacks.cloak.study import STUDY, SUMMARY, differences, whose
 from attacks.detectors.base import Detector
@@ -286,7 +285,7 @@ def write_detection_curve(
         **(origin or {}),
         "cameras": rows["view"].n_unique(),
         "detectors": fingerprints,
-        "splats": [{"splat": one.splat, "seed": one.seed, "hash": one.hash} for one in splats],
+        "splats": [{"splat": one.splat, "seed": one.seed, "hash": one.record["hash"]} for one in splats],
         "rates": [line.as_dict() for line in lines],
     }
     for kind, width, label, file in (
@@ -329,7 +328,7 @@ def _by_group(lines: Sequence[Line], detectors: Sequence[str], kind: str, confid
     for name in detectors:
         series = [chosen(lines, kind, detector=name, splat=one, confidence=confidence) for one in PICTURES]
         for group in zip(*series, strict=True):
-            texts = [words_of(rate.as_dict(), interval=False) for _, rate in group]
+            texts = [f"{rate.successes}/{rate.total}" for _, rate in group]
             cells.setdefault(group[0][0].name, []).append(", ".join(texts))
     head = [f"| {kind}, at {confidence:g} | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
     return [*head, *(f"| {group} | {' | '.join(texts)} |" for group, texts in cells.items()), ""]
@@ -352,7 +351,7 @@ def _with_spread(lines: Sequence[Line], line: Line) -> str:
     """A rate with its interval, and its least and largest value over the seeds."""
     fractions = [rate.fraction for rate in spread(lines, line)]
     seeds = f"; {min(fractions):.0%} to {max(fractions):.0%}" if len(fractions) > 1 else ""
-    return words_of(line.rate.as_dict()) + seeds
+    return line.rate.words + seeds
 
 
 def _plot(

@@ -14,11 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak import setup
-from attacks.cloak.rates import BIN, NAMES, StudyRows, by_elevation, place_of, transition
+from attacks.cloak.rates import BIN, NAMES, Tables, by_elevation, place_of, transition
 from attacks.cloak.steps import StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, TARGET_SCORE, TRUE
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, ROWS, TARGET_SCORE, TRANSITION, TRUE
 from attacks.rate import Rate
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
@@ -129,7 +129,7 @@ def contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: D
 
 def write_figures(
     steps: StudySteps,
-    seen: StudyRows,
+    tables: Tables,
     splats: Sequence[TrainedSplat],
     detectors: Sequence[Detector],
     folder: Path,
@@ -138,7 +138,7 @@ def write_figures(
 
     Args:
         steps: The study.
-        seen: What was seen of every splat.
+        tables: What was seen of every splat.
         splats: Those of the contact sheet.
         detectors: Those that observed them; the first one's boxes are on the contact sheet.
         folder: For the pictures.
@@ -148,24 +148,24 @@ def write_figures(
         SplatFileError: The folder cannot be written.
     """
     save_png(contact_sheet(steps, splats, detectors[0]), folder / "contact.png")
-    save_figure(_elevation(steps, seen), folder / "elevation.png")
-    save_figure(_azimuth(steps, seen), folder / "azimuth.png")
+    save_figure(_elevation(steps, tables), folder / "elevation.png")
+    save_figure(_azimuth(steps, tables), folder / "azimuth.png")
     names = ["contact.png", "elevation.png", "azimuth.png"]
-    if transition(steps.study, seen) is not None:
-        save_figure(_transition(steps, seen), folder / "transition.png")
+    if transition(steps.study, tables) is not None:
+        save_figure(_transition(steps, tables), folder / "transition.png")
         names.append("transition.png")
     return names
 
 
-def _elevation(steps: StudySteps, seen: StudyRows) -> Any:
+def _elevation(steps: StudySteps, tables: Tables) -> Any:
     """For each detector: confidence in the object at every camera, and the fraction found in bands of elevation."""
     study = steps.study
     figure, axes = new_axes(len(study.evaluation.detectors))
     turned = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None]
-    bands = by_elevation(study, seen.rows)
+    bands = by_elevation(study, tables[ROWS])
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
         for which in NAMES:
-            shown = seen.rows.filter(*turned, detector=name, splat=which)
+            shown = tables[ROWS].filter(*turned, detector=name, splat=which)
             axis.scatter(
                 shown["elevation"],
                 shown["original_score"],
@@ -189,14 +189,14 @@ def _elevation(steps: StudySteps, seen: StudyRows) -> Any:
     return figure
 
 
-def _azimuth(steps: StudySteps, seen: StudyRows) -> Any:
+def _azimuth(steps: StudySteps, tables: Tables) -> Any:
     """For each detector, below all hiding triggers: confidence in the object and in what is wanted, by azimuth."""
     study = steps.study
     figure, axes = new_axes(len(study.evaluation.detectors))
     hiding = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is None]
     wanted = {attack.target_class: f"{TARGET_SCORE}{attack.name}" for attack in study.attack if attack.target_class}
     for axis, name in zip(axes, study.evaluation.detectors, strict=True):
-        shown = seen.rows.filter(*hiding, detector=name, splat=ATTACKED)
+        shown = tables[ROWS].filter(*hiding, detector=name, splat=ATTACKED)
         for label, column, colour in (
             (study.scene.class_name, "original_score", COLOURS[CLEAN]),
             *((label, column, COLOURS[ATTACKED]) for label, column in wanted.items()),
@@ -219,11 +219,11 @@ def _azimuth(steps: StudySteps, seen: StudyRows) -> Any:
     return figure
 
 
-def _transition(steps: StudySteps, seen: StudyRows) -> Any:
+def _transition(steps: StudySteps, tables: Tables) -> Any:
     """How far the splats are on the way from the benign to the hidden appearance, by elevation or depth in a sector."""
     study, (figure, (axis,)) = steps.study, new_axes(1)
     for which in NAMES:
-        blends, band = seen.transition.filter(splat=which), transition(study, seen, which)
+        blends, band = tables[TRANSITION].filter(splat=which), transition(study, tables, which)
         assert band is not None
         axis.scatter(blends[place_of(study)], blends["fraction"], s=6, color=COLOURS[which], alpha=0.4, linewidths=0)
         axis.plot(band.angles, band.fitted, color=COLOURS[which], label=NAMES[which])

@@ -1,13 +1,12 @@
-"""The figures of a study: rates with their denominators and intervals, loss of quality, the transition; as Markdown.
+"""The figures of a study: rates with their denominators and intervals, loss of quality, the transition; as tables.
 
-They are counted from rows (`attacks.observe.rows`), in which the cloaked splat is called attacked.
+They are counted from tables of rows (`attacks.observe.rows`), in which the cloaked splat is called attacked.
 """
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
@@ -17,10 +16,11 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
 from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH
-from attacks.rate import Rate
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, ROWS, TRANSITION
+from attacks.rate import Rate, percent
+from attacks.tables import Table, cell
 
-ROWS = {
+RATES = {
     "control_recall": "control found, inside the hiding trigger",
     "trigger_miss_rate": "cloaked missed, well inside it, where the control is found",
     "trigger_miss_rate_all": "cloaked missed, all inside it, where the control is found",
@@ -35,59 +35,73 @@ ROWS = {
 """What the rates of a summary say."""
 
 
+def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
+    """Tables of a summary: rates by detector, seed and attack, how often the object is found by elevation, the rest."""
+    detectors, headline = summary["by_detector"], headline_key(summary)
+    rates = [
+        (title, *(cell(rates[key]) + spread_of(summary, name, key) for name, rates in detectors.items()))
+        for key, title in RATES.items()
+        if any(rates[key] is not None for rates in detectors.values())
+    ]
+    yield Table(caption="Rates by detector", head=("rate", *detectors), rows=tuple(rates))
+    seeds = summary["by_seed"]
+    if len(seeds) > 1:
+        rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in seeds.items()]
+        yield Table(caption=f"By seed: {RATES[headline]}", head=("seed", *detectors), rows=tuple(rows))
+    if len(summary["by_attack"]) > 1:
+        rows = []
+        for name, counted in summary["by_attack"].items():
+            key = headline_key(next(iter(counted.values())))
+            rows.append((f"{name}: {RATES[key]}", *(cell(rates[key]) for rates in counted.values())))
+        yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
+    bands = zip(*(summary["by_elevation"][name] for name in detectors), strict=True)
+    rows = [
+        (f"{band[0]['from']:g} to {band[0]['to']:g}", *(Rate.of(row[w]).counts for row in band for w in NAMES.values()))
+        for band in bands
+    ]
+    head = ("elevation", *(f"{name}, {which}" for name in detectors for which in NAMES.values()))
+    yield Table(caption="Found, by elevation", head=head, rows=tuple(rows))
+    yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
+
+
 def markdown(summary: Mapping[str, Any]) -> str:
-    """Tables of a summary: rates by detector and their spread over seeds, found by elevation, and the rest."""
-    detectors = summary["by_detector"]
-    lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
-    for key, title in ROWS.items():
-        cells = [words_of(rates[key]) + spread_of(summary, name, key) for name, rates in detectors.items()]
-        if any(cells):
-            lines.append(f"| {title} | " + " | ".join(cells) + " |")
-    lines += ["", "| elevation | " + " | ".join(f"{name}, clean | cloaked" for name in detectors) + " |"]
-    lines.append("|---" * (2 * len(detectors) + 1) + "|")
-    for rows in zip(*(summary["by_elevation"][name] for name in detectors), strict=True):
-        cells = [words_of(row[which], interval=False) for row in rows for which in ("clean", "cloaked")]
-        lines.append(f"| {rows[0]['from']:g} to {rows[0]['to']:g} | " + " | ".join(cells) + " |")
-    band, drop = summary["transition"], summary["benign_psnr_drop"]
-    lines += ["", "| | |", "|---|---|"]
-    lines.append(f"| seeds | {', '.join(map(str, summary['seeds']))} |")
-    if band is not None and summary["transition_degrees"] is not None:
-        degrees = f"{summary['transition_degrees']:.1f} degrees, from {band['from']:.1f} to {band['to']:.1f}"
-        lines.append(f"| transition | {degrees} |")
+    """`tables` as Markdown."""
+    return "\n\n".join(table.markdown for table in tables(summary)) + "\n"
+
+
+def headline_key(rates: Mapping[str, Any]) -> str:
+    """The rate that matters most: of an attack that hides that of misses, else that of the class that is wanted."""
+    return "target_rate" if rates["trigger_miss_rate"] is None else "trigger_miss_rate"
+
+
+def costs(summary: Mapping[str, Any]) -> dict[str, str]:
+    """What an attack takes besides its rates: seeds, transition, loss of quality, Gaussians; as people read them."""
+    band, lines = summary["transition"], {"seeds": ", ".join(map(str, summary["seeds"]))}
+    if summary["transition_degrees"] is not None:
+        ends = f"from {band['from']:.1f} to {band['to']:.1f}"
+        lines["transition"] = f"{summary['transition_degrees']:.1f} degrees, {ends}"
         widths = sorted(width for width in band["meridians"] if width is not None)
         if widths:
-            lines.append(f"| along one meridian | {widths[0]:.1f} to {widths[-1]:.1f} degrees |")
-    if drop is not None:
-        psnr, ssim = summary["benign_psnr"], summary["benign_ssim"]
-        lines.append(f"| far from the triggers, clean | {psnr['clean']:.2f} dB, SSIM {ssim['clean']:.3f} |")
-        lines.append(f"| far from the triggers, cloaked | {psnr['cloaked']:.2f} dB, SSIM {ssim['cloaked']:.3f} |")
-    price = summary["stealth"]
-    if price is not None:
-        before, after = (price["surroundings_psnr"][which] for which in ("clean", "cloaked"))
-        title = "stealthy" if price["stealthy"] else "not stealthy"
-        lines.append(
-            f"| beside the object, inside the trigger, clean and cloaked | {before:.2f} and {after:.2f} dB: {title} |"
-        )
-        lines.append(f"| on the object, against what is wanted there | {price['appearance_psnr']['cloaked']:.2f} dB |")
-    for which in ("clean", "cloaked"):
-        lines.append(f"| Gaussians, {which} | {', '.join(f'{n:,}' for n in summary['gaussians'][which])} |")
-    return "\n".join(lines) + "\n"
+            lines["transition along one meridian"] = f"{widths[0]:.1f} to {widths[-1]:.1f} degrees"
+    for which in NAMES.values() if summary["benign_psnr_drop"] is not None else ():
+        psnr, ssim = summary["benign_psnr"][which], summary["benign_ssim"][which]
+        lines[f"pictures far from the triggers, {which}"] = f"{psnr:.2f} dB, SSIM {ssim:.3f}"
+    stealth = summary["stealth"]
+    if stealth is not None:
+        clean, cloaked = (stealth["surroundings_psnr"][which] for which in NAMES.values())
+        stealthy = "stealthy" if stealth["stealthy"] else "not stealthy"
+        beside = "pictures beside the object, inside the trigger, clean and cloaked"
+        lines[beside] = f"{clean:.2f} and {cloaked:.2f} dB: {stealthy}"
+        on_it = stealth["appearance_psnr"][CLOAKED]
+        lines["pictures on the object, against what is wanted there"] = f"{on_it:.2f} dB"
+    return lines | {f"Gaussians, {n}": ", ".join(f"{g:,}" for g in summary["gaussians"][n]) for n in NAMES.values()}
 
 
 def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
     """Least and largest of a detector's rate over the seeds, for people; empty where there is one seed."""
     rates = [seed[detector].get(key) for seed in summary["by_seed"].values()]
     fractions = [rate["rate"] for rate in rates if rate is not None and rate["total"]]
-    return f"; by seed {min(fractions):.1%} to {max(fractions):.1%}" if len(fractions) > 1 else ""
-
-
-def words_of(rate: Mapping[str, Any] | None, *, interval: bool = True) -> str:
-    """A rate for people; empty if there is none."""
-    if rate is None or not rate["total"]:
-        return ""
-    low, high = rate["interval"]
-    fraction = f"{rate['successes']}/{rate['total']}"
-    return f"{fraction} = {rate['rate']:.1%} ({low:.1%} to {high:.1%})" if interval else fraction
+    return f"; by seed {percent(min(fractions))} to {percent(max(fractions))}" if len(fractions) > 1 else ""
 
 
 STEALTHY = 1.5
@@ -100,23 +114,8 @@ NAMES = {CLEAN: CLEAN, ATTACKED: CLOAKED}
 """Splats as rows call them, and as figures do."""
 
 Rates = dict[str, Rate | None]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StudyRows:
-    """What was seen of the splats of a study.
-
-    Attributes:
-        rows: A row for each splat, seed, detector and held-out camera.
-        fidelity: A row for each splat, seed and camera far outside of all triggers.
-        transition: A row for each splat, seed and camera of an arc.
-        gaussians: Number of Gaussians of the clean and of the cloaked splats, by seed in the order of the study.
-    """
-
-    rows: pl.DataFrame
-    fidelity: pl.DataFrame
-    transition: pl.DataFrame
-    gaussians: Mapping[str, Sequence[int]]
+Tables = Mapping[str, pl.DataFrame]
+"""Rows, fidelity and transition by their names (`attacks.observe.rows`); `attacks.cloak.study.observe` makes them."""
 
 
 def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confidence | None = None) -> Measures:
@@ -152,7 +151,7 @@ def rates(
         attack: As in `measures`.
     """
     counted = count(with_control(rows), measures(study, attack), by, clusters=CLUSTERS)
-    return {group: {name: counts.get(name) for name in ROWS} for group, counts in counted.items()}
+    return {group: {name: counts.get(name) for name in RATES} for group, counts in counted.items()}
 
 
 def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple[float, Rate, Rate]]]:
@@ -177,9 +176,9 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
     return bands
 
 
-def meridians(study: StudyConfig, seen: StudyRows) -> list[float | None]:
+def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
     """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
-    arcs = seen.transition.filter(splat=ATTACKED).group_by(["seed", "meridian"], maintain_order=True)
+    arcs = tables[TRANSITION].filter(splat=ATTACKED).group_by(["seed", "meridian"], maintain_order=True)
     return [
         fit_transition(arc[place_of(study)].to_list(), arc["fraction"].to_list()).width
         for _, arc in arcs
@@ -187,11 +186,11 @@ def meridians(study: StudyConfig, seen: StudyRows) -> list[float | None]:
     ]
 
 
-def transition(study: StudyConfig, seen: StudyRows, splat: str = ATTACKED) -> Transition | None:
+def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Transition | None:
     """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
     if setup.hiding(study) is None:
         return None
-    blends = seen.transition.filter(splat=splat)
+    blends = tables[TRANSITION].filter(splat=splat)
     places = [round(place, 3) for place in blends[place_of(study)]]
     if len(set(places)) < 2:
         return None
@@ -209,13 +208,13 @@ def depth_of(study: StudyConfig) -> str:
     return DEPTH if attack is None else f"{DEPTH}{attack.name}"
 
 
-def fidelity(seen: StudyRows, splat: str) -> tuple[float, float] | None:
+def fidelity(tables: Tables, splat: str) -> tuple[float, float] | None:
     """Mean PSNR (dB) and mean SSIM of a splat's pictures at the cameras well outside of all triggers."""
-    near = seen.fidelity.filter(splat=splat)
+    near = tables[FIDELITY].filter(splat=splat)
     return None if near.is_empty() else (statistics.mean(near["psnr"]), statistics.mean(near["ssim"]))
 
 
-def stealth(study: StudyConfig, seen: StudyRows) -> dict[str, Any] | None:
+def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     """How well an attack hides that it hides, from the meridians' cameras inside its trigger; None without any.
 
     `surroundings_psnr`: mean PSNR beside the object against true pictures of the scene as it is; `..._drop`: what the
@@ -225,7 +224,7 @@ def stealth(study: StudyConfig, seen: StudyRows) -> dict[str, Any] | None:
     if setup.hiding(study) is None:
         return None
     deep = pl.col(depth_of(study)) >= 0
-    inside = {NAMES[splat]: seen.transition.filter(deep, splat=splat) for splat in NAMES}
+    inside = {NAMES[splat]: tables[TRANSITION].filter(deep, splat=splat) for splat in NAMES}
     if any(blends.is_empty() for blends in inside.values()):
         return None
 
@@ -242,29 +241,38 @@ def stealth(study: StudyConfig, seen: StudyRows) -> dict[str, Any] | None:
     }
 
 
-def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
+def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
     Intervals are resampled over blocks of neighbouring cameras and seeds (`attacks.observe.rates`). All seeds share
     object and light, so that what another object would give is in none of them.
+
+    Args:
+        study: The study.
+        tables: What was seen.
+        splats: Name and number of Gaussians of each splat, by seed in the order of the study.
     """
-    band = transition(study, seen)
-    near = {name: fidelity(seen, splat) for splat, name in NAMES.items()}
+    rows = tables[ROWS]
+    gaussians = {
+        name: [int(splat["gaussians"]) for splat in splats if splat["splat"] == name] for name in NAMES.values()
+    }
+    band = transition(study, tables)
+    near = {name: fidelity(tables, splat) for splat, name in NAMES.items()}
     clean, cloaked = near[CLEAN], near[CLOAKED]
     detectors = study.evaluation.detectors
-    by_seed = rates(study, seen.rows, ("seed", "detector"))
-    bands = by_elevation(study, seen.rows)
+    by_seed = rates(study, rows, ("seed", "detector"))
+    bands = by_elevation(study, rows)
     return {
-        **_all(rates(study, seen.rows)[()]),
+        **_all(rates(study, rows)[()]),
         "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
         "transition_degrees": None if band is None else band.width,
-        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, seen)},
-        "stealth": stealth(study, seen),
-        "gaussians": {which: list(numbers) for which, numbers in seen.gaussians.items()},
-        "gaussians_ratio": sum(seen.gaussians[CLOAKED]) / max(sum(seen.gaussians[CLEAN]), 1),
-        "by_detector": _by_detector(rates(study, seen.rows, ("detector",)), detectors),
+        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, tables)},
+        "stealth": stealth(study, tables),
+        "gaussians": gaussians,
+        "gaussians_ratio": sum(gaussians[CLOAKED]) / max(sum(gaussians[CLEAN]), 1),
+        "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
         "by_seed": {
             str(seed): _by_detector(
                 {group[1:]: counts for group, counts in by_seed.items() if group[0] == seed}, detectors
@@ -272,7 +280,7 @@ def figures(study: StudyConfig, seen: StudyRows) -> dict[str, Any]:
             for seed in study.seeds
         },
         "by_attack": {
-            attack.name: _by_detector(rates(study, seen.rows, ("detector",), attack=attack.name), detectors)
+            attack.name: _by_detector(rates(study, rows, ("detector",), attack=attack.name), detectors)
             for attack in study.attack
         },
         "by_elevation": {

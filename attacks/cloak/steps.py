@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, EvaluationConfig, StudyConfig, fit_config
@@ -48,24 +49,30 @@ class TrainedSplat:
     Attributes:
         splat: "clean" or "cloaked".
         seed: Of the training.
-        file: Where it is.
-        content: What stands for the bytes of the file.
-        gaussians: Their number.
-        hash: See `mi_splat.scene.scene_hash`.
-        commit: Of the checkout that made it, which may be an earlier one than that of the summary; None if unknown.
+        done: The job that made it.
     """
 
     splat: str
     seed: int
-    file: Path
-    content: str
-    gaussians: int
-    hash: str
-    commit: str | None = None
+    done: Done
+
+    @property
+    def file(self) -> Path:
+        """Where it is."""
+        return self.done.folder / SPLAT
 
     def load(self) -> GaussianScene:
         """The splat from its file."""
         return load_splat(self.file)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What results say of it; `commit` is of the checkout that made it, which may be an earlier one than theirs."""
+        scene = self.load()
+        return {
+            **{"splat": self.splat, "seed": self.seed, "content": self.done.content_of(SPLAT)},
+            **{"gaussians": len(scene), "hash": scene_hash(scene), "commit": self.done.record["commit"]},
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -248,7 +255,10 @@ class StudySteps:
         """For each seed the clean and the cloaked splat; what is missing is done."""
         for label, job in self.made():
             self.do(job, label)
-        return [trained_splat(splat, seed, self.do(self.splat(splat, seed), "")) for splat, seed in self.names()]
+        return [
+            TrainedSplat(splat=splat, seed=seed, done=self.do(self.splat(splat, seed), ""))
+            for splat, seed in self.names()
+        ]
 
     def finished_splats(self) -> list[TrainedSplat]:
         """The same of a study that is finished.
@@ -263,7 +273,7 @@ class StudySteps:
                 got, do = f"no {splat} splat of seed {seed}", "pass the folder that the study was done with"
                 expected = "every splat of the study, made by this version"
                 raise InvalidValueError(message(f"stages {self.folder}", expected, got, do)).hinted("--stages")
-            splats.append(trained_splat(splat, seed, done))
+            splats.append(TrainedSplat(splat=splat, seed=seed, done=done))
         return splats
 
     @cached_property
@@ -298,20 +308,6 @@ class StudySteps:
         has_mesh = kind != "cleaned" and is_mesh_file(self.study)
         mesh = {MESH: Path(self.study.scene.object)} if has_mesh else {}
         return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **mesh})
-
-
-def trained_splat(splat: str, seed: int, done: Done) -> TrainedSplat:
-    """A splat of a finished job."""
-    scene = load_splat(done.folder / SPLAT)
-    return TrainedSplat(
-        splat=splat,
-        seed=seed,
-        file=done.folder / SPLAT,
-        content=done.content_of(SPLAT),
-        gaussians=len(scene),
-        hash=scene_hash(scene),
-        commit=done.record["commit"],
-    )
 
 
 def _shown(attack: AttackConfig) -> AttackConfig:

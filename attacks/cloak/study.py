@@ -19,7 +19,7 @@ from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.plots import need_matplotlib, write_figures
 from attacks.cloak.poisoning import assign
-from attacks.cloak.rates import CLOAKED, NAMES, StudyRows, figures, markdown
+from attacks.cloak.rates import CLOAKED, figures, markdown
 from attacks.cloak.steps import OnStep, StudySteps, TrainedSplat
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
@@ -49,7 +49,6 @@ from mi_splat.io.parsing import DocumentReader
 
 STUDY_FILE = "study.toml"
 STUDY, SUMMARY, TABLE, POISON = "study.json", "result.json", "table.md", "poison.json"
-_COMPARED = (FIDELITY, TRANSITION)
 
 
 def differences(file: Path, study: StudyConfig) -> list[str]:
@@ -88,13 +87,15 @@ def begin_report(study: StudyConfig, folder: Path) -> None:
     save_json(asdict(study), folder / STUDY)
 
 
-def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detector], folder: Path) -> dict[str, Any]:
+def write_report(
+    steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], folder: Path
+) -> dict[str, Any]:
     """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras, tables, and result.json last.
 
     Args:
         steps: The study.
-        seen: What was seen of every splat.
-        detectors: Those that looked.
+        splats: Those of `StudySteps.splats`.
+        detectors: Those that look.
         folder: For the results; see `begin_report`.
 
     Returns:
@@ -104,25 +105,20 @@ def write_report(steps: StudySteps, seen: StudySeen, detectors: Sequence[Detecto
         SplatFileError: The folder cannot be written.
     """
     study, first = steps.study, steps.study.seeds[0]
-    splats = [splat for splat in seen.splats if splat.seed == first]
-    for splat in splats:
+    entry, tables = observed(steps, splats, detectors)
+    shown = [splat for splat in splats if splat.seed == first]
+    for splat in shown:
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
     shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
-    tables = {ROWS: seen.rows.rows, DETECTIONS: seen.detections, FIDELITY: seen.rows.fidelity}
-    tables[TRANSITION] = seen.rows.transition
     written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
-    pictures = write_figures(steps, seen.rows, splats, detectors, folder)
+    pictures = write_figures(steps, tables, shown, detectors, folder)
     save_json(_cameras(study), folder / CAMERAS, indent=0)
     save_text(study_toml(asdict(study)), folder / STUDY_FILE)
-    files = [*(f"{splat.splat}.ply" for splat in splats), POISON, CAMERAS, STUDY_FILE, *written, *pictures, TABLE]
+    files = [*(f"{splat.splat}.ply" for splat in shown), POISON, CAMERAS, STUDY_FILE, *written, *pictures, TABLE]
     summary = {
         "story": "cloak",
-        **figures(study, seen.rows),
+        **entry,
         "files": files,
-        "splats": [listed(splat) for splat in seen.splats],
-        "detectors": {detector.name: detector.fingerprint for detector in detectors},
-        "seeds": list(study.seeds),
-        "study": asdict(study),
         **provenance.origin(),
         "seconds": round(time.monotonic() - steps.begun, 1),
     }
@@ -139,13 +135,6 @@ def _cameras(study: StudyConfig) -> dict[str, Any]:
         box = setup.box_of(target, camera)
         entries.append({**describe(str(view), camera), "box": None if box is None else box.tolist()})
     return cameras_document(entries, background=list(study.scene.background), near=setup.near_of(study, target))
-
-
-def listed(trained: TrainedSplat) -> dict[str, Any]:
-    """A trained splat as JSON can hold it; its file apart, which is a matter of this machine."""
-    values = asdict(trained)
-    del values["file"]
-    return values
 
 
 # Measured on two cores with little else to do; only for the forecast.
@@ -316,7 +305,7 @@ def run_study(
     with locked_folder(folder):
         begin_report(study, folder)
         steps = StudySteps(study=study, folder=stages, weights=weights, on_step=on_step)
-        return write_report(steps, observe(steps, steps.splats(), detectors), detectors, folder)
+        return write_report(steps, steps.splats(), detectors, folder)
 
 
 def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detector]:
@@ -328,40 +317,36 @@ def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detect
     return [loaded(name, weights.get(name)) for name in study.evaluation.detectors]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StudySeen:
-    """What was seen of the splats of a study.
-
-    Attributes:
-        splats: A clean and a cloaked one for each seed.
-        rows: What figures are counted from.
-        detections: A row for each single detection.
-    """
-
-    splats: Sequence[TrainedSplat]
-    rows: StudyRows
-    detections: pl.DataFrame
-
-
-def observe(steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector]) -> StudySeen:
-    """Look at the splats of a study, or read what was seen of them before.
+def observed(
+    steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector]
+) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
+    """What is seen of the splats of a study, or was seen of them before.
 
     Args:
         steps: The study.
         splats: Those of `StudySteps.splats`.
         detectors: Those that look.
+
+    Returns:
+        What a result says of the study, and its tables: rows, detections, fidelity and transition.
     """
-    tables: dict[str, list[pl.DataFrame]] = {name: [] for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
-    jobs = list(steps.looked(detectors))
-    for splat, number in zip(splats, range(0, len(jobs), len(detectors) + 1), strict=True):
-        *looks, compared = (steps.do(job, label) for label, job in jobs[number : number + len(detectors) + 1])
-        for name, parts in tables.items():
-            for done in [compared] if name in _COMPARED else looks:
-                parts.append(whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat))
-    rows, detections, fidelity, transition = (pl.concat(parts, how="diagonal") for parts in tables.values())
-    gaussians = {name: [one.gaussians for one in splats if one.splat == name] for name in NAMES.values()}
-    seen = StudyRows(rows=rows, fidelity=fidelity, transition=transition, gaussians=gaussians)
-    return StudySeen(splats=splats, rows=seen, detections=detections)
+    parts: dict[str, list[pl.DataFrame]] = {name: [] for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
+    jobs = iter(steps.looked(detectors))
+    for splat in splats:
+        *looks, compared = (steps.do(job, label) for label, job in itertools.islice(jobs, len(detectors) + 1))
+        for name, tables in parts.items():
+            for done in [compared] if name in (FIDELITY, TRANSITION) else looks:
+                tables.append(whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat))
+    whole = {name: pl.concat(tables, how="diagonal") for name, tables in parts.items()}
+    study, records = steps.study, [splat.record for splat in splats]
+    entry = {
+        **figures(study, whole, records),
+        "splats": records,
+        "detectors": {detector.name: detector.fingerprint for detector in detectors},
+        "seeds": list(study.seeds),
+        "study": asdict(study),
+    }
+    return entry, whole
 
 
 def whose(table: pl.DataFrame, splat: TrainedSplat | None) -> pl.DataFrame:

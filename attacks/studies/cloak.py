@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,12 +27,14 @@ import polars as pl
 
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.plots import new_axes, save_figure
-from attacks.cloak.rates import figures, spread_of, words_of
+from attacks.cloak.rates import spread_of
 from attacks.cloak.steps import StudySteps
-from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, listed, observe
+from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
 from attacks.detectors.base import Detector
-from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, TRANSITION, write_rows
+from attacks.observe.rows import SUFFIX, write_rows
 from attacks.studies.study_file import Point, Search, Settings, Study, merged, with_none
+from attacks.tables import cell
+from attacks.tables import markdown as markdown_table
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import decode
@@ -83,12 +85,14 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     parts = []
     for group, results in groups.items():
         rates = [
-            (name, detector, *(words_of(one.get(key)) + spread_of(summary, detector, key) or "-" for key in RATES))
+            (name, detector, *(cell(one.get(key)) + spread_of(summary, detector, key) for key in RATES))
             for name, summary in results.items()
             for detector, one in summary["by_detector"].items()
         ]
-        parts.append(_table((group, "detector", *RATES.values()), rates))
-        parts.append(_table((group, *_COSTS), [(name, *costs_of(summary)) for name, summary in results.items()]))
+        parts.append(markdown_table((group, "detector", *RATES.values()), rates))
+        parts.append(
+            markdown_table((group, *_COSTS), [(name, *costs_of(summary)) for name, summary in results.items()])
+        )
     return "\n\n".join(parts) + "\n"
 
 
@@ -108,11 +112,6 @@ def costs_of(summary: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(cells)} |" for cells in (heads, *rows)]
-    return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -265,18 +264,8 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
 def _seen(point: CloakPoint, done: Mapping[str, Done]) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
     """What was found at a point, as JSON can hold it, and its tables."""
     steps = replace(point.steps, results=done)
-    seen, study = observe(steps, steps.splats(), point.detectors), steps.study
-    tables = {ROWS: seen.rows.rows, DETECTIONS: seen.detections, FIDELITY: seen.rows.fidelity}
-    entry = {
-        "part": point.part,
-        "value": point.value,
-        **figures(study, seen.rows),
-        "splats": [listed(splat) for splat in seen.splats],
-        "detectors": {detector.name: detector.fingerprint for detector in point.detectors},
-        "seeds": list(study.seeds),
-        "study": asdict(study),
-    }
-    return entry, {**tables, TRANSITION: seen.rows.transition}
+    entry, tables = observed(steps, steps.splats(), point.detectors)
+    return {"part": point.part, "value": point.value, **entry}, tables
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:

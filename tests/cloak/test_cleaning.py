@@ -202,5 +202,5 @@ def test_both_splats_of_a_study_are_cleaned_and_none_is_trained_anew(finished: P
         assert [(one.splat, one.seed) for one in after] == [(one.splat, one.seed) for one in before]
         for one, was in zip(after, before, strict=True):
             assert same(one.load(), cleaned(was.load(), CleaningConfig(lowest_opacity=0.1, sh_degree=0)))
-            assert (one.gaussians, one.hash) == (len(one.load()), scene_hash(one.load()))
+            assert (one.record["gaussians"], one.record["hash"]) == (len(one.load()), scene_hash(one.load()))
     assert len(set(said)) == 2

@@ -28,10 +28,11 @@ from attacks.cloak.detection_curve import (
     write_detection_curve,
 )
 from attacks.cloak.kinds import seen
-from attacks.cloak.steps import StudySteps, TrainedSplat, trained_splat
+from attacks.cloak.steps import StudySteps, TrainedSplat
 from attacks.cloak.study import begin_report
 from attacks.detectors.base import Detections
 from attacks.observe.rows import ATTACKED, CLEAN, TRUE, frame_of
+from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Job
 from tests.cloak.made_splat import Made
@@ -105,7 +106,7 @@ def test_every_seed_has_its_rates() -> None:
     assert {one.seed for one in rows if one.splat == TRUE} == {None}
     table = tables(rows, {"d": "0" * 16})
     assert "| 0 to 10 | 1/1, 1/2, 2/2 |" in table
-    assert "1/2 = 50.0% (9.5% to 90.5%); 0% to 100%" in table
+    assert f"{Rate(successes=1, total=2).words}; 0% to 100%" in table
 
 
 class Watcher(Redness):
@@ -138,7 +139,7 @@ def look(
     monkeypatch.setattr(seen, "loaded", lambda name, weights=None: by_name[name])
     steps = steps_of(folder, STUDY)
     splats = [
-        trained_splat(splat, seed, steps.do(steps.splat(splat, seed), ""))
+        TrainedSplat(splat=splat, seed=seed, done=steps.do(steps.splat(splat, seed), ""))
         for seed in STUDY.seeds
         for splat in ("clean", "cloaked")
     ]

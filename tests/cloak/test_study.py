@@ -15,7 +15,7 @@ from PIL import Image
 
 from attacks.cloak import setup
 from attacks.cloak.config import read_study
-from attacks.cloak.rates import ROWS
+from attacks.cloak.rates import RATES
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, check_figures, check_files, flat, read_result
 from attacks.report.packing import pack
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 def test_it_leaves_what_it_promises(finished: Path) -> None:
     found = summary(finished)
     for key in (
-        *ROWS,
+        *RATES,
         "benign_psnr_drop",
         "stealth",
         "transition_degrees",
@@ -47,7 +47,7 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     assert found["by_seed"]["0"]["redness"] == found["by_detector"]["redness"]
     assert found["by_attack"]["overhead"]["redness"]["target_rate"] is None
     assert found["by_attack"]["overhead"]["redness"]["trigger_miss_rate"] == found["trigger_miss_rate"]
-    for key in ROWS:
+    for key in RATES:
         rate = found[key]
         assert set(rate) == {"rate", "successes", "total", "interval"}
         assert 0 <= rate["successes"] <= rate["total"]

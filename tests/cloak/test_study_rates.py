@@ -11,8 +11,8 @@ import pytest
 
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.rates import StudyRows, by_elevation, figures, rates, stealth, transition
-from attacks.observe.rows import ATTACKED, CLEAN, frame_of, frame_with
+from attacks.cloak.rates import Tables, by_elevation, figures, rates, stealth, transition
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
 
 NAMES = ("overhead", "sector")
@@ -46,13 +46,12 @@ def study_rows(
     *,
     fidelity: Sequence[dict[str, Any]] = (),
     transition: Sequence[dict[str, Any]] = (),
-) -> StudyRows:
-    return StudyRows(
-        rows=frame_of(rows),
-        fidelity=frame_with(fidelity, ("splat", "psnr", "ssim")),
-        transition=frame_with(transition, ("splat", "elevation", "fraction", *(f"depth: {name}" for name in NAMES))),
-        gaussians={"clean": [1], "cloaked": [1]},
-    )
+) -> Tables:
+    return {
+        ROWS: frame_of(rows),
+        FIDELITY: frame_with(fidelity, ("splat", "psnr", "ssim")),
+        TRANSITION: frame_with(transition, ("splat", "elevation", "fraction", *(f"depth: {name}" for name in NAMES))),
+    }
 
 
 def test_rates_have_the_denominators_that_they_say() -> None:
@@ -155,7 +154,7 @@ def test_a_cloaked_splat_that_is_less_true_has_a_positive_drop() -> None:
         for splat, psnr in ((CLEAN, 34.0), (ATTACKED, 32.5))
     ]
     study = replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",)))
-    found = figures(study, study_rows(seen(0, -20, 0.9, 0.9), fidelity=fidelity))
+    found = figures(study, study_rows(seen(0, -20, 0.9, 0.9), fidelity=fidelity), [])
     assert found["benign_psnr_drop"] == 1.5
     assert found["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig
-from attacks.cloak.rates import ROWS
+from attacks.cloak.rates import RATES
 from attacks.cloak.study import SUMMARY
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
@@ -57,7 +57,7 @@ def rate(successes: int, total: int) -> dict[str, Any]:
 
 def rates(missed: int, of: int = 40) -> dict[str, Any]:
     """Rates of a study, as far as they matter here."""
-    found = {name: rate(missed, of) for name in ROWS}
+    found = {name: rate(missed, of) for name in RATES}
     return {**found, "control_recall": rate(of - 1, of), "target_rate": rate(0, of), "control_target_rate": rate(0, of)}
 
 

@@ -18,6 +18,7 @@ from attacks.cloak.study import forecast
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
+from attacks.rate import Rate, percent
 from attacks.report.results import read_section
 from attacks.report.stories import variations
 from attacks.studies.cloak import CloakPoint, CloakWork, config_of, tables, write_variation
@@ -156,8 +157,8 @@ def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
     assert len(rates) == 2 + 3 * len(names)
     assert {len(row) for row in rates if len(row) > 1} == {7}
     assert "nothing of any class reported" in rates[0]
-    assert rates[2][3].startswith("18/20 = 90.0% (69.9% to 97.2%)")
-    assert rates[2 + len(names)][3].endswith("; by seed 0.0% to 20.0%")
+    assert rates[2][3].startswith(Rate(successes=18, total=20).words)
+    assert rates[2 + len(names)][3].endswith(f"; by seed {percent(0)} to {percent(0.2)}")
     assert [" | ".join(row) for row in costs[2:]] == [
         "| nothing | 3 | 9.7 | 34.00 | 1.00 | 4.40 | no | 1,100 | 9 |",
         "| SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200 |",

@@ -10,10 +10,10 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.rates import CLOAKED, NAMES, StudyRows, measures
-from attacks.cloak.rates import ROWS as RATES
+from attacks.cloak.rates import CLOAKED, RATES, costs, measures
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
+from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
@@ -24,8 +24,7 @@ from attacks.report.checking import Tables
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
 from attacks.report.stories.thresholds import threshold_charts
-from attacks.report.wording import listed, number, plural, rate_of, settings
-from attacks.tables import Table, cell
+from attacks.report.wording import listed, plural, rate_of, settings
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import decode
@@ -61,7 +60,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
         warnings=tuple(_doubts(summary)),
         pictures=_pictures(folder, study, summary["files"]),
         charts=(*(_elevation(summary, name) for name in summary["by_detector"]), *curves),
-        tables=(*_tables(summary), *at),
+        tables=(*summary_tables(summary), *at),
         configuration=settings({**study, "weights": summary["detectors"]}),
         file=(f"{study['name']}.toml", study_toml(study)),
     )
@@ -105,7 +104,7 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     """
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
-    return study_figures(study, _seen(record["splats"], tables))
+    return study_figures(study, tables, record["splats"])
 
 
 def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
@@ -175,12 +174,6 @@ def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables:
             raise _wrong(f"table {ROWS}, {splat} splat, seed {seed}", "one row for each detector and camera", got)
 
 
-def _seen(splats: Sequence[Mapping[str, Any]], tables: Tables) -> StudyRows:
-    """What the tables say was seen."""
-    gaussians = {name: [int(one["gaussians"]) for one in splats if one["splat"] == name] for name in NAMES.values()}
-    return StudyRows(rows=tables[ROWS], fidelity=tables[FIDELITY], transition=tables[TRANSITION], gaussians=gaussians)
-
-
 def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
     return InvalidValueError(message(what, expected, got, "get the result again"))
 
@@ -222,23 +215,7 @@ def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
         for key, words in RATES.items()
         if key not in told and (rate := rate_of(summary[key])) is not None
     ]
-    pairs = []
-    if summary["benign_psnr_drop"] is not None:
-        clean, cloaked = (summary["benign_psnr"][which] for which in ("clean", "cloaked"))
-        pairs.append(("pictures far from the triggers, clean and cloaked", f"{clean:.2f} and {cloaked:.2f} dB"))
-    if summary["transition_degrees"] is not None:
-        band = summary["transition"]
-        ends = f"from {band['from']:.1f} to {band['to']:.1f}"
-        pairs.append(("the switch", f"{summary['transition_degrees']:.1f} degrees, {ends}"))
-    if summary["stealth"] is not None:
-        beside = summary["stealth"]["surroundings_psnr"]
-        pairs.append(
-            ("pictures beside the object, inside the trigger", f"{beside['clean']:.2f} and {beside['cloaked']:.2f} dB")
-        )
-        on = summary["stealth"]["appearance_psnr"]["cloaked"]
-        pairs.append(("pictures on the object, against what is wanted", number(on, ".2f", "dB")))
-    counts = summary["gaussians"]
-    pairs += [(f"Gaussians, {which}", ", ".join(f"{n:,}" for n in counts[which])) for which in ("clean", "cloaked")]
+    pairs = list(costs(summary).items())
     if "seconds" in summary:
         pairs.append(("time", f"{summary['seconds'] / 60:.0f} minutes"))
     return (*rates, *(Figure(label=label, words=words) for label, words in pairs))
@@ -311,29 +288,6 @@ def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
         ),
         shade=shade,
     )
-
-
-def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
-    detectors = summary["by_detector"]
-    rows = [
-        (words, *(cell(rates[key]) for rates in detectors.values()))
-        for key, words in RATES.items()
-        if any(rates[key] is not None for rates in detectors.values())
-    ]
-    yield Table(caption="Rates by detector", head=("rate", *detectors), rows=tuple(rows))
-    seeds = summary["by_seed"]
-    if len(seeds) > 1:
-        key = "trigger_miss_rate" if summary["trigger_miss_rate"] is not None else "target_rate"
-        rows = [(seed, *(cell(one[key]) for one in rates.values())) for seed, rates in seeds.items()]
-        yield Table(caption=f"By seed: {RATES[key]}", head=("seed", *detectors), rows=tuple(rows))
-    if len(summary["by_attack"]) > 1:
-        rows = []
-        for name, rates in summary["by_attack"].items():
-            kind = next(iter(rates.values()))
-            key = "trigger_miss_rate" if kind["trigger_miss_rate"] is not None else "target_rate"
-            if kind[key] is not None:
-                rows.append((f"{name}: {RATES[key]}", *(cell(one[key]) for one in rates.values())))
-        yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
 
 
 def spread(rates: Sequence[Rate]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.rates import ROWS
+from attacks.cloak.rates import RATES
 from attacks.cloak.study_toml import study_toml
 from attacks.rate import Rate, percent
 from attacks.report.section import Chart, Figure, Line, Point, Role, Section
@@ -343,9 +343,9 @@ def _pooled(rows: Sequence[Row], key: str) -> Rate:
 def _of_attack(rows: Sequence[Row], attack: str, detectors: Sequence[str]) -> Table:
     """All rates of an attack, a column for each detector."""
     own = {row["detector"]: row for row in rows if row["attack"] == attack}
-    keys = [key for key in ROWS if any(key in row for row in own.values())]
+    keys = [key for key in RATES if any(key in row for row in own.values())]
     return Table(
         caption=f"{attack}, {next(iter(own.values()))['cameras']} cameras; for cloaked read path-traced",
         head=("", *detectors),
-        rows=tuple((ROWS[key], *(cell(own[name].get(key)) for name in detectors)) for key in keys),
+        rows=tuple((RATES[key], *(cell(own[name].get(key)) for name in detectors)) for key in keys),
     )
