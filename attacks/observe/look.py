@@ -77,10 +77,11 @@ def _best(detections: Detections, box: Tensor | None) -> dict[str, Cell]:
     shared = overlap(detections.boxes, box)
     scores = torch.where(shared >= ON_OBJECT, detections.scores, -1.0)
     best = int(scores.argmax())
-    return none if float(scores[best]) <= 0 else _detection_cells(detections, best, float(shared[best]))
+    return none if float(scores[best]) <= 0 else detection_cells(detections, best, float(shared[best]))
 
 
-def _detection_cells(detections: Detections, number: int, iou: float | None) -> dict[str, Cell]:
+def detection_cells(detections: Detections, number: int, iou: float | None) -> dict[str, Cell]:
+    """One detection, and its IoU with the object's box."""
     corners = dict(zip(DETECTION_BOX, detections.boxes[number].tolist(), strict=True))
     return {"label": detections.labels[number], "score": float(detections.scores[number]), **corners, "iou": iou}
 
@@ -99,7 +100,7 @@ def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor 
         box: (4,) of the object in pixels; None where it does not show.
     """
     shared = [None] * len(detections) if box is None or not len(detections) else overlap(detections.boxes, box).tolist()
-    return [{**ids, **_detection_cells(detections, number, iou)} for number, iou in enumerate(shared)]
+    return [{**ids, **detection_cells(detections, number, iou)} for number, iou in enumerate(shared)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

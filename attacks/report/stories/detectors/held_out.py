@@ -1,185 +1,243 @@
-"""What `mi-splat evaluate-detector` leaves behind: how well a detector finds objects on held-out pictures."""
+"""What `mi-splat evaluate-detector` leaves behind: how well detectors find objects on held-out pictures."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from attacks.rate import Rate
+from attacks.detectors.evaluation import BACKGROUND, CONDITIONS, WITH_OBJECTS
+from attacks.rate import Rate, percent
 from attacks.report.section import Chart, Figure, Line, Section
 from attacks.report.wording import listed, number, plural, pooled, settings
 from attacks.tables import Table, cell
 
-KIND = "a detector on held-out pictures"
-BACKGROUND = "background: "
-"""How the names of sets of pictures without objects begin."""
+KIND = "detectors on held-out pictures"
 FEW_OBJECTS = 20
 """Objects of a class from which on its average precision says something."""
-CONDITIONS = {
-    "elevation": "elevation of the camera, degrees",
-    "distance": "distance, diagonals of the object",
-    "size": "longer side of the box, of the picture's",
-    "brightness": "mean luma of the object's box",
-    "sun_elevation": "elevation of the sun, degrees",
-    "sun_strength": "irradiance of the sun",
-}
-"""How an object is seen, and the label of its axis."""
+_MOST_OTHERS = 8
+_SETTINGS = ("confidence", "pictures", "data", "scenes")
 
 Document = Mapping[str, Any]
+"""The figures of one detector, with its name and the confidence from which a detection counts."""
 
 
-def read(path: Path, found: Document) -> Section:
-    """The section of a detector.
+def documents(record: Mapping[str, Any]) -> list[Document]:
+    """The figures of each detector of a result.json."""
+    shared = {"confidence": record["confidence"]}
+    return [{"detector": name, **shared, **values} for name, values in record["detectors"].items()]
+
+
+def read(folder: Path, record: Mapping[str, Any]) -> Section:
+    """The section of an evaluation.
 
     Args:
-        path: The JSON file with its figures.
-        found: What is in it.
+        folder: Where it lies.
+        record: Its result.json.
     """
-    sets = objects_of(found)
-    hits = {name: hits_of(one) for name, one in sets.items()}
-    first = next(iter(hits), None)
-    rate = pooled(hits.values()) if first is None else hits[first]
-    empty = false_of(found, "without objects")
+    several = documents(record)
+    names, confidence = listed([figures["detector"] for figures in several]), f"{record['confidence']:g}"
+    first, *others = [name for name, part in several[0]["sets"].items() if "map" in part] or [""]
+    found = [_found(figures, first) for figures in several]
+    empty = [_reported(figures["false_positives"].get("without objects")) for figures in several]
+    sets = listed([f"{plural(part, 'picture')} ({name})" for name, part in record["sets"].items()])
     return Section(
         kind=KIND,
-        title=f"{found['detector']} at {found['confidence']:g}",
+        title=f"{names} at {confidence}",
         done=(
-            f"{found['detector']} looked at pictures that it was not trained on: {_sets(found)}. A detection counts "
-            f"from a confidence of {found['confidence']:g} and an overlap of 0.5 with its object; the average "
-            f"precision takes all from {found['min_confidence']:g}. Nothing was attacked."
+            f"{names} looked at pictures that were not trained on: {sets}. A detection counts from a confidence of "
+            f"{confidence} and an overlap of 0.5 with its object; the average precision takes all. Nothing was attacked."
         ),
         conclusion=(
-            f"It finds {rate.successes:,} of {plural(rate.total, 'object')}{f' ({first})' if first else ''}, and "
-            f"reports something in {empty.successes:,} of {plural(empty.total, 'picture')} without any object. This "
-            "says nothing of photographs, or of objects of other kinds."
+            f"Found: {_range(found)} of the objects ({first or 'none'}). Reported without any object: something in "
+            f"{_range(empty)} of the pictures. This says nothing of photographs, or of objects of other kinds"
+            f"{'; where intervals overlap, nothing says which detector is better' if len(several) > 1 else ''}."
         ),
-        headline=Figure(label=f"objects that are found{f', {first}' if first else ''}", rate=rate),
-        control=Figure(label="pictures without any object in which something is reported", rate=empty)
-        if empty.total
-        else None,
+        headline=_figure(f"objects that are found, {first or 'none'}", found),
+        control=_figure("pictures without any object in which something is reported", empty) if empty[0].total else None,
         attacked=False,
-        figures=tuple(_figures(found, hits)),
-        warnings=tuple(_doubts(sets, empty)),
-        charts=tuple(_charts(sets)),
-        tables=tuple(_tables(found, sets)),
-        configuration=settings({name: found[name] for name in _SETTINGS if name in found}),
+        figures=tuple(_figures(several, others)),
+        warnings=tuple(_doubts(several[0], empty[0])),
+        charts=tuple(_charts(several)),
+        tables=tuple(tables(several)),
+        configuration=settings(
+            {
+                **{name: record[name] for name in _SETTINGS if name in record},
+                "weights": {figures["detector"]: figures["fingerprint"] for figures in several},
+                "min_confidence": {figures["detector"]: figures["min_confidence"] for figures in several},
+            }
+        ),
     )
 
 
-_SETTINGS = ("detector", "fingerprint", "confidence", "min_confidence", "pictures", "data", "scenes")
+def tables(several: Sequence[Document]) -> Iterator[Table]:
+    """All tables: of several detectors those that compare them, then those of each."""
+    if len(several) > 1:
+        yield from compared(several)
+    for figures in several:
+        yield from detailed(figures, of=f"{_name(figures)}: " if len(several) > 1 else "")
 
 
-def objects_of(found: Document) -> dict[str, Document]:
-    """The sets with objects, by name; those of scenes that the user has named come last."""
-    sets: dict[str, Document] = {name: one for name, one in found["sets"].items() if "map" in one}
-    return sets
+def compared(several: Sequence[Document]) -> Iterator[Table]:
+    """Precision, false positives, and recall by elevation, a detector a row."""
+    sets = [name for name in WITH_OBJECTS if any(name in figures["sets"] for figures in several)]
+    rows = []
+    for figures in several:
+        totals, street = figures["false_positives"], figures["sets"].get(f"{BACKGROUND}street", {})
+        wrong = (totals.get("with objects"), street.get("false_positives"), totals.get("without objects"))
+        means = (number(figures["sets"].get(name, {}).get("map"), ".3f") for name in sets)
+        rows.append((_name(figures), *means, *map(_per_picture, wrong)))
+    heads = ("with objects", "of streets without", "without any")
+    head = ("detector", *(f"mAP, {name}" for name in sets), *(f"false positives, pictures {which}" for which in heads))
+    yield Table(caption="Precision, and false positives per picture", head=head, rows=tuple(rows))
+    for title, group, members in (
+        *((f"objects, {name}", "all", (name,)) for name in sets),
+        (f"cars, {listed(sets)}", "car", sets),
+    ):
+        recalls = [(_name(figures), _found_by(figures, members, "elevation", group)) for figures in several]
+        lines = tuple((name, *map(cell, rates)) for name, rates in recalls if rates)
+        if lines:
+            caption = f"Found by elevation in degrees: {title}"
+            yield Table(caption=caption, head=("detector", *bins_of("elevation")), rows=lines)
 
 
-def hits_of(one: Document) -> Rate:
+def detailed(figures: Document, of: str = "") -> Iterator[Table]:
+    """The tables of one detector: by class, false positives, recall by how objects are seen, and other classes.
+
+    Args:
+        figures: Of the detector.
+        of: What captions begin with.
+    """
+    sets = figures["sets"]
+    by_class = [
+        (name, label, number(part["ap"][label], ".3f"), cell(rate), _often(part["reported_as"].get(label, {})))
+        for name, part in sets.items()
+        for label, rate in part.get("found", {}).items()
+    ]
+    if by_class:
+        head = ("pictures", "objects", "average precision", "found", "else reported on them")
+        yield Table(caption=f"{of}By class", head=head, rows=tuple(by_class))
+    parts = {name: part["false_positives"] for name, part in sets.items()}
+    parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
+    wrong = [
+        (name, _per_picture(part), cell(part["pictures_with"]), _often(part["by_class"])) for name, part in parts.items()
+    ]
+    head = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
+    yield Table(caption=f"{of}False positives", head=head, rows=tuple(wrong))
+    seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
+    for condition, (unit, _) in CONDITIONS.items():
+        columns = {f"objects, {name}": _found_by(figures, (name,), condition) for name in seen}
+        columns = {**columns, "cars": _found_by(figures, seen, condition, "car")}
+        columns = {name: rates for name, rates in columns.items() if rates}
+        if columns:
+            rows = zip(bins_of(condition), *(map(cell, rates) for rates in columns.values()), strict=True)
+            caption = f"{of}Found by {condition.replace('_', ' ')}, {unit}"
+            yield Table(caption=caption, head=("seen", *columns), rows=tuple(rows))
+    others = [(name, _often(part["other_classes"])) for name, part in sets.items() if part["other_classes"]]
+    if others:
+        caption = f"{of}Classes reported that no object here has, the most frequent"
+        yield Table(caption=caption, head=("pictures", "classes"), rows=tuple(others))
+
+
+def bins_of(condition: str) -> list[str]:
+    """Names of the bins of a condition, for instance "0 to 15" and "6 or more"."""
+    edges = pairwise(CONDITIONS[condition].edges)
+    return [f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}" for low, high in edges]
+
+
+def _name(figures: Document) -> str:
+    return f"{figures['detector']} at {figures['confidence']:g}"
+
+
+def _found(figures: Document, name: str) -> Rate:
     """How many objects of a set are found."""
-    counts, recall = one["counts"], one["recall"]
-    return Rate(successes=sum(round(recall[label] * counts[label]) for label in counts), total=sum(counts.values()))
+    return pooled(map(Rate.of, figures["sets"].get(name, {}).get("found", {}).values()))
 
 
-def false_of(found: Document, which: str) -> Rate:
-    """Pictures with a false positive, of some sets together; of none where there are no such sets."""
-    one = found["false_positives"].get(which)
-    return Rate(successes=0, total=0) if one is None else Rate(successes=one["pictures_with"], total=one["pictures"])
+def _found_by(figures: Document, names: Sequence[str], condition: str, group: str = "all") -> list[Rate]:
+    """Recall by the bins of a condition, of some sets together; empty where no set knows it."""
+    sets = [figures["sets"].get(name, {}).get("found_by", {}).get(condition, {}).get(group, ()) for name in names]
+    return [pooled(map(Rate.of, parts)) for parts in zip(*filter(None, sets), strict=True)]
 
 
-def false_words(one: Document) -> str:
+def _reported(part: Document | None) -> Rate:
+    """Pictures with a false positive."""
+    return Rate(successes=0, total=0) if part is None else Rate.of(part["pictures_with"])
+
+
+def _per_picture(part: Document | None) -> str:
     """False positives per picture with their count and 95 % Poisson interval."""
-    low, high = one["interval"]
-    return f"{one['per_picture']:.2f} ({one['total']:,} in {one['pictures']:,}; {low:.2f} to {high:.2f})"
+    if part is None:
+        return "-"
+    low, high = part["interval"]
+    return f"{part['per_picture']:.2f} ({part['number']:,} in {part['pictures']:,}; {low:.2f} to {high:.2f})"
 
 
-def bin_name(one: Document) -> str:
-    """A bin of a condition in words."""
-    return f"{one['low']:g} or more" if one["high"] is None else f"{one['low']:g} to {one['high']:g}"
+def _often(counts: Mapping[str, int]) -> str:
+    """The most frequent labels with their counts."""
+    often = sorted(counts.items(), key=lambda item: -item[1])[:_MOST_OTHERS]
+    return ", ".join(f"{label} {count}" for label, count in often if count) or "-"
 
 
-def bins_of(one: Document, condition: str, group: str = "all") -> Sequence[Document]:
-    """Recall of a set by the bins of a condition; nothing where it is not known."""
-    bins: Sequence[Document] = one.get("recall_by", {}).get(condition, {}).get(group, [])
-    return bins
+def _range(rates: Sequence[Rate]) -> str:
+    if not all(rate.total for rate in rates):
+        return "nothing counted"
+    low, high = (percent(pick(rate.fraction for rate in rates)) for pick in (min, max))
+    return low if low == high else f"{low} to {high}"
 
 
-def _sets(found: Document) -> str:
-    return listed([f"{plural(one['pictures'], 'picture')} ({name})" for name, one in found["sets"].items()])
+def _figure(label: str, rates: Sequence[Rate]) -> Figure:
+    """The rate of one detector, or how far apart those of several are."""
+    if len(rates) == 1:
+        return Figure(label=label, rate=rates[0])
+    return Figure(label=f"{label}, lowest to highest", words=_range(rates))
 
 
-def _figures(found: Document, hits: Mapping[str, Rate]) -> Iterator[Figure]:
-    for name, rate in list(hits.items())[1:]:
-        yield Figure(label=f"objects that are found, {name}", rate=rate)
-    for name in hits:
-        yield Figure(label=f"mean average precision at an overlap of 0.5, {name}", words=f"{_map(found, name):.3f}")
-    for which, one in found["false_positives"].items():
-        yield Figure(label=f"false positives per picture, pictures {which}", words=false_words(one))
+def _figures(several: Sequence[Document], others: Sequence[str]) -> Iterator[Figure]:
+    for figures in several:
+        of = f"{figures['detector']}: " if len(several) > 1 else ""
+        for name in others:
+            yield Figure(label=f"{of}objects that are found, {name}", rate=_found(figures, name))
+        for name, part in figures["sets"].items():
+            if "map" in part:
+                label = f"{of}mean average precision at an overlap of 0.5, {name}"
+                yield Figure(label=label, words=f"{part['map']:.3f}")
+        for which, part in figures["false_positives"].items():
+            yield Figure(label=f"{of}false positives per picture, pictures {which}", words=_per_picture(part))
 
 
-def _map(found: Document, name: str) -> float:
-    return float(found["sets"][name]["map"])
-
-
-def _doubts(sets: Mapping[str, Document], empty: Rate) -> Iterator[str]:
+def _doubts(figures: Document, empty: Rate) -> Iterator[str]:
     if not empty.total:
-        yield "There are no pictures without objects, so nothing says how often the detector imagines one"
-    for name, one in sets.items():
-        few = [label for label, count in one["counts"].items() if count < FEW_OBJECTS]
+        yield "There are no pictures without objects, so nothing says how often a detector imagines one"
+    for name, part in figures["sets"].items():
+        few = [label for label, rate in part.get("found", {}).items() if rate["total"] < FEW_OBJECTS]
         if few:
             yield f"Few objects ({name}; {listed(few)}): fewer than {FEW_OBJECTS}, so their figures may be chance"
 
 
-def _charts(sets: Mapping[str, Document]) -> Iterator[Chart]:
-    """Recall by each condition, a line for each set."""
-    for condition, label in CONDITIONS.items():
-        lines, ticks = [], tuple[str, ...]()
-        for name, one in sets.items():
-            bins = bins_of(one, condition)
-            ticks = ticks or tuple(map(bin_name, bins))
-            lines.append(Line.of(name, "other", map(Rate.of, bins)))
-        if any(line.points for line in lines):
-            yield Chart(
-                title=f"Objects that are found, by {condition.replace('_', ' ')}",
-                caption="Bands are 95 % intervals; bins without objects are left out.",
-                x_label=label,
-                y_label="objects",
-                lines=tuple(lines),
-                ticks=ticks,
-            )
+def _charts(several: Sequence[Document]) -> Iterator[Chart]:
+    """Recall by each condition, a line for each set; of several detectors by elevation, a line for each of them."""
+    sets = [name for name, part in several[0]["sets"].items() if "found_by" in part]
+    if len(several) == 1:
+        for condition in CONDITIONS:
+            lines = {name: _found_by(several[0], (name,), condition) for name in sets}
+            yield from _chart(condition.replace("_", " "), condition, lines)
+    else:
+        for name in sets:
+            lines = {figures["detector"]: _found_by(figures, (name,), "elevation") for figures in several}
+            yield from _chart(f"elevation, {name}", "elevation", lines)
 
 
-def _tables(found: Document, sets: Mapping[str, Document]) -> Iterator[Table]:
-    rows = [
-        (
-            name,
-            label,
-            number(one["ap"].get(label), ".3f"),
-            cell(Rate(successes=round(one["recall"][label] * count), total=count)),
-            ", ".join(f"{other} {times}" for other, times in one["reported_as"].get(label, {}).items()) or "-",
+def _chart(title: str, condition: str, rates: Mapping[str, Sequence[Rate]]) -> Iterator[Chart]:
+    lines = tuple(Line.of(name, "other", values) for name, values in rates.items())
+    if any(line.points for line in lines):
+        yield Chart(
+            title=f"Objects that are found, by {title}",
+            caption="Bands are 95 % intervals; bins without objects are left out.",
+            x_label=f"{condition.replace('_', ' ')}, {CONDITIONS[condition].unit}",
+            y_label="objects",
+            lines=lines,
+            ticks=tuple(bins_of(condition)),
         )
-        for name, one in sets.items()
-        for label, count in one["counts"].items()
-        if count
-    ]
-    heads = ("pictures", "objects", "average precision", "found", "else reported on them")
-    if rows:
-        yield Table(caption="By class", head=heads, rows=tuple(rows))
-    lines = {**{name: one["false_positives"] for name, one in found["sets"].items()}}
-    lines |= {f"together, {name}": one for name, one in found["false_positives"].items()}
-    cells = []
-    for name, one in lines.items():
-        kinds = ", ".join(f"{label} {count}" for label, count in one["by_class"].items() if count)
-        pictures = Rate(successes=one["pictures_with"], total=one["pictures"])
-        cells.append((name, false_words(one), cell(pictures), kinds or "-"))
-    head = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
-    yield Table(caption="False positives", head=head, rows=tuple(cells))
-    others = [
-        (name, ", ".join(f"{label} {count}" for label, count in list(one["other_classes"].items())[:8]))
-        for name, one in found["sets"].items()
-        if one["other_classes"]
-    ]
-    if others:
-        caption = "Classes reported that no object here has, the most frequent"
-        yield Table(caption=caption, head=("pictures", "classes"), rows=tuple(others))

@@ -1,1 +1,0 @@
-"""How good a detector is on held-out pictures of this project: what it finds, what it misses, what it imagines."""
