@@ -49,8 +49,7 @@ COMMANDS = {
     "rows": "the rows of a result, from which its figures are counted: as CSV or JSON",
     "detectors": "the detectors, their classes, and whether the weights are there; get some of others",
     "train-detector": "train one of the project's small detectors",
-    "evaluate-detector": "mAP, recall and false positives of a detector on held-out pictures",
-    "compare-detectors": "the figures of several detectors side by side",
+    "evaluate-detector": "mAP, recall and false positives of detectors on held-out pictures",
     "doctor": "check that everything works here, and say what to do where it does not",
 }
 """What each command does, in a line; its module is called as it is."""

@@ -26,7 +26,7 @@ class ReportOptions(JsonOptions):
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
     Takes folders that mi-splat dagger, dagger-eot, study, dagger-sanity, evaluate, compare, detect and cloak have
-    written, and the JSON files of evaluate-detector, compare-detectors and cloak-experiment. The page is one file
+    written, and the JSON files of cloak-experiment. The page is one file
     without a script, and asks nothing of any network.
     """
 

@@ -19,6 +19,7 @@ from torchvision.ops import box_iou
 from attacks.detectors.base import Detections, Detector
 from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.registry import load_detector
+from attacks.detectors.training.config import EMPTY, PATH_TRACED, SPLAT_RENDERS
 from attacks.detectors.training.pictures import LabelledPicture, viewing_conditions
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.look import ON_OBJECT, Looked, detection_cells
@@ -31,8 +32,6 @@ from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
 
-PATH_TRACED, SPLAT_RENDERS, BACKGROUND = "path traced", "splat renders", "background: "
-"""Names of the held-out sets; the kind of background follows."""
 WITH_OBJECTS = (PATH_TRACED, SPLAT_RENDERS)
 MIN_CONFIDENCE = 0.001
 """Confidence of detections that count in an average precision, of detectors whose floor can be chosen.
@@ -133,7 +132,7 @@ def look_at(detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]]) -
             part = pictures[start : start + _BATCH]
             results = detector.detect(torch.stack([picture.image for picture in part]).float() / 255)
             for picture, result in zip(part, results, strict=True):
-                ids = {"condition": name, "detector": detector.name, "view": view}
+                ids: dict[str, Cell] = {"condition": name, "detector": detector.name, "view": view}
                 seen = _detections(ids, result, picture)
                 rows += [_object_row(ids, picture, number, seen) for number in range(len(picture.labels))]
                 detections += seen
@@ -222,7 +221,7 @@ def detector_figures(
     judged = with_right(rows, detections)
     together = {
         "with objects": [name for name in sets if name in WITH_OBJECTS],
-        "without objects": [name for name in sets if name.startswith(BACKGROUND)],
+        "without objects": [name for name in sets if name.startswith(EMPTY)],
     }
     totals = {}
     for name, members in {**together, "all": [member for part in together.values() for member in part]}.items():
@@ -286,8 +285,12 @@ def _by_condition(rows: pl.DataFrame, name: str, measure: Measure) -> dict[str, 
     bins = {}
     for group, part in (("all", rows), ("car", rows.filter(original="car"))):
         known = part.filter(value.is_not_null())
-        inside = [(value >= low) & ((value < high) | (value == high == edges[-1])) for low, high in pairwise(edges)]
-        measures = {str(n): Measure(holds=measure.holds, given=given) for n, given in enumerate(inside)}
+        measures = {
+            str(low): Measure(
+                holds=measure.holds, given=value.is_between(low, high, closed="both" if high == edges[-1] else "left")
+            )
+            for low, high in pairwise(edges)
+        }
         if len(known):
             rates = count(known, measures)[()].values()
             ends = ((low, high if math.isfinite(high) else None) for low, high in pairwise(edges))
@@ -308,7 +311,9 @@ def _reported_as(rows: pl.DataFrame, likely: pl.DataFrame) -> dict[str, dict[str
 
 def _frequencies(labels: Sequence[str]) -> dict[str, int]:
     """How often each label occurs; the most frequent first."""
-    return {label: labels.count(label) for label in sorted(set(labels), key=lambda label: (-labels.count(label), label))}
+    return {
+        label: labels.count(label) for label in sorted(set(labels), key=lambda label: (-labels.count(label), label))
+    }
 
 
 def average_precision(scores: Tensor, right: Tensor, objects: int) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 
 from attacks.cloak.rates import markdown as cloak_markdown
 from attacks.dagger.figures import figures as attack_figures
+from attacks.detectors.evaluation import figures as detector_figures
 from attacks.report.checking import Figures, Result
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Section
@@ -24,7 +25,7 @@ from attacks.report.stories import (
     study,
     variations,
 )
-from attacks.report.stories.detectors import comparison, held_out, pictures
+from attacks.report.stories.detectors import held_out, pictures
 from attacks.report.wording import sentence, versions_of
 from attacks.studies.cloak import markdown as cloak_study_markdown
 from attacks.studies.result import figures as study_figures
@@ -97,26 +98,13 @@ STORIES = (
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),
+    Story(name="evaluate-detector", read=held_out.read, figures=detector_figures),
     Story(name="dagger-sanity", read=sanity.read),
     Story(
         name="cloak-experiment detection-curve",
         record="detection-curve.json",
         is_it=_always,
         read=experiments.of_study(detection_curve.read),
-    ),
-    Story(
-        name="evaluate-detector",
-        record="held-out.json",
-        is_it=lambda one: {"detector", "sets", "false_positives"} <= set(one),
-        read=held_out.read,
-        one_file=True,
-    ),
-    Story(
-        name="compare-detectors",
-        record="comparison.compared.json",
-        is_it=lambda one: "compared" in one,
-        read=comparison.read,
-        one_file=True,
     ),
     *(
         Story(

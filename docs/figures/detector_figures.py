@@ -1,7 +1,7 @@
 """Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detector_figures.py [FILE ...]`.
 
-Each FILE is what `mi-splat evaluate-detector --out FILE` wrote; it is put beside the card of its detector, or into
-docs/tables/detectors where the detector has none. Then every table and the picture are written anew from what is there.
+Each FILE is a result.json of `mi-splat evaluate-detector`; the figures of each detector in it are put beside its card,
+or into docs/tables/detectors where it has none. Then every table and the picture are written anew from what is there.
 Sentences that name figures are not; read them again.
 """
 
@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attacks.detectors.evaluation.held_out import PATH_TRACED
-from attacks.detectors.evaluation.measure import CONDITIONS
-from attacks.detectors.evaluation.tables import USUAL_CONFIDENCE, comparison, detector_tables, read_figures
+from attacks.detectors.evaluation import CONDITIONS
+from attacks.detectors.training.config import PATH_TRACED
+from attacks.report.stories.detectors.held_out import bins_of, compared, detailed, documents
+from attacks.tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,21 +37,44 @@ CARDS = {
 TABLES = ROOT / "docs" / "tables" / "detectors"
 PAGE = ROOT / "docs" / "detectors.md"
 PICTURE = ROOT / "docs" / "images" / "detectors_recall.png"
-_END = "<!-- end -->"
+_BEGIN, _END = "<!-- written by `docs/figures/detector_figures.py` -->", "<!-- end -->"
+USUAL_CONFIDENCE = 0.5
+"""Confidence from which detections count where nothing else is said."""
 _DRAWN = ("elevation", "distance", "size", "brightness")
 
 
+def read_figures(path: Path) -> dict[str, Any]:
+    """The figures of a detector that are kept."""
+    document: dict[str, Any] = json.loads(path.read_text())
+    figures: dict[str, Any] = document.get("held_out", document)
+    return figures
+
+
 def put_away(path: Path) -> None:
-    """Put the figures of one run where they are kept."""
-    found = read_figures(path)
-    name, usual = found["detector"], found["confidence"] == USUAL_CONFIDENCE
-    if usual and name in CARDS:
-        kept: dict[str, Any] = json.loads(CARDS[name][0].read_text())
-        CARDS[name][0].write_text(json.dumps({**kept, "held_out": found}, indent=1) + "\n")
-        return
-    suffix = "" if usual else f"_{round(100 * found['confidence']):02d}"
-    TABLES.mkdir(parents=True, exist_ok=True)
-    (TABLES / f"{name}{suffix}.json").write_text(json.dumps(found, indent=1) + "\n")
+    """Put the figures of one result where they are kept."""
+    record = json.loads(path.read_text())
+    for figures in documents(record):
+        kept = {**figures, **{name: record[name] for name in ("pictures", "versions", "commit")}}
+        name, usual = figures["detector"], figures["confidence"] == USUAL_CONFIDENCE
+        if usual and name in CARDS:
+            card: dict[str, Any] = json.loads(CARDS[name][0].read_text())
+            CARDS[name][0].write_text(json.dumps({**card, "held_out": kept}, indent=1) + "\n")
+            continue
+        suffix = "" if usual else f"_{round(100 * figures['confidence']):02d}"
+        TABLES.mkdir(parents=True, exist_ok=True)
+        (TABLES / f"{name}{suffix}.json").write_text(json.dumps(kept, indent=1) + "\n")
+
+
+def in_markdown(tables: Iterable[Table]) -> str:
+    """Tables below their captions, which are no headings of the page."""
+    return "\n\n".join(table.markdown.replace("## ", "", 1) for table in tables)
+
+
+def card_of(figures: Mapping[str, Any]) -> str:
+    """All tables of a detector."""
+    floor = f"the average precision takes all from {figures['min_confidence']:g}."
+    first = f"A detection counts from a confidence of {figures['confidence']:g}; {floor}"
+    return f"{first}\n\n{in_markdown(detailed(figures))}\n"
 
 
 def kept_figures() -> list[Path]:
@@ -58,10 +82,10 @@ def kept_figures() -> list[Path]:
     return [figures for figures, _ in CARDS.values()] + sorted(TABLES.glob("*.json"))
 
 
-def write_between_marks(path: Path, command: str, text: str) -> None:
+def write_between_marks(path: Path, text: str) -> None:
     """Replace what stands between the marks of a page."""
-    page, begin = path.read_text(), f"<!-- written by `mi-splat {command}` -->"
-    start = page.index(begin) + len(begin)
+    page = path.read_text()
+    start = page.index(_BEGIN) + len(_BEGIN)
     path.write_text(f"{page[:start]}\n\n{text.strip()}\n\n{page[page.index(_END, start) :]}")
 
 
@@ -72,10 +96,10 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
     figure = Figure(figsize=(11, 3.1), dpi=100, layout="constrained")
     for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
         for number, figures in enumerate(several):
-            bins = figures["sets"][PATH_TRACED]["recall_by"].get(condition, {}).get("all", [])
+            bins = figures["sets"][PATH_TRACED]["found_by"].get(condition, {}).get("all", [])
             name = f"{figures['detector']} at {figures['confidence']:g}"
             draw_line(axes, bins, name, shift=0.06 * (number - (len(several) - 1) / 2))
-        names = [name.replace(" or more", "+").replace(" to ", "-") for name in CONDITIONS[condition].bins]
+        names = [name.replace(" or more", "+").replace(" to ", "-") for name in bins_of(condition)]
         axes.set_xticks(range(len(names)), names, fontsize=7)
         axes.set(xlabel=f"{condition}, {CONDITIONS[condition].unit}", ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3)
@@ -107,15 +131,15 @@ def main(paths: Sequence[Path]) -> None:
     """Put new figures away and write every table and the picture anew."""
     for path in paths:
         put_away(path)
-    for figures, card in CARDS.values():
-        write_between_marks(card, "evaluate-detector", detector_tables(read_figures(figures)))
+    for kept, card in CARDS.values():
+        write_between_marks(card, card_of(read_figures(kept)))
     for path in sorted(TABLES.glob("*.json")):
-        found = read_figures(path)
-        title = f"# {found['detector']}, from a confidence of {found['confidence']:g}"
-        path.with_suffix(".md").write_text(f"{title}\n\n{detector_tables(found)}")
+        figures = read_figures(path)
+        title = f"# {figures['detector']}, from a confidence of {figures['confidence']:g}"
+        path.with_suffix(".md").write_text(f"{title}\n\n{card_of(figures)}")
     several = [read_figures(path) for path in kept_figures()]
-    write_between_marks(PAGE, "compare-detectors", comparison(several))
-    draw_recall([found for found in several if found["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
+    write_between_marks(PAGE, in_markdown(compared(several)))
+    draw_recall([one for one in several if one["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
 
 
 if __name__ == "__main__":

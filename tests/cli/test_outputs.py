@@ -42,7 +42,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.train.training_pictures",)),
-    "evaluate-detector": (["evaluate-detector"], "{}/x.json", ("attacks.detectors.evaluation.held_out.held_out_sets",)),
+    "evaluate-detector": (["evaluate-detector"], "{}", ("attacks.detectors.training.dataset.held_out_sets",)),
 }
 """Words of each command that writes, what its --out is in a folder, and what must not be reached."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
+import polars as pl
 import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections
-from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
-from attacks.detectors.evaluation.held_out import total_false_positives
-from attacks.detectors.evaluation.measure import measure
+from attacks.detectors.catalogue import COCO_CLASSES
+from attacks.detectors.evaluation import figures, look_at, set_figures, with_right
 from attacks.detectors.training.pictures import LabelledPicture, ViewingConditions
+from attacks.observe.look import Looked
+from attacks.observe.rows import DETECTIONS, ROWS
 from tests.fakes import ColourDetector
 
 HERE, THERE, AWAY = [10.0, 10.0, 50.0, 50.0], [60.0, 60.0, 90.0, 90.0], [0.0, 60.0, 30.0, 90.0]
@@ -50,28 +53,48 @@ class TableDetector(ColourDetector):
         self.rows = rows
 
     def detect(self, images: Tensor) -> list[Detections]:
-        assert len(images) == len(self.rows)
-        return list(self.rows)
+        told, self.rows = self.rows[: len(images)], self.rows[len(images) :]
+        assert len(told) == len(images)
+        return list(told)
 
 
-def document(name: str = "one", *, confidence: float = 0.5) -> dict[str, Any]:
-    """What `mi-splat evaluate-detector` writes: 2 of 4 cars are found, with false positives beside them and without."""
+def seen_by(results: Sequence[Detections], pictures: Sequence[LabelledPicture], *, name: str = "") -> Looked:
+    """The rows of detections in the pictures of one set."""
+    return look_at(TableDetector(*results), {name: pictures})
+
+
+def measured(
+    results: Sequence[Detections], pictures: Sequence[LabelledPicture], *, confidence: float = 0.5
+) -> dict[str, Any]:
+    """The figures of detections in the pictures of one set."""
+    looked = seen_by(results, pictures)
+    return set_figures(looked.rows, with_right(looked.rows, looked.detections), len(pictures), confidence)
+
+
+def evaluated(*names: str, confidence: float = 0.5) -> tuple[dict[str, Any], Looked]:
+    """Record and rows of `mi-splat evaluate-detector`: each finds 2 of 4 cars, and imagines a tv here and there."""
     car, screen = picture((HERE, 1)), (THERE, 0.9, "tv")
     hits = [reported((HERE, 0.9, "car"), screen), reported((HERE, 0.9, "car"), screen, (AWAY, 0.9, "kite"))]
-    misses = [reported(screen, (HERE, 0.8, "truck")), reported()]
-    empty = [picture()] * 8
-    measured = {
-        "path traced": measure([*hits, *misses], [car] * 4, SMALL_CLASSES, confidence=confidence),
-        "background: street": measure([reported(screen)] * 2 + [reported()] * 6, empty, SMALL_CLASSES),
-        "background: park": measure([reported()] * 8, empty, SMALL_CLASSES),
-        "scenes/x.xml": measure([*hits, *misses], [car] * 4, SMALL_CLASSES, confidence=confidence),
+    looks = [*hits, reported(screen, (HERE, 0.8, "truck")), reported()]
+    sets = {
+        "path traced": (looks, [car] * 4),
+        "background: street": ([reported(screen)] * 2 + [reported()] * 6, [picture()] * 8),
+        "background: park": ([reported()] * 8, [picture()] * 8),
+        "scenes/x.xml": (looks, [car] * 4),
     }
-    figures: dict[str, Any] = {
-        "detector": name,
-        "fingerprint": "0" * 16,
-        "min_confidence": 0.05,
-        "confidence": confidence,
-        "false_positives": total_false_positives(measured),
-        "sets": {key: measurement.as_dict() for key, measurement in measured.items()},
-    }
-    return json.loads(json.dumps(figures))  # type: ignore[no-any-return]
+    told = [result for results, _ in sets.values() for result in results]
+    pictures = {name: members for name, (_, members) in sets.items()}
+    rows, detections = [], []
+    for name in names or ("one",):
+        detector = TableDetector(*told)
+        detector.name = name
+        looked = look_at(detector, pictures)
+        rows.append(looked.rows)
+        detections.append(looked.detections)
+    seen = Looked(rows=pl.concat(rows), detections=pl.concat(detections))
+    known = {name: {"fingerprint": "0" * 16, "min_confidence": 0.05} for name in names or ("one",)}
+    record: dict[str, Any] = {"story": "evaluate-detector", "confidence": confidence, "detectors": known}
+    record["sets"] = {name: len(members) for name, members in pictures.items()}
+    counted = figures(record, {ROWS: seen.rows, DETECTIONS: seen.detections})["detectors"]
+    record["detectors"] = {name: {**known[name], **counted[name]} for name in known}
+    return json.loads(json.dumps(record)), seen

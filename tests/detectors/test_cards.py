@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 
 from attacks.detectors import DETECTORS, load_detector
-from attacks.detectors.evaluation.held_out import BACKGROUND
-from attacks.detectors.evaluation.tables import comparison, detector_tables, read_figures
-from attacks.detectors.training.config import BACKGROUNDS
+from attacks.detectors.training.config import BACKGROUNDS, EMPTY
+from attacks.report.stories.detectors.held_out import compared
+from tests.detectors.made import evaluated
 
 ROOT = Path(__file__).resolve().parents[2]
 WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detector_figures.py"))
 """The program that writes the tables."""
+read_figures, card_of = WRITER["read_figures"], WRITER["card_of"]
 CARDS: dict[str, tuple[Path, Path]] = WRITER["CARDS"]
 
 
@@ -25,8 +26,8 @@ def test_a_card_holds_the_measured_tables(name: str) -> None:
     figures, card = CARDS[name]
     found = read_figures(figures)
     assert found["detector"] == name
-    assert detector_tables(found).strip() in card.read_text()
-    assert {f"{BACKGROUND}{kind}" for kind in BACKGROUNDS} <= set(found["sets"])
+    assert card_of(found).strip() in card.read_text()
+    assert {f"{EMPTY}{kind}" for kind in BACKGROUNDS} <= set(found["sets"])
     assert found["sets"]["path traced"]["pictures"] == 240
 
 
@@ -42,10 +43,9 @@ def test_the_page_of_detectors_holds_the_same_figures() -> None:
     files: list[Path] = WRITER["kept_figures"]()
     page = (ROOT / "docs" / "detectors.md").read_text()
     assert len(files) > len(CARDS)
-    for line in comparison([read_figures(path) for path in files]).splitlines():
-        assert line in page
+    assert WRITER["in_markdown"](compared([read_figures(path) for path in files])) in page
     for path in files[len(CARDS) :]:
-        assert detector_tables(read_figures(path)) in path.with_suffix(".md").read_text()
+        assert card_of(read_figures(path)) in path.with_suffix(".md").read_text()
 
 
 def test_new_figures_find_their_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,9 +54,13 @@ def test_new_figures_find_their_place(tmp_path: Path, monkeypatch: pytest.Monkey
     places = WRITER["put_away"].__globals__
     monkeypatch.setitem(places, "CARDS", {"fasterrcnn_small": (card, card)})
     monkeypatch.setitem(places, "TABLES", tmp_path / "tables")
-    found = read_figures(CARDS["fasterrcnn_small"][0])
-    for name, confidence in (("fasterrcnn_small", 0.5), ("fasterrcnn_small", 0.3), ("other", 0.5)):
-        (tmp_path / "new.json").write_text(json.dumps({**found, "detector": name, "confidence": confidence}))
-        WRITER["put_away"](tmp_path / "new.json")
-    assert json.loads(card.read_text()) == {"history": [1], "held_out": found}
-    assert sorted(path.name for path in (tmp_path / "tables").iterdir()) == ["fasterrcnn_small_30.json", "other.json"]
+    record, _ = evaluated("fasterrcnn_small", "other")
+    for confidence in (0.5, 0.3):
+        made: dict[str, object] = {"pictures": {}, "versions": {}, "commit": None}
+        (tmp_path / "result.json").write_text(json.dumps({**record, **made, "confidence": confidence}))
+        WRITER["put_away"](tmp_path / "result.json")
+    kept = json.loads(card.read_text())
+    assert kept["history"] == [1]
+    assert kept["held_out"]["sets"] == record["detectors"]["fasterrcnn_small"]["sets"]
+    names = ["fasterrcnn_small_30.json", "other.json", "other_30.json"]
+    assert sorted(path.name for path in (tmp_path / "tables").iterdir()) == names

@@ -15,10 +15,9 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.evaluation.held_out import held_out_sets
 from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
 from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig, PictureSetConfig, SplatConfig
-from attacks.detectors.training.dataset import background_sets, kept_set, load, make, splat_set
+from attacks.detectors.training.dataset import background_sets, held_out_sets, kept_set, load, make, splat_set
 from attacks.detectors.training.pictures import (
     SceneRenderer,
     ViewingConditions,

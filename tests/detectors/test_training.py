@@ -17,7 +17,6 @@ from attacks import cli
 from attacks.cli.train_detector import SmallDetector
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_WEIGHTS, DetectorError
-from attacks.detectors.evaluation.measure import measure
 from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training import train as steps
 from attacks.detectors.training.config import TrainConfig
@@ -28,7 +27,7 @@ from attacks.detectors.training.pictures import (
 )
 from attacks.detectors.training.train import train, trainer_of
 from attacks.detectors.weights import read_weights
-from tests.detectors.made import HERE, drawn, picture, reported
+from tests.detectors.made import HERE, TableDetector, drawn, picture, reported
 from tests.io.noted import Change, changed
 
 
@@ -277,14 +276,13 @@ def test_the_best_epoch_has_few_false_positives_too(
     """More objects are found in the second epoch, and perhaps more is reported where there is none."""
     training = Training(TrainConfig(), FasterRCNNTrainer())
     car, nothing = reported((HERE, 0.9, "car")), reported()
-    with_object, empty = picture((HERE, 1)), picture()
+    with_object, empty = [picture((HERE, 1))] * 10, [picture()] * 10
     for epoch, (right, imagined) in enumerate([(7, 0), (8, wrong)], start=1):
-        found = measure([car] * right + [nothing] * (10 - right), [with_object] * 10, SMALL_CLASSES)
-        missed = measure([car] * imagined + [nothing] * (10 - imagined), [empty] * 10, SMALL_CLASSES)
-        measured = [found, missed]
-        monkeypatch.setattr(steps, "measure_detector", lambda *_, measured=measured: measured.pop(0))
+        on_empty = [car] * imagined + [nothing] * (10 - imagined)
+        told = [*[car] * right, *[nothing] * (10 - right), *[nothing] * 10, *on_empty]
+        monkeypatch.setattr(training, "snapshot", lambda told=told: TableDetector(*told))
         training.epoch = epoch
-        training.history.append({"epoch": epoch, **steps.validated(training, [with_object, empty], tmp_path)})
+        training.history.append({"epoch": epoch, **steps.validated(training, [*with_object, *empty], tmp_path)})
     assert [record["map"] for record in training.history] == [0.7, 0.8]
     with safe_open(tmp_path / "best.safetensors", framework="pt") as file:
         assert file.metadata()["epoch"] == str(better)

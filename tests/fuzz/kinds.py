@@ -20,7 +20,6 @@ from attacks.cloak.config import read_study
 from attacks.dagger import checkpoint as eot_checkpoint
 from attacks.dagger.image_budget import ImagePrice
 from attacks.detectors.catalogue import CARD, GRAPH, WEIGHTS
-from attacks.detectors.evaluation.tables import read_figures
 from attacks.detectors.tfjs import packages
 from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
 from attacks.detectors.tfjs.network import GraphNetwork
@@ -293,8 +292,6 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "training of a detector", Kind(make=_detector_training, read=_resume, document=CHECKPOINT)
     for name in MAKERS:
         yield f"result {name}", _result(name)
-    figures = ROOT / "attacks/detectors/fasterrcnn_small.json"
-    yield "figures", Kind(make=_written("f.json", figures.read_bytes), read=read_figures, document=PLAIN_JSON)
     yield "result.json of an artifact", _artifact("result.json")
     yield "manifest.json", _artifact("manifest.json")
     yield "table of an artifact", _artifact("*.csv*")

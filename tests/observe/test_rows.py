@@ -165,7 +165,7 @@ def test_the_command_shows_the_rows_of_a_result(tmp_path: Path, capsys: pytest.C
     assert attacks.rows(tmp_path).equals(table)
     assert cli.main(["rows", str(tmp_path)]) == 0
     told = capsys.readouterr().out
-    assert "number of the camera in cameras.json, from 0" in told
+    assert "number of the camera in cameras.json, or of the picture, from 0" in told
     assert "2 rows; --csv or --json prints them." in told
     assert cli.main(["rows", str(tmp_path), "--csv"]) == 0
     assert capsys.readouterr().out == rows_bytes(table).decode()

@@ -43,7 +43,7 @@ FAST = {
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
     *("cloak", "cloak-experiment", "doctor", "evaluate-detector", "view", "python"),
-    *("compare-detectors", "dagger-sanity"),
+    "dagger-sanity",
     *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""

@@ -68,6 +68,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "subset": ("attacks.gaussian_subset",),
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
+    "training of detectors": ("attacks.detectors.training", "attacks.detectors.evaluation"),
     "attacks": ("attacks.dagger", "attacks.cloak"),
     "studies": ("attacks.studies",),
     "reports": ("attacks.report",),

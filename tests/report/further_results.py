@@ -13,16 +13,9 @@ import numpy as np
 from mi_splat import provenance
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
-from tests.detectors.made import document
+from tests.detectors.made import evaluated
 from tests.fakes import camera
 from tests.report.results import STUDIED, rate
-
-MADE = {
-    "path_traced": {"split": "held-out", "count": 4, "samples": 2},
-    "splats": 0,
-    "splat": {"views": 16, "steps": 100},
-    "backgrounds": {"scenes": 1, "split": "held-out"},
-}
 
 
 def write_detections(folder: Path, **values: Any) -> Path:
@@ -52,24 +45,13 @@ def write_detections(folder: Path, **values: Any) -> Path:
     return folder
 
 
-def figures_of(name: str = "one", **values: Any) -> dict[str, Any]:
-    """What `mi-splat evaluate-detector` writes, by the library's own code on made-up detections."""
-    more = {"pictures": MADE, "data": "out/data", "scenes": ["scenes/x.xml"], **provenance.origin()}
-    found: dict[str, Any] = json.loads(json.dumps({**document(name), **more, **values}))
-    return found
-
-
-def write_figures(place: Path) -> Path:
-    path = place.with_name("held-out.json")
-    save_json(figures_of(), path)
-    return path
-
-
-def write_comparison(place: Path) -> Path:
-    path = place.with_name("both.compared.json")
-    several = [figures_of("one"), figures_of("two", confidence=0.3)]
-    save_json({"compared": several, "files": ["one.json", "two.json"], **provenance.origin()}, path)
-    return path
+def write_evaluated(folder: Path, *names: str) -> Path:
+    """What `mi-splat evaluate-detector` leaves behind, by the library's own code on made-up detections."""
+    folder.mkdir(parents=True)
+    record, looked = evaluated(*names)
+    save_json({**record, "data": "out/data", **provenance.origin()}, folder / "result.json")
+    looked.write(folder)
+    return folder
 
 
 def experiment(name: str, found: Any, **given: Any) -> dict[str, Any]:
@@ -203,9 +185,8 @@ def write_curve(folder: Path, **values: Any) -> Path:
 
 FURTHER: dict[str, Callable[[Path], Path]] = {
     "detect": write_detections,
+    "evaluate-detector": write_evaluated,
     "cloak-experiment detection-curve": write_curve,
-    "evaluate-detector": write_figures,
-    "compare-detectors": write_comparison,
     "cloak-experiment surroundings": write_experiment("surroundings", SURROUNDINGS, **GIVEN),
     "cloak-experiment distance": write_experiment("distance", DISTANCES, **GIVEN, detectors=["one"]),
     "cloak-experiment formats": write_experiment("formats", FORMATS, **GIVEN, detectors=[]),

@@ -25,11 +25,9 @@ from tests.report.further_results import (
     PERFECT,
     SURROUNDINGS,
     experiment,
-    figures_of,
-    write_comparison,
     write_curve,
     write_detections,
-    write_figures,
+    write_evaluated,
 )
 from tests.report.results import STUDIED
 
@@ -67,7 +65,7 @@ def test_detect_stores_what_its_page_shows(
 
 
 def test_a_detector_s_figures(tmp_path: Path) -> None:
-    section = read_section(write_figures(tmp_path / "x"))
+    section = read_section(write_evaluated(tmp_path / "x"))
     assert section.headline.rate == Rate(successes=2, total=4)
     assert section.control is not None
     assert section.control.rate == Rate(successes=2, total=16)
@@ -80,25 +78,10 @@ def test_a_detector_s_figures(tmp_path: Path) -> None:
 
 
 def test_detectors_side_by_side(tmp_path: Path) -> None:
-    section = read_section(write_comparison(tmp_path / "x"))
-    assert section.title == "one at 0.5 and two at 0.3"
+    section = read_section(write_evaluated(tmp_path / "x", "one", "two"))
+    assert section.title == "one and two at 0.5"
     assert section.headline.words == "50\u00a0%"
-    assert "different confidences" in said(section)
-    assert [line.name for line in section.charts[0].lines] == ["one at 0.5", "two at 0.3"]
-
-
-def test_compare_detectors_stores_what_its_page_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("one", "two"):
-        save_json(figures_of(name), tmp_path / f"{name}.json")
-    before = (tmp_path / "one.json").read_bytes()
-    files = [str(tmp_path / f"{name}.json") for name in ("one", "two")]
-    assert cli.main(["compare-detectors", *files, "--out", str(tmp_path / "one.compared.json")]) == 0
-    section = read_section(tmp_path / "one.compared.json")
-    assert (tmp_path / "one.json").read_bytes() == before
-    assert section.command == shlex.join(
-        ["mi-splat", "compare-detectors", *files, "--out", str(tmp_path / "one.compared.json")]
-    )
-    assert section.versions
+    assert [line.name for line in section.charts[0].lines] == ["one", "two"]
 
 
 def test_other_distances(tmp_path: Path) -> None:
@@ -185,7 +168,7 @@ def test_an_experiment_stores_what_its_page_shows(tmp_path: Path, capsys: pytest
 def test_a_page_calls_only_figures_of_attacks_attacks(tmp_path: Path) -> None:
     pytest.importorskip("jinja2", reason="pages need the extra report")
     pytest.importorskip("matplotlib", reason="pages need the extra report")
-    page = page_text([read_section(write_figures(tmp_path / "x")), read_section(write_curve(tmp_path / "curve"))])
+    page = page_text([read_section(write_evaluated(tmp_path / "x")), read_section(write_curve(tmp_path / "curve"))])
     assert page.count('<p class="role">Result</p>') == 1
     assert page.count('<p class="role">Attack</p>') == 1
-    assert f"file <code>{tmp_path / 'held-out.json'}</code>" in page
+    assert f"folder <code>{tmp_path / 'x'}</code>" in page

@@ -14,6 +14,9 @@ SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (
 BACKGROUNDS = ("street", "park", "room", "ground", "random")
 """Kinds of pictures without any object: the project's own surroundings, and random grounds, walls and clutter."""
 
+PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background: "
+"""Names of the held-out sets; that of a set without objects goes on with its kind in `BACKGROUNDS`."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureSetConfig:

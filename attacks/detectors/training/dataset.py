@@ -19,7 +19,15 @@ import numpy as np
 import torch
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.training.config import BACKGROUNDS, BackgroundConfig, PictureSetConfig, SplatConfig
+from attacks.detectors.training.config import (
+    BACKGROUNDS,
+    EMPTY,
+    PATH_TRACED,
+    SPLAT_RENDERS,
+    BackgroundConfig,
+    PictureSetConfig,
+    SplatConfig,
+)
 from attacks.detectors.training.pictures import (
     LabelledPicture,
     ViewingConditions,
@@ -41,6 +49,8 @@ OnWork = Callable[[str, int, int], None]
 """Called with what is going on, the units of it that are done, and the number wanted."""
 Record = dict[str, Any]
 """What labels.json says of one picture."""
+_FIRST_SPLAT = 10_000
+"""Number of the first scene that is made into a splat to be held out: none of the path-traced scenes."""
 _LABELS = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28)
 
 
@@ -122,6 +132,43 @@ def background_sets(
         if on_step is not None:
             on_step(done, len(jobs))
     return sets
+
+
+def held_out_sets(
+    folder: Path,
+    scenes: PictureSetConfig,
+    *,
+    splats: int,
+    splat: SplatConfig,
+    backgrounds: BackgroundConfig,
+    processes: int,
+    on_work: OnWork,
+) -> dict[str, list[LabelledPicture]]:
+    """Held-out pictures by set: path traced, renders of splats, and each kind of background.
+
+    Args:
+        folder: Where the pictures are kept; what is missing is made.
+        scenes: Scenes with objects, and how many pictures of them.
+        splats: Number of further such scenes that are made into splats; 0 leaves them out.
+        splat: How splats are made.
+        backgrounds: Pictures without objects.
+        processes: How many processes make path-traced pictures; 0 makes them in this one.
+        on_work: Called as pictures are made.
+
+    Raises:
+        InvalidValueError: The folder holds pictures that were made otherwise.
+    """
+
+    def step(text: str) -> Callable[[int, int], None]:
+        return lambda done, total: on_work(text, done, total)
+
+    make(scenes, folder / scenes.split, processes=processes, on_step=step("path-traced pictures"))
+    sets = {PATH_TRACED: load(folder / scenes.split, limit=scenes.count)} if scenes.count else {}
+    if splats:
+        numbers = range(_FIRST_SPLAT, _FIRST_SPLAT + splats)
+        sets[SPLAT_RENDERS] = splat_set(scenes, numbers, folder / "splats", splat, on_step=step("splats"))
+    empty = background_sets(folder / "backgrounds", backgrounds, on_step=step("backgrounds"))
+    return sets | {f"{EMPTY}{kind}": pictures for kind, pictures in empty.items() if pictures}
 
 
 def kept_set(

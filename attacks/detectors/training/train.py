@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.evaluation.measure import false_positives, measure_detector
+from attacks.detectors.evaluation import false_positives, look_at, set_figures, with_right
 from attacks.detectors.training.config import (
     BACKGROUNDS,
     BackgroundConfig,
@@ -36,6 +36,9 @@ TRAINING_SPLATS = SplatConfig(views=12, samples=6, objects=8000, surroundings=20
 
 IN_STREETS = PictureSetConfig(split="train", seed=4, around="street", farthest=9.0)
 """Objects in streets; from farther away most cameras would look at the houses."""
+
+CONFIDENCE = 0.5
+"""From which a detection counts in a validation."""
 
 
 def trainer_of(name: str) -> DetectorTrainer:
@@ -181,11 +184,13 @@ def validated(training: Training, validation: Sequence[LabelledPicture], folder:
         The score, the mAP and the false positives per picture without objects.
     """
     detector = training.snapshot()
-    empty = [picture for picture in validation if not len(picture.labels)]
-    measured = measure_detector(detector, validation)
-    rate = false_positives([measure_detector(detector, empty)])["per_picture"] if empty else 0.0
-    figures = {"ap": measured.ap, "recall": measured.recall, "counts": measured.counts}
-    record: dict[str, object] = {"validation": figures, "map": measured.mean, "false_positives": rate}
+    seen, empty = look_at(detector, {"": validation}), [one for one in validation if not len(one.labels)]
+    figures = set_figures(seen.rows, with_right(seen.rows, seen.detections), len(validation), CONFIDENCE)
+    imagined = look_at(detector, {"": empty})
+    judged = with_right(imagined.rows, imagined.detections)
+    rate = false_positives(judged, len(empty), CONFIDENCE)["per_picture"] if empty else 0.0
+    measured = {name: figures.get(name, {}) for name in ("ap", "found")}
+    record: dict[str, object] = {"validation": measured, "map": figures.get("map", 0.0), "false_positives": rate}
     if _merit(record) >= max((_merit(r) for r in training.history if "map" in r), default=-math.inf):
         notes = {"epoch": str(training.epoch), "seed": str(training.config.seed)}
         folder.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from attacks.detectors.evaluation import BACKGROUND, CONDITIONS, WITH_OBJECTS
+from attacks.detectors.evaluation import CONDITIONS, WITH_OBJECTS
+from attacks.detectors.training.config import EMPTY
 from attacks.rate import Rate, percent
 from attacks.report.section import Chart, Figure, Line, Section
 from attacks.report.wording import listed, number, plural, pooled, settings
@@ -48,7 +49,8 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         title=f"{names} at {confidence}",
         done=(
             f"{names} looked at pictures that were not trained on: {sets}. A detection counts from a confidence of "
-            f"{confidence} and an overlap of 0.5 with its object; the average precision takes all. Nothing was attacked."
+            f"{confidence} and an overlap of 0.5 with its object; the average precision takes all. "
+            "Nothing was attacked."
         ),
         conclusion=(
             f"Found: {_range(found)} of the objects ({first or 'none'}). Reported without any object: something in "
@@ -56,7 +58,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             f"{'; where intervals overlap, nothing says which detector is better' if len(several) > 1 else ''}."
         ),
         headline=_figure(f"objects that are found, {first or 'none'}", found),
-        control=_figure("pictures without any object in which something is reported", empty) if empty[0].total else None,
+        control=_figure("pictures without any object in which something is reported", empty)
+        if empty[0].total
+        else None,
         attacked=False,
         figures=tuple(_figures(several, others)),
         warnings=tuple(_doubts(several[0], empty[0])),
@@ -85,7 +89,7 @@ def compared(several: Sequence[Document]) -> Iterator[Table]:
     sets = [name for name in WITH_OBJECTS if any(name in figures["sets"] for figures in several)]
     rows = []
     for figures in several:
-        totals, street = figures["false_positives"], figures["sets"].get(f"{BACKGROUND}street", {})
+        totals, street = figures["false_positives"], figures["sets"].get(f"{EMPTY}street", {})
         wrong = (totals.get("with objects"), street.get("false_positives"), totals.get("without objects"))
         means = (number(figures["sets"].get(name, {}).get("map"), ".3f") for name in sets)
         rows.append((_name(figures), *means, *map(_per_picture, wrong)))
@@ -122,10 +126,11 @@ def detailed(figures: Document, of: str = "") -> Iterator[Table]:
     parts = {name: part["false_positives"] for name, part in sets.items()}
     parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
     wrong = [
-        (name, _per_picture(part), cell(part["pictures_with"]), _often(part["by_class"])) for name, part in parts.items()
+        (name, _per_picture(part), cell(part["pictures_with"]), _often(part["by_class"]))
+        for name, part in parts.items()
     ]
-    head = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
-    yield Table(caption=f"{of}False positives", head=head, rows=tuple(wrong))
+    heads = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
+    yield Table(caption=f"{of}False positives", head=heads, rows=tuple(wrong))
     seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
     for condition, (unit, _) in CONDITIONS.items():
         columns = {f"objects, {name}": _found_by(figures, (name,), condition) for name in seen}
