@@ -38,7 +38,7 @@ PATH_TRACERS = (
     *("mi_splat.scene_files", "mi_splat.mixed_scenes"),
 )
 LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.kinds", "attacks.report")
-"""Parts of attacks that may know a particular detector, or how they are judged; all others see `detectors.base` only."""
+"""Parts of attacks that know a particular detector, or judge it; all others see `detectors.base` only."""
 
 
 def test_every_module_has_a_layer() -> None:
