@@ -35,8 +35,7 @@ class ArtifactOptions(ResultOptions):
 
 def run(options: ArtifactOptions) -> None:
     """Copy the result, and say what the copy holds."""
-    from attacks.report.checking import check_figures, read_result
-    from attacks.report.packing import pack
+    from attacks.report.checking import check_figures, pack, read_result
     from attacks.report.results import story_of
     from mi_splat.io.folders import check_new_folder
 

@@ -77,14 +77,13 @@ def run(options: ArtifactCheckOptions) -> int:
 
 def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) -> list[Check]:
     """Every line of one result; one that cannot be read is one red line, so that the others are still checked."""
-    from attacks.report.checking import Check, check_detections, check_figures, check_files, read_result
+    from attacks.report.checking import Check, check_result, read_result
     from attacks.report.results import story_of
 
     try:
         result = read_result(folder)
         story = story_of(result)
-        lines = [*check_files(folder, manifest=manifest), *check_figures(result, story.figures)]
-        lines += check_detections(result)
+        lines = check_result(result, story.figures, manifest=manifest)
         return lines + (_rescored(result, story, options) if options.rescore else [])
     except MiSplatError as error:
         hint = f" ({error.hint})" if error.hint else ""

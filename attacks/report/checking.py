@@ -1,7 +1,8 @@
-"""Checking a result: the bytes of its files, and every figure, derived again from its rows."""
+"""Checking a result: the bytes of its files, and every figure, derived again from its rows; and copies for others."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,10 +12,10 @@ import polars as pl
 
 from attacks.observe.look import ON_OBJECT
 from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, TRANSITION, read_rows
-from attacks.rate import Rate
+from attacks.report.wording import plain
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
-from mi_splat.io.folders import RECORD
+from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.manifest import MANIFEST, Manifest, files_in, read_manifest
 from mi_splat.io.parsing import DocumentReader
 
@@ -25,7 +26,6 @@ SCORE_TOLERANCE, MOST_OTHER = 1e-4, 0.02
 KEPT = (".json", ".toml", ".csv.gz", ".md")
 """Endings of the files of a result that are always in an artifact; splats and pictures may be left out."""
 
-_BAND = ("from", "to")
 _BROKEN = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pl.exceptions.PolarsError)
 Tables = Mapping[str, pl.DataFrame]
 Figures = Callable[[Mapping[str, Any], Tables], Mapping[str, Any]]
@@ -92,6 +92,21 @@ def read_result(folder: Path) -> Result:
     return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=tables)
 
 
+def check_result(result: Result, figures: Figures | None, *, manifest: str | None = None) -> list[Check]:
+    """Every line of a result: of its files, of its figures, and of its single detections.
+
+    Args:
+        result: The result.
+        figures: Derives its figures from its rows; None where its kind has no rows.
+        manifest: As in `check_files`.
+
+    Raises:
+        InvalidValueError: The manifest is broken, or rows and settings are not those of one result.
+    """
+    lines = [*check_files(result.folder, manifest=manifest), *check_figures(result, figures)]
+    return [*lines, *check_detections(result)]
+
+
 def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     """A line for the manifest of a result, for each file that it lists, and for each that it does not list.
 
@@ -102,28 +117,19 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     Raises:
         InvalidValueError: There is no manifest, or it is broken.
     """
-    known = read_manifest(folder)
-    same = None if manifest is None else known.sha256 == manifest
-    lines = [
-        Check(name=MANIFEST, words=f"sha256 {known.sha256}{'' if same is not False else ', another'}", passed=same)
-    ]
-    for name, (digest, length) in known.files.items():
-        path = folder / name
+    listed = read_manifest(folder)
+    same = None if manifest is None else listed.sha256 == manifest
+    lines = [Check(name=MANIFEST, words=f"sha256 {listed.sha256}{', another' if same is False else ''}", passed=same)]
+    for name, (digest, length) in listed.files.items():
+        path, kept = folder / name, name.endswith(KEPT)
         if path.is_symlink() or not path.is_file():
-            lines.append(_missing(name))
+            lines.append(Check(name=name, words="missing" if kept else "left out", passed=False if kept else None))
         elif path.stat().st_size != length or sha256(path) != digest:
             lines.append(Check(name=name, words=f"other bytes than {MANIFEST} lists", passed=False))
         else:
             lines.append(Check(name=name, words=f"{length:,} bytes, sha256 {digest[:16]}", passed=True))
-    unlisted = (name for name, _ in files_in(folder, known.without) if name not in known.files)
+    unlisted = (name for name, _ in files_in(folder, listed.without) if name not in listed.files)
     return [*lines, *(Check(name=name, words=f"not listed in {MANIFEST}", passed=False) for name in unlisted)]
-
-
-def _missing(name: str) -> Check:
-    """A file that is not there: a splat or a picture may be left out."""
-    return Check(
-        name=name, words="missing" if name.endswith(KEPT) else "left out", passed=False if name.endswith(KEPT) else None
-    )
 
 
 def check_figures(result: Result, figures: Figures | None) -> list[Check]:
@@ -133,7 +139,7 @@ def check_figures(result: Result, figures: Figures | None) -> list[Check]:
         result: The result.
         figures: Derives them; None where the kind has no rows.
     """
-    derived = {} if figures is None else flat(derive(result, figures))
+    derived = {} if figures is None else flat(_derived(result, figures))
     stated = flat(result.record)
     lines = []
     for name, value in derived.items():
@@ -168,23 +174,22 @@ def check_detections(result: Result) -> list[Check]:
     return [Check(name=DETECTIONS, words=words, passed=other <= MOST_OTHER * len(rows))]
 
 
-def derive(result: Result, figures: Figures) -> Mapping[str, Any]:
-    """The figures of a result, of its rows.
-
-    Raises:
-        InvalidValueError: Its rows and settings are not those of one result.
-    """
+def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
+    """The figures of a result, of its rows."""
     try:
         return figures(result.record, result.tables)
+    except InvalidValueError:
+        raise
     except _BROKEN as error:
-        if isinstance(error, InvalidValueError):
-            raise
         got, do = f"{type(error).__name__}: {error}"[:200], "get the result again"
         raise InvalidValueError(message(str(result.folder), "the rows that its settings ask for", got, do)) from error
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Figures in nested objects and lists by their place; a rate, with its interval, is one figure."""
+    """Figures in nested objects and lists by their keys with / between; a rate, with its interval, is one figure.
+
+    An entry of a list is called by its number, or, if it is one of several parts of an interval, by the ends of that.
+    """
     return dict(_flat(values, ""))
 
 
@@ -198,23 +203,13 @@ def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
             yield from _flat(entry, f"{name}/{key}" if name else str(key))
     elif isinstance(value, (list, tuple)):
         for number, entry in enumerate(value):
-            held = {key: one for key, one in entry.items() if key not in _BAND} if _is_band(entry) else entry
-            yield from _flat(held, f"{name}/{_place(number, entry)}")
+            if isinstance(entry, Mapping) and {"from", "to"} <= set(entry):
+                band = {key: figure for key, figure in entry.items() if key not in ("from", "to")}
+                yield from _flat(band, f"{name}/{plain(entry['from'])} to {plain(entry['to'])}")
+            else:
+                yield from _flat(entry, f"{name}/{number}")
     else:
         yield name, value
-
-
-def _place(number: int, entry: Any) -> str:
-    """What an entry of a list is called: by its interval where it has one."""
-    if not _is_band(entry):
-        return str(number)
-    low, high = (f"{entry[end]:g}" if isinstance(entry[end], float) else str(entry[end]) for end in _BAND)
-    return f"{low} to {high}"
-
-
-def _is_band(value: Any) -> bool:
-    """Whether a figure is one of several parts of an interval, which it is called by."""
-    return isinstance(value, Mapping) and set(_BAND) <= set(value)
 
 
 def agree(stated: Value, derived: Value) -> bool:
@@ -235,20 +230,34 @@ def in_words(value: Value) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def moved(name: str, then: Rate | None, now: Rate, *, tolerance: float, other_weights: bool = False) -> Check:
-    """How a rate has moved since the result was made.
+def pack(folder: Path, out: Path, figures: Figures | None, *, whole: bool = False, force: bool = False) -> Result:
+    """Copy a finished result into a new folder, which appears whole or not at all.
+
+    Its manifest stays what it is, so that the copy has the same name (the SHA-256 of its manifest) and says what was
+    left out.
 
     Args:
-        name: Of the rate.
-        then: In the rows; None if they do not have it, so that the line is grey.
-        now: Today.
-        tolerance: How far it may move.
-        other_weights: Whether the detector has other weights than it had.
+        folder: Of the result.
+        out: The new folder.
+        figures: Derives its figures from its rows; None where its kind has no rows.
+        whole: Whether to copy splats and pictures, too.
+        force: Whether an older result at `out` may be replaced.
+
+    Returns:
+        The copy.
+
+    Raises:
+        InvalidValueError: A file of the result is missing or was changed, or its rows do not give its figures.
+        SplatFileError: `out` is in use or cannot be written.
     """
-    counts = f"{now.successes}/{now.total}"
-    if then is None:
-        return Check(name=name, words=f"{counts}; not in the result", passed=None)
-    by = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)
-    other = "; other weights than the result's" if other_weights else ""
-    words = f"{then.successes}/{then.total} in the rows, {counts} now: moved by {by:.1%}, may move by {tolerance:.1%}"
-    return Check(name=name, words=f"{words}{other}", passed=by <= tolerance)
+    result = read_result(folder)
+    red = next((line for line in check_result(result, figures) if line.passed is False), None)
+    if red is not None:
+        do = "make the result again: it was changed, or it is not of these rows"
+        raise InvalidValueError(message(str(folder), "a result as it was written", f"{red.name}: {red.words}", do))
+    with new_folder(out, force=force, record=RECORD, manifest=False) as copy:
+        for name in (MANIFEST, *result.manifest.files):
+            if (whole or name.endswith(KEPT)) and (folder / name).is_file():
+                (copy / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(folder / name, copy / name)
+    return read_result(out)

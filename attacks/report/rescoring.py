@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from attacks.observe.places import CAMERAS, Places, places_of
 from attacks.observe.rows import ROWS, Row, frame_of
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
-from attacks.report.checking import Check, Result, moved
+from attacks.report.checking import Check, Result
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.io.documents import sha256
@@ -84,84 +84,88 @@ def rescore(
         got, do = f"{len(places.cameras)} cameras", "get the result again"
         raise InvalidValueError(message(str(file), "the cameras of the rows", got, do))
     views = rows["view"].unique().sort().to_list()[::every]
-    before = rows.filter(pl.col("view").is_in(views))
-    before = before.filter(pl.col("seed").is_in([seed for _, seed in scenes]))
-    after = _looked(result, rescoring, detectors, (places, scenes, views), before, on_view)
+    before = rows.filter(pl.col("view").is_in(views), pl.col("seed").is_in([seed for _, seed in scenes]))
+    seen, total = list[Row](), len(views) * len(detectors) * len(scenes)
+    for row in _seen_again(result.record, rescoring, detectors, places, scenes, before):
+        seen.append(row)
+        on_view(len(seen), total)
+    again = pl.col("detector").is_in([detector.name for detector in detectors])
+    again &= pl.col("splat").is_in([splat for splat, _ in scenes])
+    after = pl.concat([before.filter(~again), frame_of(seen)], how="diagonal")
     then, now = (rescoring.rates(result.record, frame) for frame in (before, after))
-    return [line for one in detectors for line in _moves(result, one, then, now, rate_tolerance)]
-
-
-def _looked(
-    result: Result,
-    rescoring: Rescoring,
-    detectors: Sequence[Detector],
-    where: tuple[Places, Mapping[tuple[str, int], GaussianScene], Sequence[int]],
-    before: pl.DataFrame,
-    on_view: OnView,
-) -> pl.DataFrame:
-    """The rows with what detectors report now; those of splats that are not looked at stay as they are.
-
-    Args:
-        result: The result.
-        rescoring: How its kind is scored again.
-        detectors: Those that look.
-        where: Cameras, splats, and the numbers of the cameras.
-        before: The rows of these cameras.
-        on_view: Told of the progress.
-    """
-    places, scenes, views = where
-    names = {detector.name: detector for detector in detectors}
-    known = {(row["splat"], row["seed"], row["view"], row["detector"]): row for row in before.iter_rows(named=True)}
-    anybody = {key[:3]: row for key, row in known.items()}
-    found, total = list[Row](), len(views) * len(detectors) * len(scenes)
-    for (splat, seed), scene in scenes.items():
-        for done in places.look(scene, detectors, views, batch=rescoring.batch):
-            # What another detector calls the object is not known: it counts as what one of the result's calls it.
-            row = known.get((splat, seed, done.view, done.detector), anybody[splat, seed, done.view])
-            cells = rescoring.cells(result.record, done, row, names[done.detector])
-            found.append({**row, "detector": done.detector, **cells})
-            on_view(len(found), total)
-    looked = pl.col("detector").is_in(list(names)) & pl.any_horizontal(
-        *(pl.col("splat") == splat for splat in {splat for splat, _ in scenes})
-    )
-    return pl.concat([before.filter(~looked), frame_of(found)], how="diagonal")
-
-
-def _moves(
-    result: Result,
-    detector: Detector,
-    then: Mapping[str, Mapping[str, Rate]],
-    now: Mapping[str, Mapping[str, Rate]],
-    tolerance: float,
-) -> list[Check]:
-    """A line for each rate of one detector."""
-    weights = fingerprints(result.record).get(detector.name)
-    other_weights = weights != detector.fingerprint
+    weights = fingerprints(result.record)
     return [
-        moved(
+        _moved(
             f"{detector.name}, {words}",
-            None if weights is None else then.get(detector.name, {}).get(words),
+            then.get(detector.name, {}).get(words) if detector.name in weights else None,
             rate,
-            tolerance=tolerance,
-            other_weights=other_weights,
+            rate_tolerance,
+            "" if weights.get(detector.name) == detector.fingerprint else "; other weights than the result's",
         )
+        for detector in detectors
         for words, rate in now.get(detector.name, {}).items()
     ]
 
 
+def _seen_again(
+    record: Mapping[str, Any],
+    rescoring: Rescoring,
+    detectors: Sequence[Detector],
+    places: Places,
+    scenes: Mapping[tuple[str, int], GaussianScene],
+    before: pl.DataFrame,
+) -> Iterator[Row]:
+    """The rows that detectors give to splats today.
+
+    Args:
+        record: Of the result.
+        rescoring: How its kind is scored again.
+        detectors: Those that look.
+        places: Where from.
+        scenes: The splats.
+        before: The rows of the views that they are looked at in.
+    """
+    views, named = before["view"].unique().sort().to_list(), {detector.name: detector for detector in detectors}
+    rows = {(row["splat"], row["seed"], row["view"], row["detector"]): row for row in before.iter_rows(named=True)}
+    of_view = {key[:3]: row for key, row in rows.items()}
+    for (splat, seed), scene in scenes.items():
+        for seen in places.look(scene, detectors, views, batch=rescoring.batch):
+            # What another detector calls the object is not known: it counts as what one of the result's calls it.
+            row = rows.get((splat, seed, seen.view, seen.detector), of_view[splat, seed, seen.view])
+            yield {**row, "detector": seen.detector, **rescoring.cells(record, seen, row, named[seen.detector])}
+
+
+def _moved(name: str, then: Rate | None, now: Rate, tolerance: float, other: str) -> Check:
+    """How a rate has moved since the result was made; grey if its rows do not have it.
+
+    Args:
+        name: Of the rate.
+        then: In the rows.
+        now: Today.
+        tolerance: How far it may move.
+        other: What to add where the detector has other weights than it had.
+    """
+    if then is None:
+        return Check(name=name, words=f"{now.successes}/{now.total}; not in the result", passed=None)
+    by = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)
+    words = (
+        f"{then.successes}/{then.total} in the rows, {now.successes}/{now.total} now: moved by {by:.1%}, may move by "
+        f"{tolerance:.1%}{other}"
+    )
+    return Check(name=name, words=words, passed=by <= tolerance)
+
+
 def fingerprints(record: Mapping[str, Any]) -> dict[str, str]:
     """What stands for the weights of each detector of a result."""
-    found = record.get("detectors")
-    if isinstance(found, Mapping):
-        return {str(name): str(mark) for name, mark in found.items()}
-    if isinstance(found, list):
-        return {str(one["detector"]): str(one["detector_fingerprint"]) for one in found}
-    return {}
+    detectors = record.get("detectors")
+    if isinstance(detectors, list):
+        detectors = {judged["detector"]: judged["detector_fingerprint"] for judged in detectors}
+    return {str(name): str(mark) for name, mark in detectors.items()} if isinstance(detectors, Mapping) else {}
 
 
 def _scenes(result: Result, rescoring: Rescoring, splats: Path | None) -> dict[tuple[str, int], GaussianScene]:
     """The splats of a result, each with the SHA-256 that its manifest lists."""
-    found, folder = {}, result.folder if splats is None else splats
+    scenes, folder = {}, result.folder if splats is None else splats
     for key, name in rescoring.splats(result.record).items():
         path, entry = folder / name, result.manifest.files.get(name)
         if not path.is_file():
@@ -170,5 +174,5 @@ def _scenes(result: Result, rescoring: Rescoring, splats: Path | None) -> dict[t
         if entry is None or sha256(path) != entry[0]:
             expected = f"the SHA-256 that the manifest lists of {name}"
             raise InvalidValueError(message(str(path), expected, "another", "pass the splat of this result"))
-        found[key] = load_splat(path)
-    return found
+        scenes[key] = load_splat(path)
+    return scenes

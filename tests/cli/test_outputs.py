@@ -37,7 +37,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.plan.Work",)),
     "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.sanity.checks.run_checks",)),
     "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack_views",)),
-    "artifact": (["artifact", "set"], "{}", ("attacks.report.packing.pack",)),
+    "artifact": (["artifact", "set"], "{}", ("attacks.report.checking.pack",)),
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),

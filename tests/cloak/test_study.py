@@ -17,8 +17,7 @@ from attacks.cloak import setup
 from attacks.cloak.config import read_study
 from attacks.cloak.rates import RATES
 from attacks.observe.rows import read_rows
-from attacks.report.checking import check_detections, check_figures, check_files, flat, read_result
-from attacks.report.packing import pack
+from attacks.report.checking import check_result, flat, pack, read_result
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
 from mi_splat.datasets import load_dataset
@@ -146,7 +145,7 @@ def test_looking_at_a_splat_trains_none(finished: Path) -> None:
 def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finished: Path, tmp_path: Path) -> None:
     result = read_result(finished)
     story = story_of(result)
-    lines = [*check_files(finished), *check_figures(result, story.figures), *check_detections(result)]
+    lines = check_result(result, story.figures)
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
     rates = [name for name, value in flat(result.record).items() if isinstance(value, tuple)]
     assert len(rates) > 40

@@ -11,9 +11,8 @@ import pytest
 
 from attacks import cli
 from attacks.observe.views import object_boxes
-from attacks.report.checking import read_result
+from attacks.report.checking import pack, read_result
 from attacks.report.exhibits import open_exhibit
-from attacks.report.packing import pack
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
 from mi_splat.errors import InvalidValueError

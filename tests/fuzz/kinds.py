@@ -27,7 +27,7 @@ from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
-from attacks.report.checking import check_detections, check_figures, check_files, read_result
+from attacks.report.checking import check_result, read_result
 from attacks.report.results import STORIES, read_section, story_of
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
@@ -211,9 +211,7 @@ def _result(name: str) -> Kind:
 
 def _check(folder: Path) -> None:
     result = read_result(folder)
-    check_files(folder)
-    check_figures(result, story_of(result).figures)
-    check_detections(result)
+    check_result(result, story_of(result).figures)
 
 
 def _artifact(file: str) -> Kind:

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.report.checking import Check, agree, check_detections, check_figures, check_files, flat, read_result
-from attacks.report.packing import pack
+from attacks.report.checking import Check, agree, check_files, check_result, flat, pack, read_result
 from attacks.report.results import story_of
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import RECORD
@@ -27,8 +26,7 @@ Rows = list[dict[str, str]]
 
 def checks(folder: Path, *, manifest: str | None = None) -> list[Check]:
     result = read_result(folder)
-    lines = [*check_files(folder, manifest=manifest), *check_figures(result, story_of(result).figures)]
-    return [*lines, *check_detections(result)]
+    return check_result(result, story_of(result).figures, manifest=manifest)
 
 
 def red(folder: Path, *, manifest: str | None = None) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from attacks.report.checking import Result, check_detections, check_figures, check_files, flat, in_words, read_result
+from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import story_of
 from attacks.report.stories.cloak import figures as cloak_figures
 from tests.project.documented_commands import ROOT
@@ -36,8 +36,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         assert result.manifest.sha256 in page
         derive = story_of(result).figures
         assert derive is not None
-        lines = [*check_files(folder), *check_figures(result, derive), *check_detections(result)]
-        assert [(line.name, line.words) for line in lines if line.passed is False] == []
+        assert [(line.name, line.words) for line in check_result(result, derive) if line.passed is False] == []
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
