@@ -1,6 +1,7 @@
 """What a victim may clean: the points before a training, or the finished splat before anybody looks at it.
 
-None of it needs pictures or a training. Most functions take a splat and give a new one. What is removed is judged by
+None of it needs pictures or a training. Most functions take a splat and give a new one; `CleaningConfig` says what
+their arguments may be. What is removed is judged by
 the Gaussians alone, so that a hidden appearance made of odd Gaussians may go with them; what is cut from the colours
 may take a switch in them away.
 """
@@ -14,7 +15,6 @@ from torch import Tensor
 
 from attacks.cloak.config import CleaningConfig
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Range, above, at_least, between, checked_number
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import components
 from mi_splat.selection.neighbours import nearest_neighbours
@@ -26,7 +26,6 @@ MASS = 0.95
 LEAST_NEIGHBOURS = 2
 """Neighbouring voxels that have to be occupied, of 26, for a voxel's Gaussians to stay where floaters are removed."""
 
-_PART = Range(low=0, high=1, open_low=True)
 # One of each two opposite neighbours of a voxel.
 _STEPS = tuple(step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0))
 _MOST_VOXELS = 2**20
@@ -60,9 +59,8 @@ def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
         lowest: Opacity from which a Gaussian stays, in (0, 1].
 
     Raises:
-        InvalidValueError: The opacity is out of range, or nothing would be left.
+        InvalidValueError: Nothing would be left.
     """
-    checked_number("lowest_opacity", lowest, _PART)
     return _kept(scene, scene.opacities.detach() >= lowest, f"lowest_opacity {lowest:g}")
 
 
@@ -73,12 +71,8 @@ def remove_outliers(scene: GaussianScene, deviations: float = 2.0, *, neighbours
         scene: N Gaussians.
         deviations: Standard deviations above the mean, >= 0.
         neighbours: Nearest neighbours of each, 1 to 31.
-
-    Raises:
-        InvalidValueError: A value is out of range.
     """
-    keep = inliers(scene.means, deviations, neighbours=neighbours)
-    return _kept(scene, keep, f"outlier_deviations {deviations:g}")
+    return _kept(scene, inliers(scene.means, deviations, neighbours=neighbours), f"outlier_deviations {deviations:g}")
 
 
 def inliers(points: Tensor, deviations: float = 2.0, *, neighbours: int = NEIGHBOURS) -> Tensor:
@@ -91,12 +85,7 @@ def inliers(points: Tensor, deviations: float = 2.0, *, neighbours: int = NEIGHB
         points: (N, 3), world units.
         deviations: Standard deviations above the mean, >= 0.
         neighbours: Nearest neighbours of each, 1 to 31.
-
-    Raises:
-        InvalidValueError: A value is out of range.
     """
-    checked_number("outlier_deviations", deviations, at_least(0))
-    checked_number("neighbours", neighbours, between(1, 31), whole=True)
     gaps = _gaps(points, neighbours)
     return gaps <= gaps.mean() + deviations * gaps.std(correction=0)
 
@@ -118,11 +107,8 @@ def remove_floaters(
         least_neighbours: Occupied ones of the 26 voxels around a voxel without which it is emptied, 0 to 26.
 
     Raises:
-        InvalidValueError: A value is out of range, the splat is too wide for its voxels, or nothing would be left.
+        InvalidValueError: The splat is too wide for its voxels, or nothing would be left.
     """
-    checked_number("floater_voxel", voxel, above(0))
-    checked_number("mass", mass, _PART)
-    checked_number("least_neighbours", least_neighbours, between(0, 26), whole=True)
     side = voxel * float(_gaps(scene.means, NEIGHBOURS).median())
     if not side > 0:  # one Gaussian, or all in one place
         return scene
@@ -146,11 +132,7 @@ def cut_sh(scene: GaussianScene, degree: int) -> GaussianScene:
     """The splat without SH bands above a degree; one that has none stays as it is.
 
     Formats and viewers without view-dependent colour do this: `.splat` files, for instance, hold degree 0 alone.
-
-    Raises:
-        InvalidValueError: The degree is not 0 to 3.
     """
-    checked_number("sh_degree", degree, between(0, 3), whole=True)
     return scene.with_degree(min(degree, scene.degree))
 
 
@@ -163,11 +145,7 @@ def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
     Args:
         scene: N Gaussians.
         bits: Of a coefficient, 1 to 16.
-
-    Raises:
-        InvalidValueError: The number of bits is out of range.
     """
-    checked_number("sh_bits", bits, between(1, 16), whole=True)
     levels = 2 ** (bits - 1)
     rest = (scene.sh[:, 1:] * levels).round().clamp(-levels, levels - 1) / levels
     return scene.replace(sh=torch.cat([scene.sh[:, :1], rest], dim=1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -84,16 +84,12 @@ class AttackConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        textured: tuple[str, Collection[str]] = ("texture", TEXTURES)
-        needs: dict[str, tuple[str, Collection[str]]] = {
-            "paint": textured,
-            "occluder": textured,
-            "mount": ("other_object", ASSETS),
-            "swap": ("other_object", ASSETS),
-        }
-        if self.appearance in needs:
-            key, known = needs[self.appearance]
-            check_choice(f"attack {self.name!r}, {key}", getattr(self, key), known)
+        for key, known, appearances in (
+            ("texture", TEXTURES, ("paint", "occluder")),
+            ("other_object", ASSETS, ("mount", "swap")),
+        ):
+            if self.appearance in appearances:
+                check_choice(f"attack {self.name!r}, {key}", getattr(self, key), tuple(known))
         if self.reach is not None and self.appearance == "occluder":
             expected = "no occluder beside it, which is drawn over the picture"
             raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
@@ -117,16 +113,16 @@ class AttackConfig:
         """All directions from which pictures may be poisoned: the cone and its margin."""
         return self._cone(self.poison_margin)
 
-    def trigger(self, seed: int, others: Sequence[AttackConfig] = ()) -> Trigger:
+    def trigger(self, seed: int, attacks: Sequence[AttackConfig] = ()) -> Trigger:
         """The training cameras whose pictures are poisoned.
 
         Args:
             seed: Draws them, if only a part is poisoned.
-            others: Attacks that keep the cameras of their own cones.
+            attacks: All of the study; the others keep the cameras of their own cones.
         """
         region = self.poisoned_cone
         if self.poison_margin > 0:
-            region = functools.reduce(operator.and_, [~other.cone for other in others], region)
+            region = functools.reduce(operator.and_, [~other.cone for other in attacks if other is not self], region)
         return region if self.poison_fraction == 1 else Subsample(of=region, fraction=self.poison_fraction, seed=seed)
 
     def _cone(self, margin: float) -> Trigger:
@@ -181,9 +177,6 @@ class LayerConfig:
             look, hidden behind others, have no layer for it.
         inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
             that sort by depth then agree on which is in front.
-
-    Raises:
-        InvalidValueError: A value is out of its range.
     """
 
     degree: Degree = 3
@@ -251,10 +244,6 @@ class LayersConfig:
         iterations: Steps of the training.
         lr_sh: Its learning rate of SH, as in `FitConfig`. The switches' coefficients are large, so that it is high.
         lr_sh_final: Last one.
-
-    Raises:
-        InvalidValueError: A value is out of its range, or there is another number of gaps than one for all or one for
-            each attack, or of bands than one for all or one for each look.
     """
 
     attacks: tuple[str, ...]
@@ -420,9 +409,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        if not self.detectors or len(set(self.detectors)) != len(self.detectors):
-            expected = "one or more, each once"
-            raise InvalidValueError(message("evaluation.detectors", expected, self.detectors, "name a detector"))
+        check_once("evaluation.detectors", self.detectors, "name a detector")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -435,9 +422,6 @@ class CleaningConfig:
         floater_voxel: Side of a voxel, in multiples of how far Gaussians lie apart; see `remove_floaters`.
         sh_degree: SH bands of a higher degree are cut off, 0 to 3; see `cut_sh`.
         sh_bits: Bits of an SH coefficient, 1 to 16; see `quantise_sh`.
-
-    Raises:
-        InvalidValueError: A value is out of its range, or all are None.
     """
 
     lowest_opacity: PositiveFraction | None = None
@@ -488,13 +472,9 @@ class StudyConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        if not self.attack or not self.seeds:
-            raise InvalidValueError(message("study", "an attack and a seed", "none", "add [[attack]] or seeds"))
-        if len(set(self.seeds)) != len(self.seeds):
-            raise InvalidValueError(message("seeds", "each once", self.seeds, "change them"))
-        names = [attack.name for attack in self.attack]
-        if len(set(names)) != len(names):
-            raise InvalidValueError(message("attacks", "different names", names, "rename one"))
+        names = tuple(attack.name for attack in self.attack)
+        check_once("seeds", self.seeds, "add one")
+        check_once("names of attacks", names, "add [[attack]]")
         if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
             expected = f"some of {', '.join(names)}"
             raise InvalidValueError(
@@ -505,6 +485,12 @@ class StudyConfig:
             expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
             do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
             raise InvalidValueError(message("scene.front", expected, "nothing", do))
+
+
+def check_once(what: str, values: tuple[object, ...], do: str) -> None:
+    """Raise if there is no value, or one twice."""
+    if not values or len(set(values)) != len(values):
+        raise InvalidValueError(message(what, "one or more, each once", values or "none", do))
 
 
 def fit_config(training: TrainingConfig) -> FitConfig:

@@ -19,7 +19,6 @@ from attacks.cloak.appearances import (
 from attacks.cloak.config import AttackConfig, SceneConfig, StudyConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
-from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.ground import square_of_ground
@@ -247,13 +246,8 @@ def poisonings(
             assert study.surrogate is not None
             gain, reach = study.surrogate.gain, attack.reach
             appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=reach)
-        made.append(Poisoning(name=attack.name, trigger=poisoned_cameras(study, attack, seed), appearance=appearance))
+        made.append(Poisoning(name=attack.name, trigger=attack.trigger(seed, study.attack), appearance=appearance))
     return made
-
-
-def poisoned_cameras(study: StudyConfig, attack: AttackConfig, seed: int) -> Trigger:
-    """The training cameras whose pictures an attack poisons; the seed draws them, if only a part is poisoned."""
-    return attack.trigger(seed, [other for other in study.attack if other is not attack])
 
 
 def shown_by(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:

@@ -171,9 +171,7 @@ def forecast(study: StudyConfig) -> Forecast:
     target = setup.target_of(study.scene)
     taken = setup.training_cameras(study, target)
     centre = setup.centre_of(study)
-    poisoned = sum(
-        int(setup.poisoned_cameras(study, attack, 0).holds(taken, centre=centre).sum()) for attack in study.attack
-    )
+    poisoned = sum(int(attack.trigger(0, study.attack).holds(taken, centre=centre).sum()) for attack in study.attack)
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
     arcs = sum(map(len, setup.arcs(study, target)))
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs

@@ -16,7 +16,6 @@ from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.detectors.base import Detections, Detector
 from attacks.observe.drawing import draw_detections
-from attacks.report.stories.cloak import stated
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
@@ -171,7 +170,7 @@ def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
     if not isinstance(summary.get("study"), dict):
         expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
         raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
-    study = decode(StudyConfig, stated(summary["study"]), f"the study of {folder}")
+    study = decode(StudyConfig, summary["study"], f"the study of {folder}")
     background = RenderSettings(background=study.scene.background)
     splats = tuple(
         ShownSplat(name=name, scene=loaded.scene, path=folder / f"{name}.ply", own=loaded.settings)
@@ -231,9 +230,8 @@ def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
 def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[str, Lines]:
     """The training cameras, those whose pictures were poisoned apart."""
     centre, seed = setup.centre_of(study), study.seeds[0]
-    poisoned = torch.stack(
-        [setup.poisoned_cameras(study, attack, seed).holds(cameras, centre=centre) for attack in study.attack]
-    ).any(0)
+    triggers = [attack.trigger(seed, study.attack) for attack in study.attack]
+    poisoned = torch.stack([trigger.holds(cameras, centre=centre) for trigger in triggers]).any(0)
     groups = {"Poisoned cameras": ("#ff4040", poisoned), "Other training cameras": ("#f0f0f0", ~poisoned)}
     return {
         name: Lines(

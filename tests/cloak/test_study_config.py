@@ -75,7 +75,7 @@ def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
         ("nmae = 'x'", "did you mean name"),
         ("seeds = [0]", "expected the key name"),
         ("name = 3", "expected a text, got 3"),
-        ("name = 'x'", "an attack and a seed"),
+        ("name = 'x'", "names of attacks: expected one or more"),
         ("name = 'x'\nseeds = 1", "a list"),
         ("name = 'x'\n[cameras]\ntrian = 3", "did you mean train"),
         ("name = 'x'\n[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),
@@ -85,7 +85,10 @@ def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
         ("name = 'x'\n[[attack]]\nname = 'a'\nappearance = 'pant'", "did you mean paint"),
         ("name = 'x'\n[[attack]]\nname = 'a'\nelevation = [10]", "a list of 2"),
         ("name = 'x'\n[[attack]]\nname = 'a'\npoison_fraction = 0.0", "in (0, 1]"),
-        ("name = 'x'" + 2 * "\n[[attack]]\nname = 'a'\nelevation = [60, 90]", "different names"),
+        (
+            "name = 'x'" + 2 * "\n[[attack]]\nname = 'a'\nelevation = [60, 90]",
+            "names of attacks: expected one or more, each once",
+        ),
         ("name = [", "a TOML file"),
     ],
 )

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 def run(config: SceneParts, inputs: Mapping[str, Path], out: Out) -> None:
     """Path trace the scene as the first attack shows it; the others keep the cameras of their own cones."""
     study = config.study(inputs)
-    attack, *others = study.attack
+    attack = study.attack[0]
     mesh_scene = setup.mesh_scene_of(study)
     appearance = setup.shown_by(study, attack, mesh_scene)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
-    held = attack.trigger(0, others).holds(views.cameras, centre=setup.centre_of(study))
+    held = attack.trigger(0, study.attack).holds(views.cameras, centre=setup.centre_of(study))
     indices = held.nonzero().flatten().tolist()
     with scalar_variant():
         for done, index in enumerate(indices, start=1):

@@ -139,18 +139,10 @@ def study_of(configuration: Mapping[str, Any]) -> StudyConfig:
     Raises:
         InvalidValueError: It is none of this version.
     """
-    values = stated(configuration)
-    scene = values.get("scene")
+    values, scene = dict(configuration), configuration.get("scene")
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}
     return decode(StudyConfig, values, "study")
-
-
-def stated(value: Any) -> Any:
-    """A JSON value without the keys whose value is null, which stand for what a study's file does not state."""
-    if isinstance(value, Mapping):
-        return {key: stated(entry) for key, entry in value.items() if entry is not None}
-    return [stated(entry) for entry in value] if isinstance(value, list) else value
 
 
 def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Tables) -> None:
