@@ -6,13 +6,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from attacks.cli.options import Confidence, Detectors, Processes, Threads
+from attacks.cli.options import Confidence, DetectorOptions, Processes, Threads
 from attacks.detectors.training.config import BackgroundConfig, PictureSetConfig, SplatConfig
 from mi_splat import provenance
-from mi_splat.cli.console import progress, show_result
-from mi_splat.cli.options import Samples
+from mi_splat.cli.console import follow, progress, show_result
+from mi_splat.cli.options import ResultOptions, Samples
 from mi_splat.fields import Count, Folder
-from mi_splat.io.locks import locked_folder
 
 EXAMPLES = (
     "evaluate-detector --weights out/detector/best.safetensors",
@@ -21,8 +20,8 @@ EXAMPLES = (
 SEE_ALSO = ("train-detector", "detectors")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EvaluateDetectorOptions:
+@dataclass(frozen=True, kw_only=True)
+class EvaluateDetectorOptions(DetectorOptions, ResultOptions):
     """Score detectors on objects, cameras, lights and surroundings that the project's own were not trained on.
 
     Average precision by class; recall by elevation, distance, size, brightness and sun; and false positives per
@@ -31,14 +30,10 @@ class EvaluateDetectorOptions:
     is listed. Several detectors are put side by side. Writes result.json and the rows into --out.
     """
 
-    detectors: Detectors = ("fasterrcnn_small",)
-    """Names of detectors that know the eight classes (see `mi-splat detectors`)."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     data: Folder = Path("out/detector-data")
     """Folder of the pictures; what is missing in it is made first."""
     out: Folder = Path("out/detectors")
-    """Folder for the results; a new one."""
+    """Folder for the results: a new one, written whole at the end."""
     pictures: Count = 240
     """Path-traced pictures with objects."""
     samples: Samples = 24
@@ -57,10 +52,6 @@ class EvaluateDetectorOptions:
     """Processes that make pictures; 0 makes them in this one."""
     threads: Threads = 1
     """Threads of torch."""
-    force: bool = False
-    """Replace a folder that an earlier call has written."""
-    json: bool = False
-    """Print the figures as one JSON document on stdout."""
 
 
 def run(options: EvaluateDetectorOptions) -> int:
@@ -82,7 +73,7 @@ def _evaluated(options: EvaluateDetectorOptions) -> dict[str, Any]:
 
     from attacks.cli.names import weights_of
     from attacks.detectors.evaluation import figures, load_for_evaluation, look_at, splat_scene_pictures
-    from attacks.detectors.training.dataset import held_out_sets
+    from attacks.detectors.training.dataset import held_out_sets, made
     from attacks.observe.look import Looked
     from attacks.observe.rows import DETECTIONS, ROWS
     from mi_splat.io.documents import save_json
@@ -93,16 +84,8 @@ def _evaluated(options: EvaluateDetectorOptions) -> dict[str, Any]:
     with progress("loading the detectors") as advance:
         files = weights_of(options.detectors, options.weights)
         detectors = [load_for_evaluation(name, files.get(name)) for name in options.detectors]
-        with locked_folder(options.data):
-            sets = held_out_sets(
-                options.data,
-                pictures,
-                splats=options.splats,
-                splat=options.splat,
-                backgrounds=options.backgrounds,
-                processes=options.processes,
-                on_work=lambda text, done, total: advance(f"{text}, {done:,} of {total:,}"),
-            )
+        jobs = held_out_sets(pictures, splats=options.splats, splat=options.splat, backgrounds=options.backgrounds)
+        sets = made(options.data, jobs, processes=options.processes, on_work=follow(advance))
         sets |= {str(path): splat_scene_pictures(path) for path in options.scenes}
         advance("detecting")
         looks = [look_at(detector, sets) for detector in detectors]

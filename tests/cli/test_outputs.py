@@ -41,8 +41,8 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),
-    "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.train.training_pictures",)),
-    "evaluate-detector": (["evaluate-detector"], "{}", ("attacks.detectors.training.dataset.held_out_sets",)),
+    "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.dataset.made",)),
+    "evaluate-detector": (["evaluate-detector"], "{}", ("attacks.detectors.training.dataset.made",)),
 }
 """Words of each command that writes, what its --out is in a folder, and what must not be reached."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'

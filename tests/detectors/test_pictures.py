@@ -5,20 +5,28 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from torch import Tensor
 
-from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.training.augmentation import augment, blur, coarsen, like_a_splat, reframe, relight
-from attacks.detectors.training.config import BACKGROUNDS, SPLITS, BackgroundConfig, PictureSetConfig, SplatConfig
-from attacks.detectors.training.dataset import background_sets, held_out_sets, kept_set, load, make, splat_set
+from attacks.detectors.training.config import (
+    BACKGROUNDS,
+    SPLITS,
+    BackgroundConfig,
+    PictureSetConfig,
+    SplatConfig,
+    TrainingSetConfig,
+)
+from attacks.detectors.training.dataset import held_out_sets, made, training_sets, with_objects, without_objects
 from attacks.detectors.training.pictures import (
+    LabelledPicture,
     SceneRenderer,
     ViewingConditions,
     background_pictures,
@@ -26,9 +34,12 @@ from attacks.detectors.training.pictures import (
     scene_pictures,
     viewing_conditions,
 )
+from attacks.detectors.training.scenes import load, save
 from mi_splat.assets.daylight import Light
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
+from mi_splat.ledger import Job
+from mi_splat.ledger.plans import Driver
 from tests.detectors.made import drawn
 
 pytestmark = pytest.mark.usefixtures("scalar")
@@ -103,44 +114,45 @@ def test_boxes_are_tight_and_inside_the_picture() -> None:
         assert bool(((low >= 0) & (high <= 64) & (high > low)).all())
 
 
+def made_of(jobs: Sequence[Job], folder: Path) -> tuple[list[LabelledPicture], list[tuple[int, int]]]:
+    """The pictures of jobs, and how it went on."""
+    steps: list[tuple[int, int]] = []
+    sets = made(folder, {"x": jobs}, processes=0, on_work=lambda text, done, total: steps.append((done, total)))
+    return sets["x"], steps
+
+
 @pytest.mark.slow
 def test_a_data_set_is_continued_and_read_back(tmp_path: Path) -> None:
-    make(replace(TINY, count=2), tmp_path, processes=0)
-    before = (tmp_path / "00000.png").stat().st_mtime_ns
-    steps: list[tuple[int, int]] = []
-    make(TINY, tmp_path, processes=0, on_step=lambda done, wanted: steps.append((done, wanted)))
-    assert steps == [(4, 4)]
-    assert (tmp_path / "00000.png").stat().st_mtime_ns == before
-    samples = load(tmp_path)
-    assert len(samples) == 4
+    made_of(with_objects(replace(TINY, count=2)), tmp_path)
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.png")}
+    samples, steps = made_of(with_objects(replace(TINY, count=3)), tmp_path)
+    assert steps == [(1, 2), (2, 2)]
+    assert len(times) == 2
+    assert times == {path: path.stat().st_mtime_ns for path in times}
     for ours, theirs in zip(samples, [*scene_pictures(TINY, 0), *scene_pictures(TINY, 1)], strict=True):
         assert torch.equal(ours.image, theirs.image)
         assert torch.equal(ours.boxes, theirs.boxes)
-    assert json.loads((tmp_path / "labels.json").read_text())["recipe"]["count"] == 4
+        assert ours.conditions == theirs.conditions
+    others, _ = made_of(with_objects(replace(TINY, seed=1, count=2)), tmp_path)
+    assert not torch.equal(others[0].image, samples[0].image), "another configuration is another job"
 
 
 def test_kept_pictures_are_those_that_were_made(tmp_path: Path) -> None:
-    kept_set(tmp_path, {"made": "so"}, lambda: [drawn((10, 10, 30, 30)), drawn((20, 20, 40, 40))])
-    assert len(load(tmp_path)) == 2
-    second = tmp_path / "00001.png"
-    made = second.read_bytes()
-    Image.fromarray(255 - drawn((20, 20, 40, 40)).image.numpy()).save(second)
-    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got other bytes; delete the folder .* to have it made"):
-        load(tmp_path)
-    assert len(load(tmp_path, limit=1)) == 1
-    second.unlink()
-    with pytest.raises(InvalidValueError, match=r"00001\.png: .*got No such file"):
-        load(tmp_path)
-    second.write_bytes(made)
-    assert len(load(tmp_path)) == 2
+    jobs = without_objects(NOTHING, "ground")
+    made_of(jobs, tmp_path)
+    second = next(tmp_path.rglob("00001.png"))
+    kept = second.read_bytes()
+    second.write_bytes(kept[:-1])
+    with pytest.raises(InvalidValueError, match=r"expected the files that it wrote, got another 00001\.png"):
+        made_of(jobs, tmp_path)
+    second.write_bytes(kept)
+    assert len(made_of(jobs, tmp_path)[0]) == 2
 
 
-def test_a_folder_of_another_configuration_is_left_alone(tmp_path: Path) -> None:
-    make(replace(TINY, count=2), tmp_path, processes=0)
-    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
-        make(replace(TINY, seed=1), tmp_path, processes=0)
-    with pytest.raises(InvalidValueError, match=r"expected a labels\.json, got none"):
-        load(tmp_path / "nothing")
+def test_pictures_that_cannot_be_made_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Driver, "run", lambda self, plans: {"x 0": "Traceback\nValueError: no light"})
+    with pytest.raises(DetectorError, match="scene 0 of x: expected its pictures, got ValueError: no light"):
+        made_of(without_objects(NOTHING, "ground"), tmp_path)
 
 
 NOTHING = BackgroundConfig(scenes=1, shots=2, samples=1, size=32)
@@ -155,19 +167,16 @@ NOTHING = BackgroundConfig(scenes=1, shots=2, samples=1, size=32)
         {"boxes": [[0, 0, 1, "x"]], "labels": [1]},
         {"boxes": [[0, 0, 1, 1]], "labels": [99]},
         {"boxes": [[0, 0, 1, 1]], "labels": [1], "conditions": [{"elevation": "low"}]},
-        {"sha256": 7},
     ],
 )
 def test_broken_labels_are_refused(record: object, tmp_path: Path) -> None:
-    kept_set(tmp_path, {"seed": 0}, lambda: [drawn((20, 30, 70, 80), label=1)])
+    save([drawn((20, 30, 70, 80), label=1)], tmp_path)
     assert len(load(tmp_path)) == 1
     content = json.loads((tmp_path / "labels.json").read_text())
     if isinstance(record, dict):
-        record = {**content["pictures"]["00000.png"], **record}
-    (tmp_path / "labels.json").write_text(json.dumps({**content, "pictures": {"00000.png": record}}))
-    with pytest.raises(
-        InvalidValueError, match=r"labels\.json: 00000\.png: .*make the data set again|a list of objects"
-    ):
+        record = {**content["00000.png"], **record}
+    (tmp_path / "labels.json").write_text(json.dumps({"00000.png": record}))
+    with pytest.raises(InvalidValueError, match=r"labels\.json: 00000\.png: .*make them again|a list of objects"):
         load(tmp_path)
 
 
@@ -187,24 +196,6 @@ def test_backgrounds_have_no_object_and_are_reproduced(kind: str) -> None:
 def test_a_kind_that_there_is_not_is_refused() -> None:
     with pytest.raises(InvalidValueError, match=r"one of street, park, .*got beach"):
         background_pictures("beach", 0, NOTHING)
-
-
-def test_kinds_of_backgrounds_can_be_chosen(tmp_path: Path) -> None:
-    made = background_sets(tmp_path, replace(NOTHING, shots=1), kinds=("ground",))
-    assert {kind: len(some) for kind, some in made.items()} == {"ground": 1}
-
-
-def test_background_sets_are_kept(tmp_path: Path) -> None:
-    steps: list[tuple[int, int]] = []
-    made = background_sets(tmp_path, NOTHING, on_step=lambda done, total: steps.append((done, total)))
-    assert {kind: len(some) for kind, some in made.items()} == dict.fromkeys(BACKGROUNDS, 2)
-    assert steps[-1] == (5, 5)
-    times = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*.png"))]
-    kept = background_sets(tmp_path, NOTHING)
-    assert times == [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*.png"))]
-    assert torch.equal(kept["park"][1].image, made["park"][1].image)
-    with pytest.raises(InvalidValueError, match="the same configuration"):
-        background_sets(tmp_path, replace(NOTHING, samples=2))
 
 
 # How objects are seen
@@ -231,15 +222,9 @@ def test_a_case_done_by_hand(elevation: float) -> None:
     assert viewing_conditions(CORNERS, from_elevation(0.0)).sun_elevation is None
 
 
-@pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("set")
-    make(ONE_OBJECT, folder, processes=0)
-    return folder
-
-
-def test_they_are_recorded_with_the_pictures(pictures: Path) -> None:
-    samples = load(pictures)
+def test_they_are_recorded_with_the_pictures(tmp_path: Path) -> None:
+    save(scene_pictures(ONE_OBJECT, 0), tmp_path)
+    samples = load(tmp_path)
     assert all(len(one.conditions) == len(one.labels) > 0 for one in samples)
     renderer = SceneRenderer(ONE_OBJECT, 0)
     light, cameras = renderer.contents.light, [renderer.choose_camera() for _ in range(ONE_OBJECT.shots)]
@@ -256,24 +241,26 @@ def test_values_of_other_kinds_are_not_lost() -> None:
 
 @pytest.mark.slow
 def test_held_out_sets_say_how_objects_are_seen(tmp_path: Path) -> None:
-    few = SplatConfig(views=2, samples=1, objects=300, surroundings=300, sky=50, steps=0, pictures=2)
-    work: list[str] = []
-    sets = held_out_sets(
-        tmp_path,
-        ONE_OBJECT,
-        splats=1,
-        splat=few,
-        backgrounds=BackgroundConfig(scenes=0),
-        processes=0,
-        on_work=lambda text, done, total: work.append(text),
-    )
+    jobs = held_out_sets(ONE_OBJECT, splats=1, splat=FEW, backgrounds=BackgroundConfig(scenes=0))
+    sets = made(tmp_path, jobs, processes=1, on_work=lambda *_: None)
     assert {name: len(pictures) for name, pictures in sets.items()} == {"path traced": 2, "splat renders": 2}
     for pictures in sets.values():
         assert all(len(sample.conditions) == len(sample.labels) for sample in pictures)
         assert any(sample.conditions for sample in pictures)
-    assert set(work) == {"path-traced pictures", "splats"}
-    with pytest.raises(InvalidValueError, match="choose an empty folder or the same configuration"):
-        splat_set(ONE_OBJECT, [10_000], tmp_path / "splats", replace(few, views=3), on_step=None)
+
+
+def test_training_sets_have_the_pictures_that_are_asked_for() -> None:
+    none = {field.name: 0 for field in fields(TrainingSetConfig)}
+    counts = TrainingSetConfig(**{**none, "validation": 4, "splats": 2, "backgrounds": 1, "pictures": 7})
+    pictures, validation = ([job.config for job in jobs] for jobs in training_sets(counts))
+    assert [config.number for config in validation] == [0, 1]
+    assert {config.scenes.split for config in validation} == {"validation"}
+    kinds = ["", "", "", "", "", *BACKGROUNDS, "street", "street", "street"]
+    assert [config.kind for config in pictures] == kinds
+    assert [config.splat is None for config in pictures] == [*[True] * 3, False, False, *[True] * 8]
+    assert len({job.identity for jobs in training_sets(TrainingSetConfig()) for job in jobs}) == sum(
+        map(len, training_sets(TrainingSetConfig()))
+    ), "no picture is there twice"
 
 
 # Augmentation

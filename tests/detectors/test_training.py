@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -20,13 +20,15 @@ from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_WEIGHTS, DetectorEr
 from attacks.detectors.torchvision import RCNNDetector
 from attacks.detectors.training import train as steps
 from attacks.detectors.training.config import TrainConfig
+from attacks.detectors.training.dataset import training_job
 from attacks.detectors.training.faster_rcnn import FasterRCNNTrainer
 from attacks.detectors.training.loop import Training, export_weights
 from attacks.detectors.training.pictures import (
     LabelledPicture,
 )
-from attacks.detectors.training.train import train, trainer_of
+from attacks.detectors.training.train import trainer_of
 from attacks.detectors.weights import read_weights
+from mi_splat.ledger import Job, Ledger
 from tests.detectors.made import HERE, TableDetector, drawn, picture, reported
 from tests.io.noted import Change, changed
 
@@ -65,59 +67,42 @@ def test_an_interrupted_run_ends_with_the_same_bits(tmp_path: Path) -> None:
         assert torch.equal(value, resumed.averaged[name]), name
 
 
-def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
-    with pytest.raises(DetectorError, match="use the same one or another folder"):
-        Training.resume(tmp_path, replace(PLAIN, learning_rate=1.0), FasterRCNNTrainer())
+def test_a_killed_training_goes_on_and_another_is_another_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    epochs: list[int] = []
 
-
-def test_a_checkpoint_of_another_detector_is_refused(tmp_path: Path) -> None:
-    Training(PLAIN, FasterRCNNTrainer()).save(tmp_path)
-    other = FasterRCNNTrainer()
-    other.name = "another"
-    with pytest.raises(DetectorError, match="a run of another"):
-        Training.resume(tmp_path, PLAIN, other)
-
-
-def test_a_training_goes_on_with_the_same_pictures_and_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def epoch(self: Training, samples: object, **_: object) -> dict[str, float]:
         self.epoch += 1
+        epochs.append(self.epoch)
+        if len(epochs) == 2:
+            raise KeyboardInterrupt
         return {}
 
+    def validated(training: Training, validation: object, folder: Path) -> dict[str, object]:
+        export_weights(training.averaged, folder / "best.safetensors", notes={})
+        return {"map": 0.0, "validation": {"ap": {}}, "false_positives": 0.0}
+
     monkeypatch.setattr(Training, "run_epoch", epoch)
-    monkeypatch.setattr("attacks.detectors.training.train.validated", lambda *_: {"map": 0.0})
+    monkeypatch.setattr(steps, "validated", validated)
     weights = tmp_path / "start.safetensors"
     export_weights(Training(PLAIN, FasterRCNNTrainer()).averaged, weights, notes={})
-    empty = LabelledPicture(few()[0].image, torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64))
-    epochs: list[object] = []
-
-    def go_on(pictures: list[LabelledPicture], validation: list[LabelledPicture], start: Path | None = weights) -> None:
-        training = Training.resume(tmp_path, PLAIN, FasterRCNNTrainer())
-
-        def heard(record: Mapping[str, object]) -> None:
-            epochs.append(record["epoch"])
-
-        train(training, pictures, validation, tmp_path, start=start, on_work=lambda *_: None, on_epoch=heard)
-
-    go_on(few(), [empty])
-    assert epochs == [1, 2]
-    go_on(few(), [empty])
-    inverted = replace(few()[0], image=255 - few()[0].image)
-    moved = replace(few()[0], boxes=few()[0].boxes + 1)
-    others = [
-        ([inverted, *few()[1:]], [empty]),
-        ([moved, *few()[1:]], [empty]),
-        (few()[:3], [empty]),
-        (few(), [inverted]),
-    ]
-    for pictures, validation in others:
-        with pytest.raises(
-            DetectorError, match="expected the pictures and the weights to begin from that it began with"
-        ):
-            go_on(pictures, validation)
-    with pytest.raises(DetectorError, match="same folder of pictures and the same start"):
-        go_on(few(), [empty], start=None)
-    assert epochs == [1, 2]
+    sets: dict[str, list[Job]] = {"training": [], "validation": []}
+    job = training_job("fasterrcnn_small", PLAIN, sets, start=weights)
+    told: list[str] = []
+    ledger = Ledger(tmp_path / "store", on_event=lambda event: told.append(event.text))
+    with pytest.raises(KeyboardInterrupt):
+        ledger.do(job)
+    done = ledger.do(job)
+    assert epochs == [1, 2, 2]
+    assert {path.name for path in done.folder.iterdir()} == {"best.safetensors", "curves.json"}
+    history = json.loads((done.folder / "curves.json").read_text())["history"]
+    assert [record["epoch"] for record in history] == [0, 1, 2]
+    assert any(text.startswith("epoch 2: loss 0.000") for text in told)
+    ledger.do(job)
+    assert epochs == [1, 2, 2], "nothing is left to do"
+    ledger.do(training_job("fasterrcnn_small", replace(PLAIN, seed=4), sets, start=weights))
+    export_weights(Training(replace(PLAIN, seed=5), FasterRCNNTrainer()).averaged, weights, notes={})
+    ledger.do(training_job("fasterrcnn_small", PLAIN, sets, start=weights))
+    assert epochs == [1, 2, 2, 1, 2, 1, 2]
 
 
 def test_shipped_weights_are_what_the_snapshot_computes(tmp_path: Path) -> None:
@@ -221,7 +206,6 @@ def test_pictures_change_from_epoch_to_epoch() -> None:
             r"history\[0\]: epoch: expected a whole number from 0 to 1, got 2",
         ),
         (lambda n, t: n.update(history=[7]), "history: expected a list of objects"),
-        (lambda n, t: n.pop("config"), "expected .*, got None; use the same one"),
     ],
 )
 def test_checkpoints_whose_parts_do_not_fit_are_refused(tmp_path: Path, change: Change, words: str) -> None:
@@ -301,7 +285,7 @@ def test_the_command_trains_from_nothing(tmp_path: Path, capsys: pytest.CaptureF
     captured = capsys.readouterr()
     assert "epoch 1: loss " in captured.err
     assert "of the cut-outs classified right" in captured.err
-    for name in ("best.safetensors", "curves.json", "checkpoint.safetensors"):
-        assert (tmp_path / "out" / name).is_file()
-    assert cli.main(words) == 0, "nothing is left to do"
+    weights = (tmp_path / "out" / "best.safetensors").read_bytes()
+    assert cli.main([*words, "--force"]) == 0, "nothing is left to do"
     assert "epoch" not in capsys.readouterr().err
+    assert (tmp_path / "out" / "best.safetensors").read_bytes() == weights

@@ -24,7 +24,7 @@ class PictureSetConfig:
 
     Attributes:
         split: Key of `SPLITS`.
-        count: Number of pictures.
+        count: Number of pictures; those that are left of the last scene come on top.
         seed: Seed of everything that is random.
         size: Width and height, pixels.
         shots: Pictures of each scene.

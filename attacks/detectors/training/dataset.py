@@ -1,24 +1,14 @@
-"""Sets of training pictures on disk: a folder of 8-bit PNG files and one labels.json, which knows them by their bytes.
-
-Making a set again continues where it stopped.
-"""
+"""Sets of labelled pictures, and a training on them, as jobs of the ledger: each is done once, and found again."""
 
 from __future__ import annotations
 
-import contextlib
-import json
+import itertools
 import math
-import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import torch
-
-from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
 from attacks.detectors.training.config import (
     BACKGROUNDS,
     EMPTY,
@@ -27,254 +17,148 @@ from attacks.detectors.training.config import (
     BackgroundConfig,
     PictureSetConfig,
     SplatConfig,
+    TrainConfig,
+    TrainingSetConfig,
 )
-from attacks.detectors.training.pictures import (
-    LabelledPicture,
-    ViewingConditions,
-    background_pictures,
-    scene_pictures,
-    splat_pictures,
-)
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import save_png, save_text, sha256
-from mi_splat.io.fields import Fields
-from mi_splat.io.noted_tensors import read_line
-from mi_splat.io.parsing import DocumentReader
-from mi_splat.io.picture_files import load_picture
-from mi_splat.rendering import Renderer
+from attacks.detectors.training.pictures import LabelledPicture
+from attacks.detectors.training.scenes import SceneConfig, load
+from attacks.detectors.training.train import PICTURES, START, VALIDATION, DetectorTraining, OnWork
+from mi_splat.errors import message
+from mi_splat.ledger import Event, Job, Part
+from mi_splat.ledger.engines import InProcess, Processes
+from mi_splat.ledger.plans import Driver, grid
 
-OnStep = Callable[[int, int], None]
-"""Called with the number of pictures, or of scenes, that are there and the number wanted."""
-OnWork = Callable[[str, int, int], None]
-"""Called with what is going on, the units of it that are done, and the number wanted."""
-Record = dict[str, Any]
-"""What labels.json says of one picture."""
+TRAINING_SPLATS = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
+"""Splats of the training set, coarser than those of the evaluation."""
+IN_STREETS = PictureSetConfig(split="train", seed=4, around="street", farthest=9.0)
+"""Objects in streets; from farther away most cameras would look at the houses."""
 _FIRST_SPLAT = 10_000
 """Number of the first scene that is made into a splat to be held out: none of the path-traced scenes."""
-_LABELS = DocumentReader(expected="the labels of a data set", do="make it again", most=1 << 28)
 
 
-def make(config: PictureSetConfig, folder: Path, *, processes: int = 2, on_step: OnStep | None = None) -> None:
-    """Make the path-traced pictures of a configuration that `folder` does not hold yet.
-
-    Args:
-        config: What to make.
-        folder: Where; it is made if need be.
-        processes: How many processes share the work; 0 does it in this one.
-        on_step: Called as scenes are done, with numbers of pictures.
-
-    Raises:
-        InvalidValueError: the folder holds pictures of another configuration.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    records = _records(folder, config)
-    scenes = math.ceil(config.count / config.shots)
-    missing = [n for n in range(scenes) if any(n * config.shots + i not in records for i in range(config.shots))]
-    if not missing:
-        return
-    with _mapper(processes) as each:
-        for done, new in enumerate(each(_scene_to_disk, [(config, n, folder) for n in missing])):
-            records |= new
-            if done % 20 == 19:
-                _write(folder, asdict(config), records)
-            if on_step is not None:
-                on_step(len(records), scenes * config.shots)
-    _write(folder, asdict(config), records)
+def with_objects(scenes: PictureSetConfig) -> list[Job]:
+    """Path-traced pictures: as many as are asked for, and those that are left of the last scene."""
+    return _jobs(SceneConfig(scenes=replace(scenes, count=1), number=0), range(math.ceil(scenes.count / scenes.shots)))
 
 
-def splat_set(
-    scenes: PictureSetConfig, numbers: Sequence[int], folder: Path, config: SplatConfig, *, on_step: OnStep | None
-) -> list[LabelledPicture]:
-    """Labelled renders of splats of many scenes; what is missing is made.
+def of_splats(scenes: PictureSetConfig, numbers: Iterable[int], splat: SplatConfig) -> list[Job]:
+    """Renders of splats of some scenes."""
+    return _jobs(SceneConfig(scenes=replace(scenes, count=1), number=0, splat=splat), numbers)
+
+
+def without_objects(config: BackgroundConfig, kind: str) -> list[Job]:
+    """Pictures of one kind of background."""
+    return _jobs(SceneConfig(scenes=replace(config, scenes=1), number=0, kind=kind), range(config.scenes))
+
+
+def _jobs(scene: SceneConfig, numbers: Iterable[int]) -> list[Job]:
+    kind = "attacks.detectors.training.scenes"
+    return [Job(kind=kind, config=replace(scene, number=number)) for number in numbers]
+
+
+def training_sets(counts: TrainingSetConfig) -> tuple[list[Job], list[Job]]:
+    """Pictures to train on, in their order, and those by which the best epoch is chosen.
 
     Args:
-        scenes: What the scenes are made of.
-        numbers: Which of these scenes.
-        folder: Where the pictures are kept, each scene in a folder of its own.
-        config: How splats are made.
-        on_step: Called with numbers of scenes.
-
-    Raises:
-        InvalidValueError: The folder holds renders of other scenes, or of splats that were made otherwise.
+        counts: How many of each kind.
     """
-    render, pictures = Renderer(), []
-    note = {"scenes": asdict(replace(scenes, count=1)), "splats": asdict(config)}
-    for done, number in enumerate(numbers, start=1):
-        pictures += kept_set(folder / f"{number}", note, partial(splat_pictures, scenes, number, config, render=render))
-        if on_step is not None:
-            on_step(done, len(numbers))
-    return pictures
+    train, empty = PictureSetConfig(split="train"), BackgroundConfig(split="train", samples=6, shots=6)
+    overhead_focus = ("car", "train", *SMALL_CLASSES)
+    overhead = replace(train, seed=3, elevation=(50, 90), focus=overhead_focus, street=0.7)
+    more, finer = replace(empty, scenes=2 * counts.backgrounds, seed=1), replace(empty, samples=16, shots=3, seed=2)
+    pictures = [
+        *with_objects(replace(train, count=counts.pictures)),
+        *with_objects(replace(train, seed=1, count=counts.surroundings, empty=0.4, street=1.0)),
+        *with_objects(replace(overhead, count=counts.overhead)),
+        *with_objects(replace(IN_STREETS, count=counts.streets)),
+        *of_splats(replace(train, seed=2), range(counts.splats), TRAINING_SPLATS),
+        *of_splats(replace(IN_STREETS, seed=5), range(counts.street_splats), TRAINING_SPLATS),
+        *_all_kinds(replace(empty, scenes=counts.backgrounds)),
+        *without_objects(more, "street"),
+        *without_objects(replace(finer, scenes=counts.backgrounds), "street"),
+    ]
+    validation = with_objects(PictureSetConfig(split="validation", count=counts.validation))
+    without = BackgroundConfig(split="validation", scenes=counts.validation_backgrounds, samples=6)
+    return pictures, [*validation, *_all_kinds(without)]
 
 
-def background_sets(
-    folder: Path,
-    config: BackgroundConfig,
-    *,
-    kinds: Sequence[str] = BACKGROUNDS,
-    on_step: OnStep | None = None,
-) -> dict[str, list[LabelledPicture]]:
-    """Pictures of kinds of background by kind; what is missing is made.
-
-    Args:
-        folder: Where the pictures are kept, each scene in a folder of its own.
-        config: Their number, size and seeds.
-        kinds: Which of `BACKGROUNDS`.
-        on_step: Called with numbers of scenes.
-
-    Raises:
-        InvalidValueError: The folder holds pictures that were made otherwise.
-    """
-    note = {"backgrounds": asdict(replace(config, scenes=1))}
-    sets: dict[str, list[LabelledPicture]] = {kind: [] for kind in kinds}
-    jobs = [(kind, number) for kind in kinds for number in range(config.scenes)]
-    for done, (kind, number) in enumerate(jobs, start=1):
-        sets[kind] += kept_set(folder / f"{kind}-{number}", note, partial(background_pictures, kind, number, config))
-        if on_step is not None:
-            on_step(done, len(jobs))
-    return sets
+def _all_kinds(config: BackgroundConfig) -> list[Job]:
+    return [job for kind in BACKGROUNDS for job in without_objects(config, kind)]
 
 
 def held_out_sets(
-    folder: Path,
-    scenes: PictureSetConfig,
-    *,
-    splats: int,
-    splat: SplatConfig,
-    backgrounds: BackgroundConfig,
-    processes: int,
-    on_work: OnWork,
-) -> dict[str, list[LabelledPicture]]:
-    """Held-out pictures by set: path traced, renders of splats, and each kind of background.
+    scenes: PictureSetConfig, *, splats: int, splat: SplatConfig, backgrounds: BackgroundConfig
+) -> dict[str, list[Job]]:
+    """Held-out pictures by set, empty ones left out: path traced, renders of splats, and each kind of background.
 
     Args:
-        folder: Where the pictures are kept; what is missing is made.
         scenes: Scenes with objects, and how many pictures of them.
-        splats: Number of further such scenes that are made into splats; 0 leaves them out.
+        splats: Number of further such scenes that are made into splats.
         splat: How splats are made.
         backgrounds: Pictures without objects.
-        processes: How many processes make path-traced pictures; 0 makes them in this one.
-        on_work: Called as pictures are made.
-
-    Raises:
-        InvalidValueError: The folder holds pictures that were made otherwise.
     """
-
-    def step(text: str) -> Callable[[int, int], None]:
-        return lambda done, total: on_work(text, done, total)
-
-    make(scenes, folder / scenes.split, processes=processes, on_step=step("path-traced pictures"))
-    sets = {PATH_TRACED: load(folder / scenes.split, limit=scenes.count)} if scenes.count else {}
-    if splats:
-        numbers = range(_FIRST_SPLAT, _FIRST_SPLAT + splats)
-        sets[SPLAT_RENDERS] = splat_set(scenes, numbers, folder / "splats", splat, on_step=step("splats"))
-    empty = background_sets(folder / "backgrounds", backgrounds, on_step=step("backgrounds"))
-    return sets | {f"{EMPTY}{kind}": pictures for kind, pictures in empty.items() if pictures}
+    sets = {
+        PATH_TRACED: with_objects(scenes),
+        SPLAT_RENDERS: of_splats(scenes, range(_FIRST_SPLAT, _FIRST_SPLAT + splats), splat),
+        **{f"{EMPTY}{kind}": without_objects(backgrounds, kind) for kind in BACKGROUNDS},
+    }
+    return {name: jobs for name, jobs in sets.items() if jobs}
 
 
-def kept_set(
-    folder: Path, note: dict[str, Any], make: Callable[[], Sequence[LabelledPicture]]
-) -> list[LabelledPicture]:
-    """The set in a folder, which is made there if there is none.
-
-    Raises:
-        InvalidValueError: It was made otherwise than `note` says.
-    """
-    if not (folder / "labels.json").is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        _write(folder, note, {i: _save(picture, folder, i) for i, picture in enumerate(make())})
-    _check_recipe(folder, _labels(folder)["recipe"], note)
-    return load(folder)
-
-
-def load(folder: Path, *, limit: int | None = None) -> list[LabelledPicture]:
-    """Read a data set into memory.
+def made(
+    folder: Path, sets: Mapping[str, Sequence[Job]], *, processes: int, on_work: OnWork
+) -> dict[str, list[LabelledPicture]]:
+    """The pictures of some sets; what is missing of them is made.
 
     Args:
-        folder: Where it is.
-        limit: Read so many pictures only, in the order of their numbers.
+        folder: The store of the ledger.
+        sets: Jobs by the name of their set.
+        processes: How many processes make pictures; 0 makes them in this one.
+        on_work: Told of the progress.
 
     Raises:
-        InvalidValueError: there is no data set in the folder, or a picture is missing or not the one that was made.
+        InvalidValueError: A picture in the folder is not the one that was made.
+        DetectorError: Pictures could not be made.
     """
-    path = folder / "labels.json"
-    if not path.is_file():
-        raise InvalidValueError(message(f"folder {folder}", "a labels.json", "none", "make the data set first"))
-    pictures = []
-    records = Fields(_labels(folder)["pictures"], str(path), InvalidValueError, "make the data set again")
-    for name in list(records.values)[:limit]:
-        record = records.object(name)
-        _check_bytes(folder / name, record.text("sha256"))
-        image = torch.from_numpy(np.array(load_picture(folder / name)))
-        labels = record.wholes("labels", 1, len(SMALL_CLASSES))
-        boxes = torch.tensor(record.rows("boxes", len(labels), 4), dtype=torch.float32).reshape(-1, 4)
-        conditions = tuple(read_line(ViewingConditions, values) for values in record.objects("conditions"))
-        pictures.append(LabelledPicture(image, boxes, torch.tensor(labels, dtype=torch.int64), conditions))
+    jobs = {f"{name} {number}": job for name, part in sets.items() for number, job in enumerate(part)}
+    ended = itertools.count(1)
+
+    def told(event: Event) -> None:
+        if event.state in ("done", "kept"):
+            on_work("scenes", next(ended), len(jobs))
+
+    engine = Processes(folder, workers=processes, on_event=told) if processes else InProcess(folder, on_event=told)
+    results = Driver(folder, engine, on_event=told).run([grid(jobs)])
+    pictures: dict[str, list[LabelledPicture]] = {name: [] for name in sets}
+    for name, part in sets.items():
+        for number in range(len(part)):
+            done = results[f"{name} {number}"]
+            if isinstance(done, str):
+                reason = done.strip().splitlines()[-1]
+                raise DetectorError(message(f"scene {number} of {name}", "its pictures", reason, "try again"))
+            pictures[name] += load(done.folder)
     return pictures
 
 
-@contextlib.contextmanager
-def _mapper(processes: int) -> Iterator[Callable[..., Iterator[dict[int, Record]]]]:
-    """A `map` over fresh processes, or over this one if `processes` is 0."""
-    if processes == 0:
-        yield map
-        return
-    with multiprocessing.get_context("spawn").Pool(processes, torch.set_num_threads, (1,)) as pool:
-        yield pool.imap_unordered
+def training_job(
+    detector: str,
+    config: TrainConfig,
+    sets: Mapping[str, Sequence[Job]],
+    *,
+    start: Path | None = None,
+    validate_every: int = 2,
+) -> Job:
+    """The training of a small detector.
 
-
-def _scene_to_disk(job: tuple[PictureSetConfig, int, Path]) -> dict[int, Record]:
-    config, number, folder = job
-    pictures = enumerate(scene_pictures(config, number), start=number * config.shots)
-    return {i: _save(picture, folder, i) for i, picture in pictures}
-
-
-def _save(picture: LabelledPicture, folder: Path, number: int) -> Record:
-    path = folder / f"{number:05d}.png"
-    save_png(picture.image.numpy(), path)
-    return {
-        "sha256": sha256(path),
-        "boxes": picture.boxes.tolist(),
-        "labels": picture.labels.tolist(),
-        "conditions": [asdict(seen) for seen in picture.conditions],
-    }
-
-
-def _write(folder: Path, recipe: dict[str, Any], records: dict[int, Record]) -> None:
-    names = {f"{i:05d}.png": records[i] for i in sorted(records)}
-    content = {"recipe": recipe, "classes": list(SMALL_CLASSES), "pictures": names}
-    save_text(json.dumps(content), folder / "labels.json")
-
-
-def _labels(folder: Path) -> dict[str, Any]:
-    """What a data set says of its pictures."""
-    content = _LABELS.read_json(folder / "labels.json")
-    if not isinstance(content.get("recipe"), dict) or not isinstance(content.get("pictures"), dict):
-        raise InvalidValueError(message(f"folder {folder}", "a recipe and pictures", "others", "make it again"))
-    return content
-
-
-def _records(folder: Path, config: PictureSetConfig) -> dict[int, Record]:
-    """What there is by number of the picture; how many were asked for is no part of how they are made."""
-    if not (folder / "labels.json").is_file():
-        return {}
-    content = _labels(folder)
-    _check_recipe(folder, {**content["recipe"], "count": config.count}, asdict(config))
-    return {int(Path(name).stem): record for name, record in content["pictures"].items() if Path(name).stem.isdecimal()}
-
-
-def _check_recipe(folder: Path, noted: dict[str, Any], recipe: dict[str, Any]) -> None:
-    """Raise unless a data set was made as `recipe` says."""
-    if noted != json.loads(json.dumps(recipe)):
-        do = "choose an empty folder or the same configuration"
-        raise InvalidValueError(message(f"folder {folder}", recipe, noted, do))
-
-
-def _check_bytes(path: Path, digest: str) -> None:
-    """Raise unless a picture is the one that was made."""
-    try:
-        flaw = None if sha256(path) == digest else "other bytes"
-    except OSError as error:
-        flaw = error.strerror or str(error)
-    if flaw:
-        expected, do = "the picture that labels.json lists", f"delete the folder {path.parent} to have it made again"
-        raise InvalidValueError(message(str(path), expected, flaw, do))
+    Args:
+        detector: Key of `attacks.detectors.training.train.TRAINERS`.
+        config: The training.
+        sets: Jobs of the pictures for `training` and for `validation`.
+        start: Weights to begin from instead of pretraining.
+        validate_every: Epochs between two validations.
+    """
+    inputs: dict[str, Job | Part | Path] = {} if start is None else {START: start}
+    for prefix, name in ((PICTURES, "training"), (VALIDATION, "validation")):
+        inputs |= {f"{prefix} {number:06d}": job for number, job in enumerate(sets[name])}
+    training = DetectorTraining(detector=detector, config=config, validate_every=validate_every)
+    return Job(kind="attacks.detectors.training.train", config=training, inputs=inputs)

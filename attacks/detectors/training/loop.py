@@ -7,7 +7,6 @@ import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -20,7 +19,6 @@ from attacks.detectors.training.augmentation import augment
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.weights import apply_weights, read_weights
-from mi_splat.errors import message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.noted_tensors import NOTES, check_like, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
@@ -32,7 +30,9 @@ Targets = list[dict[str, Tensor]]
 """For each picture `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in SMALL_CLASSES."""
 
 
-_READER = DocumentReader(expected="a checkpoint of this run", do="choose another folder", error=DetectorError)
+_READER = DocumentReader(
+    expected="a checkpoint of this run", do="delete its folder, so that it begins anew", error=DetectorError
+)
 
 
 class DetectorTrainer(ABC):
@@ -101,7 +101,6 @@ class Training:
         averaged: State dict of the running average of its weights, as float32.
         epoch: Number of finished epochs.
         history: One dict of figures a finished epoch.
-        data: Digest of what it is trained on; empty before `go_on_with`.
     """
 
     def __init__(self, config: TrainConfig, trainer: DetectorTrainer) -> None:
@@ -111,7 +110,6 @@ class Training:
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.epoch = 0
         self.history: list[dict[str, object]] = []
-        self.data = ""
         groups = [
             {"params": [p for p in self.model.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
             {"params": [p for p in self.model.parameters() if p.ndim <= 1], "weight_decay": 0.0},
@@ -208,13 +206,7 @@ class Training:
         tensors |= {f"average/{k}": v.contiguous() for k, v in self.averaged.items()}
         for number, state in self._optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser/{number}/{k}": v.contiguous() for k, v in state.items()}
-        notes = {
-            "detector": self.trainer.name,
-            "config": asdict(self.config),
-            "epoch": self.epoch,
-            "history": self.history,
-            "data": self.data,
-        }
+        notes = {"epoch": self.epoch, "history": self.history}
         with atomic_write(folder / "checkpoint.safetensors") as file:
             write_all(file, memoryview(save(tensors, metadata={NOTES: json.dumps(notes)})))
 
@@ -223,24 +215,17 @@ class Training:
         """Continue from the checkpoint in `folder`, or begin where there is none.
 
         Raises:
-            DetectorError: the checkpoint is broken, or belongs to a run with another configuration.
+            DetectorError: The checkpoint is broken.
         """
         path = folder / "checkpoint.safetensors"
         training = cls(config, trainer)
         if not path.is_file():
             return training
         notes, tensors = read_noted_tensors(path, _READER)
-        if notes.values.get("detector") != trainer.name:
-            got = notes.values.get("detector", "an older one")
-            raise _READER.broken(f"checkpoint {path}", got, f"a run of {trainer.name}")
-        if (there := notes.values.get("config")) != asdict(config):
-            do = "use the same one or another folder"
-            raise DetectorError(message(f"checkpoint {path}", asdict(config), there, do))
         training.epoch = notes.whole("epoch", 0, config.epochs)
         training.history = [dict(line.values) for line in notes.objects("history")]
         for line in notes.objects("history"):
             line.whole("epoch", 0, training.epoch)
-        training.data = notes.text("data", "not known to an older version")
         training._take(tensors, str(path))
         return training
 
@@ -258,22 +243,6 @@ class Training:
                 check_like(moments, like, f"checkpoint {path}, optimiser {number}", _READER)
                 state["state"][number] = moments
         self._optimiser.load_state_dict(state)
-
-    def go_on_with(self, data: str, folder: Path) -> None:
-        """Say what the run is trained on; one that is resumed goes on with the same alone.
-
-        Args:
-            data: Digest of all pictures, and of the weights to begin from.
-            folder: That of the run, for the message.
-
-        Raises:
-            DetectorError: It is something else.
-        """
-        if self.data not in ("", data):
-            expected = "the pictures and the weights to begin from that it began with"
-            do = "pass the same folder of pictures and the same start, or train in another folder"
-            raise DetectorError(message(f"the training in {folder}", expected, "others", do))
-        self.data = data
 
 
 def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:

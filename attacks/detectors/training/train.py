@@ -1,44 +1,76 @@
-"""What the small detectors are trained on, and their training from the first picture to the exported weights."""
+"""The training of a small detector, a job of the ledger: from the first step to the exported weights."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.evaluation import false_positives, look_at, set_figures, with_right
-from attacks.detectors.training.config import (
-    BACKGROUNDS,
-    BackgroundConfig,
-    PictureSetConfig,
-    SplatConfig,
-    TrainingSetConfig,
-)
-from attacks.detectors.training.dataset import OnWork, background_sets, load, make, splat_set
+from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import DetectorTrainer, Training, export_weights
 from attacks.detectors.training.pictures import LabelledPicture
-from attacks.detectors.weights import fingerprint, read_weights
+from attacks.detectors.training.scenes import load
 
-_TRAINERS = {
-    "fasterrcnn_small": ("faster_rcnn", "FasterRCNNTrainer"),
-    "yolov8n_small": ("yolo", "YOLOTrainer"),
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+VARIES = ("curves.json",)
+TRAINERS = {
+    "fasterrcnn_small": ("attacks.detectors.training.faster_rcnn", "FasterRCNNTrainer"),
+    "yolov8n_small": ("attacks.detectors.training.yolo", "YOLOTrainer"),
 }
-
-TRAINING_SPLATS = SplatConfig(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
-"""Splats of the training set, coarser than those of the evaluation."""
-
-IN_STREETS = PictureSetConfig(split="train", seed=4, around="street", farthest=9.0)
-"""Objects in streets; from farther away most cameras would look at the houses."""
-
+"""Name of a detector to the module and the name of its trainer."""
+WEIGHTS, CURVES = "best.safetensors", "curves.json"
+"""What a training leaves."""
+PICTURES, VALIDATION, START = "pictures", "validation", "start"
+"""How the names of its inputs begin: pictures to train on, those to choose the best epoch by, weights to begin from."""
 CONFIDENCE = 0.5
 """From which a detection counts in a validation."""
+
+OnWork = Callable[[str, int, int], None]
+"""Called with what is going on, the units of it that are done, and the number wanted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorTraining:
+    """What is trained, and how.
+
+    Attributes:
+        detector: Key of `TRAINERS`.
+        config: The training.
+        validate_every: Epochs between two validations.
+    """
+
+    detector: str
+    config: TrainConfig
+    validate_every: int = 2
+
+
+def run(config: DetectorTraining, inputs: Mapping[str, Path], out: Out) -> None:
+    """Train, or go on with what an interrupted training left."""
+    sets = {
+        which: [picture for name in sorted(inputs) if name.startswith(which) for picture in load(inputs[name])]
+        for which in (PICTURES, VALIDATION)
+    }
+    training = Training.resume(out.partial, config.config, trainer_of(config.detector))
+    train(
+        training,
+        sets[PICTURES],
+        sets[VALIDATION],
+        out.partial,
+        validate_every=config.validate_every,
+        start=inputs.get(START),
+        on_work=out.progress,
+    )
+    for name in (WEIGHTS, CURVES):
+        shutil.copyfile(out.partial / name, out / name)
 
 
 def trainer_of(name: str) -> DetectorTrainer:
@@ -47,62 +79,9 @@ def trainer_of(name: str) -> DetectorTrainer:
     Raises:
         DetectorError: It needs a package that is not there.
     """
-    module, trainer = _TRAINERS[name]
-    made: DetectorTrainer = getattr(import_module(f"attacks.detectors.training.{module}"), trainer)()
+    module, trainer = TRAINERS[name]
+    made: DetectorTrainer = getattr(import_module(module), trainer)()
     return made
-
-
-def training_pictures(
-    folder: Path, counts: TrainingSetConfig, *, processes: int, on_work: OnWork
-) -> tuple[list[LabelledPicture], list[LabelledPicture]]:
-    """Pictures for training and for validation; what `folder` does not hold yet is made.
-
-    Args:
-        folder: Where the pictures are kept.
-        counts: How many of each kind.
-        processes: How many processes make pictures; 0 makes them in this one.
-        on_work: Hears of the progress.
-
-    Raises:
-        InvalidValueError: The folder holds pictures that were made otherwise.
-    """
-    overhead_focus = ("car", "train", *SMALL_CLASSES)
-    configs = {
-        "validation": PictureSetConfig(split="validation", count=counts.validation),
-        "train": PictureSetConfig(split="train", count=counts.pictures),
-        "surroundings": PictureSetConfig(split="train", seed=1, count=counts.surroundings, empty=0.4, street=1.0),
-        "overhead": PictureSetConfig(
-            split="train", seed=3, count=counts.overhead, elevation=(50, 90), focus=overhead_focus, street=0.7
-        ),
-        "streets": replace(IN_STREETS, count=counts.streets),
-    }
-    sets: dict[str, list[LabelledPicture]] = {}
-    for name, config in configs.items():
-        if config.count:
-            make(config, folder / name, processes=processes, on_step=_named(f"{name} pictures", on_work))
-            sets[name] = load(folder / name, limit=config.count)
-    validation = sets.pop("validation", []) + _backgrounds(
-        BackgroundConfig(split="validation", scenes=counts.validation_backgrounds, samples=6), folder, on_work
-    )
-    parts = _splats(PictureSetConfig(split="train", seed=2), counts.splats, folder / "train-splats", on_work)
-    parts += _splats(replace(IN_STREETS, seed=5), counts.street_splats, folder / "street-splats", on_work)
-    empty = BackgroundConfig(split="train", scenes=counts.backgrounds, samples=6, shots=6)
-    parts += _backgrounds(empty, folder, on_work)
-    for more in (replace(empty, scenes=2 * counts.backgrounds, seed=1), replace(empty, samples=16, shots=3, seed=2)):
-        parts += _backgrounds(more, folder, on_work, kinds=("street",))
-    return [*(picture for pictures in sets.values() for picture in pictures), *parts], validation
-
-
-def _splats(scenes: PictureSetConfig, count: int, folder: Path, on_work: OnWork) -> list[LabelledPicture]:
-    return splat_set(scenes, range(count), folder, TRAINING_SPLATS, on_step=_named(folder.name, on_work))
-
-
-def _backgrounds(
-    config: BackgroundConfig, folder: Path, on_work: OnWork, *, kinds: Sequence[str] = BACKGROUNDS
-) -> list[LabelledPicture]:
-    name = f"{config.split}-backgrounds-{config.seed}"
-    sets = background_sets(folder / name, config, kinds=kinds, on_step=_named(name, on_work))
-    return [picture for pictures in sets.values() for picture in pictures]
 
 
 def train(
@@ -114,7 +93,6 @@ def train(
     validate_every: int = 2,
     start: Path | None = None,
     on_work: OnWork,
-    on_epoch: Callable[[Mapping[str, object]], None],
 ) -> None:
     """Do what is left of a training; write checkpoint, curves.json and the best weights so far after each epoch.
 
@@ -125,22 +103,19 @@ def train(
         folder: Where the files go.
         validate_every: Epochs between two validations.
         start: Weights that a new training begins from instead of pretraining.
-        on_work: Hears of the progress.
-        on_epoch: Called with the figures of each finished epoch, and of the pretraining as epoch 0.
+        on_work: Hears of the progress, and of the figures of each finished epoch.
 
     Raises:
-        DetectorError: The weights to start from are missing or do not fit, or the training was resumed and began with
-            others, or with other pictures.
+        DetectorError: The weights to start from are missing or do not fit.
     """
     config = training.config
-    training.go_on_with(_digest(start, pictures, validation), folder)
     while training.epoch < config.epochs:
         if not training.history and start is not None:
             training.begin_from(start)
         elif not training.history and config.pretraining:
             training.pretrain(pictures, on_step=_named("pretraining", on_work))
             training.save(folder)
-            on_epoch(training.history[-1])
+            on_work(line_of(training.history[-1]), 0, config.epochs)
         begun = time.monotonic()
         losses = training.run_epoch(pictures, on_step=_named(f"epoch {training.epoch + 1} of {config.epochs}", on_work))
         record: dict[str, object] = {
@@ -154,20 +129,21 @@ def train(
         training.history.append(record)
         training.save(folder)
         curves = {"config": asdict(config), "history": training.history}
-        (folder / "curves.json").write_text(json.dumps(curves, indent=1))
-        on_epoch(record)
+        (folder / CURVES).write_text(json.dumps(curves, indent=1))
+        on_work(line_of(record), training.epoch, config.epochs)
 
 
-def _digest(start: Path | None, *sets: Sequence[LabelledPicture]) -> str:
-    """SHA-256 of the weights to begin from, and of the pictures and labels of some sets."""
-    total = hashlib.sha256(b"" if start is None else fingerprint(read_weights(start)).encode())
-    for pictures in sets:
-        total.update(f"{len(pictures)} pictures".encode())
-        for picture in pictures:
-            for values in (picture.image, picture.boxes, picture.labels):
-                total.update(repr(tuple(values.shape)).encode())
-                total.update(values.numpy().tobytes())
-    return total.hexdigest()
+def line_of(record: Mapping[str, Any]) -> str:
+    """The figures of one epoch in a line."""
+    if record["epoch"] == 0:
+        named = record.get("named")
+        return "begun" if named is None else f"pretraining: {named:.1%} of the cut-outs classified right"
+    line = f"epoch {record['epoch']}: loss {sum(record['losses'].values()):.3f}, {record['seconds']:.0f} s"
+    if "validation" in record:
+        each = " ".join(f"{name} {ap:.2f}" for name, ap in record["validation"]["ap"].items())
+        line += f", mAP {record['map']:.3f} ({each})"
+        line += f", {record['false_positives']:.2f} false positives per empty picture"
+    return line
 
 
 def validated(training: Training, validation: Sequence[LabelledPicture], folder: Path) -> dict[str, object]:
@@ -194,7 +170,7 @@ def validated(training: Training, validation: Sequence[LabelledPicture], folder:
     if _merit(record) >= max((_merit(r) for r in training.history if "map" in r), default=-math.inf):
         notes = {"epoch": str(training.epoch), "seed": str(training.config.seed)}
         folder.mkdir(parents=True, exist_ok=True)
-        export_weights(training.averaged, folder / "best.safetensors", notes=notes)
+        export_weights(training.averaged, folder / WEIGHTS, notes=notes)
     return record
 
 
