@@ -24,13 +24,14 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> di
         record: Its result.json, of which the settings count.
         tables: Its rows.
     """
-    settings = record["config"]
-    judged = settings["judged"]["cameras"]["elevations"] if record["story"] == DRAWN else None
-    config: Config = EotConfig(required_views=settings["required_views"])
-    if record["story"] == FIXED:
-        needed = {name: settings[name] for name in ("required_views", "required_detectors")}
-        config = DaggerConfig(**needed)
-    detectors = [str(one["detector"]) for one in record["detectors"]]
+    settings, drawn = record["config"], record["story"] == DRAWN
+    judged = settings["judged"]["cameras"]["elevations"] if drawn else None
+    config: Config = (
+        EotConfig(required_views=settings["required_views"])
+        if drawn
+        else DaggerConfig(**{name: settings[name] for name in ("required_views", "required_detectors")})
+    )
+    detectors = [str(judged["detector"]) for judged in record["detectors"]]
     return counted(tables[ROWS], detectors, record["target"], config, judged)
 
 
@@ -50,54 +51,51 @@ def counted(
         config: Says in how many views, and with how many detectors, the aim has to be reached.
         elevations: Interval of the cameras that judge, degrees; None where they are not drawn.
     """
-    attacked = rows.filter(splat=ATTACKED)
-    verdict = config.verdict(_grid(attacked, detectors))
-    by_draw = rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)
-    noise = [config.verdict(_grid(draw, detectors)) for draw in by_draw]
-    each = [attacked.filter(detector=name) for name in detectors]
-    confidences = [_confidence(own, target, config) for own in each]
+    each = []
+    for name in detectors:
+        scores = rows.filter(splat=ATTACKED, detector=name)["target_score"].to_list()
+        confidence = None if target is None else reached_by(scores, config.required_views)
+        each.append({**_verdict(rows.filter(splat=ATTACKED), [name], config), "target_confidence": confidence})
+    confidences = [judged["target_confidence"] for judged in each if target is not None]
     return {
-        **_verdict_of(verdict),
-        "strict": config.verdict(_grid(attacked.with_columns(success=STRICT), detectors)).success,
-        "target_confidence": _least(confidences, config.required_detectors),
+        **verdict_figures(rows, detectors, config),
+        "target_confidence": reached_by(confidences, config.required_detectors) if confidences else None,
         **aim_figures(rows, detectors, elevations),
-        "noise": {
-            "scores": [one.score for one in noise],
-            "successes": sum(one.success for one in noise),
-            "draws": len(noise),
-        },
-        "detectors": [
-            {**_verdict_of(config.verdict(_grid(own, [name]))), "target_confidence": confidence}
-            for name, own, confidence in zip(detectors, each, confidences, strict=True)
-        ],
-        "views": [_of_view(view) for (_, _), view in rows.group_by("detector", "view", maintain_order=True)],
+        "detectors": each,
+        "views": [_of_view(view) for _, view in rows.group_by("detector", "view", maintain_order=True)],
     }
 
 
-def _grid(rows: pl.DataFrame, detectors: Sequence[str]) -> list[list[Verdict]]:
-    """The verdicts of one splat: for each view those of all detectors."""
-    found = [
-        [
-            Verdict(success=success, score=score, unambiguous=unambiguous)
-            for success, score, unambiguous in own.select("success", "aim", "unambiguous").iter_rows()
-        ]
-        for own in (rows.filter(detector=name) for name in detectors)
+def verdict_figures(rows: pl.DataFrame, detectors: Sequence[str], config: Config) -> dict[str, Any]:
+    """Whether an attack has its aim, also where the object's own class has to be gone, and draws of noise that have it.
+
+    Args:
+        rows: As in `counted`.
+        detectors: As in `counted`.
+        config: As in `counted`.
+    """
+    attacked = rows.filter(splat=ATTACKED)
+    noise = [
+        _verdict(draw, detectors, config) for draw in rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)
     ]
-    return [list(row) for row in zip(*found, strict=True)]
+    return {
+        **_verdict(attacked, detectors, config),
+        "strict": _verdict(attacked.with_columns(success=STRICT), detectors, config)["success"],
+        "noise": {
+            "scores": [verdict["score"] for verdict in noise],
+            "successes": sum(verdict["success"] for verdict in noise),
+            "draws": len(noise),
+        },
+    }
 
 
-def _verdict_of(verdict: Verdict) -> dict[str, Any]:
+def _verdict(rows: pl.DataFrame, detectors: Sequence[str], config: Config) -> dict[str, Any]:
+    """The verdict of one splat, as JSON can hold it."""
+    unambiguous = pl.col("unambiguous").fill_null(pl.col("success"))
+    columns = rows.select("detector", "success", unambiguous, score="aim")
+    each = [columns.filter(detector=name).drop("detector").to_dicts() for name in detectors]
+    verdict = config.verdict([[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)])
     return {"success": verdict.success, "unambiguous": verdict.unambiguous, "score": verdict.score}
-
-
-def _confidence(rows: pl.DataFrame, target: str | None, config: Config) -> float | None:
-    """Confidence of a detector in the wanted class that enough views reach."""
-    return None if target is None else reached_by(rows["target_score"].to_list(), config.required_views)
-
-
-def _least(values: Sequence[float | None], required: float) -> float | None:
-    known = [value for value in values if value is not None]
-    return reached_by(known, required) if known else None
 
 
 def _of_view(rows: pl.DataFrame) -> dict[str, Any]:

@@ -73,8 +73,8 @@ AIMS: Measures = {
     "clean_success": Measure(holds=pl.col("success"), given=of(CLEAN)),
     "noise_success": Measure(holds=pl.col("success"), given=of(NOISE)),
 }
-"""How often the aim is reached in views (`joint_views`) or by attacks (`attacks_of`): attacked, with the object's own
-class gone, with no other class of more confidence, without an attack, and with each draw of random noise."""
+"""How often the aim is reached in views (`joint_views`): attacked, with the object's own class gone, with no other
+class of more confidence, without an attack, and with each draw of random noise."""
 
 FOUND: Measures = {
     f"found_{splat}": Measure(holds=pl.col("original").is_not_null() & reported("original_score"), given=of(splat))
@@ -88,33 +88,6 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     rows = rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows
     over = [name for name in ("attack", "seed", "condition", "splat", "draw", "view") if name in rows.columns]
     return jointly(rows, over, [name for name in ("success", "strict", "unambiguous") if name in rows.columns])
-
-
-def attacks_of(rows: pl.DataFrame, *, required_views: float = 1.0, required_detectors: float = 1.0) -> pl.DataFrame:
-    """A row for each splat of each attack: whether so many views, with so many detectors, reach the aim.
-
-    Args:
-        rows: With the verdict of every view.
-        required_views: Fraction of the views, in (0, 1].
-        required_detectors: Fraction of the detectors.
-
-    Returns:
-        The columns that name the splat, `success`, `strict`, `unambiguous`, and `aim`, which so many reach.
-    """
-    names = [name for name in ("attack", "seed", "condition", "splat", "draw") if name in rows.columns]
-    truths = [pl.col("success"), pl.col("unambiguous").fill_null(pl.col("success")), pl.col("strict"), pl.col("aim")]
-    by_detector = _reached(rows.with_columns(strict=STRICT).with_columns(truths), [*names, "detector"], required_views)
-    return _reached(by_detector, names, required_detectors)
-
-
-def _reached(rows: pl.DataFrame, over: Sequence[str], fraction: float) -> pl.DataFrame:
-    """What at least a fraction of the rows of each group reaches."""
-    # 0.07 * 100 is a little more than 7: rounding must not ask for one more.
-    needed = (fraction * pl.len() - 1e-9).ceil().cast(pl.Int64)
-    return rows.group_by(over, maintain_order=True).agg(
-        *(pl.col(name).sum() >= needed for name in ("success", "unambiguous", "strict")),
-        pl.col("aim").sort(descending=True).gather(needed - 1).first(),
-    )
 
 
 AZIMUTHS, ELEVATIONS = 8, 4

@@ -10,9 +10,11 @@ from typing import Any
 
 import polars as pl
 
-from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, attacks_of, joint_views, transfer_measures, with_control
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.figures import verdict_figures
+from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, transfer_measures, with_control
 from attacks.observe.rates import blocks_of, count
-from attacks.observe.rows import ATTACKED, NOISE, ROWS, SUFFIX, column_of, frame_of, write_rows
+from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows
 from attacks.rate import Rate
 from attacks.studies.plan import Attempt, Work, record_of
 from attacks.studies.table import markdown
@@ -157,18 +159,11 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
             held = rates["success"].fraction >= config["required_views"] - 1e-9
             each[name] = {"success": held, **{key: rates[name].as_dict() for key, name in RATES.items()}}
         else:
-            reached = attacks_of(
-                rows,
-                required_views=config["required_views"],
-                required_detectors=config["required_detectors"],
-            )
-            (mine,) = reached.filter(splat=ATTACKED).iter_rows(named=True)
-            noise = reached.filter(splat=NOISE)
-            each[name] = {
-                **{key: mine[key] for key in ("success", "strict", "unambiguous")},
-                "score": mine["aim"],
-                "noise": {"successes": int(noise["success"].sum()), "draws": len(noise), "best": noise["aim"].max()},
-            }
+            needed = {key: config[key] for key in ("required_views", "required_detectors")}
+            told = verdict_figures(rows, attacks[name]["sources"], DaggerConfig(**needed))
+            noise = told["noise"]
+            best = max(noise["scores"], default=None)
+            each[name] = {**told, "noise": {"successes": noise["successes"], "draws": noise["draws"], "best": best}}
         each[name]["original_after"] = attacked["original_score"].max()
     return each
 

@@ -7,11 +7,12 @@ from typing import Any
 import polars as pl
 import pytest
 
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.figures import verdict_figures
 from attacks.observe.measures import (
     AIMS,
     CLUSTERS,
     FOUND,
-    attacks_of,
     cloak_measures,
     joint_views,
     rates_at,
@@ -69,12 +70,9 @@ def test_a_view_counts_where_every_detector_is_deceived() -> None:
     ("views", "detectors", "success", "aim"), [(1.0, 1.0, False, 0.0), (0.5, 1.0, True, 0.6), (1.0, 0.5, True, 1.0)]
 )
 def test_an_attack_counts_as_its_settings_ask(views: float, detectors: float, success: bool, aim: float) -> None:
-    table = attacks_of(JUDGED, required_views=views, required_detectors=detectors)
-    attacked = table.filter(splat=ATTACKED)
-    assert attacked["success"].to_list() == [success]
-    assert attacked["aim"].to_list() == [aim]
-    assert len(table.filter(splat=NOISE)) == 2
-    assert counts(count(table, AIMS)[()])["success"] == (int(success), 1)
+    config = DaggerConfig(required_views=views, required_detectors=detectors)
+    told = verdict_figures(JUDGED, ["a", "b"], config)
+    assert (told["success"], told["score"], told["noise"]["draws"]) == (success, aim, 2)
 
 
 def looks(view: int, *scores: tuple[float, float]) -> list[dict[str, Any]]:
