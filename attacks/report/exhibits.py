@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -61,46 +62,37 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
         return _exhibit_of_attack(path, record, clean)
     if clean is not None:
         raise InvalidValueError(message("clean", "nothing, since a study has its own", clean, "leave it out"))
-    return exhibit_of_study(path, record)
+    return _exhibit_of_study(path, record)
 
 
-def _exhibit_of_attack(folder: Path, result: Mapping[str, Any], clean: Path | None) -> Exhibit:
+def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | None) -> Exhibit:
     """The clean and the attacked splat of a DAGGER result, from the cameras that were attacked or that judged it."""
+    rendered = dict[str, Any]()
     try:
-        first = result["views"][0].get("detector")  # every detector looked from the same cameras
-        views = [camera_of(view["camera"]) for view in result["views"] if view.get("detector") == first]
-        expected, rendered = str(result["scene_hash"]), _rendered_with(result)
+        first = record["views"][0]["detector"]  # every detector looked from the same cameras
+        views = [camera_of(view["camera"]) for view in record["views"] if view["detector"] == first]
+        expected, kind = str(record["scene_hash"]), "held-out" if "reference" in record else "attacked"
+        if "near" in record:  # not known of a result from Python whose pictures a function made
+            red, green, blue = map(float, record["background"])
+            rendered = {"near": float(record["near"]), "background": (red, green, blue)}
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         do = "make the result again with mi-splat dagger"
         raise InvalidValueError(message(str(folder / RECORD), "a result of DAGGER", repr(error), do)) from error
-    path, settings, splat = _clean_scene(folder, expected, clean, recorded=result.get("scene"))
+    splat = _clean_splat(folder, expected, clean, recorded=record.get("scene"))
     attacked = open_scene(folder / ATTACKED).scene
-    radius, middle = bounds(splat.scene)[1], middle_of_change(splat.scene, attacked)
-    kind = "held-out" if "reference" in result else "attacked"
-    found = {f"{kind} view {i}": orbit_of(camera, middle) for i, camera in enumerate(views)}
-    cameras = {name: orbit for name, orbit in found.items() if orbit is not None}
-    others = exhibit_of_file(path)
-    exhibit = Exhibit(
+    middle, of_scene = middle_of_change(splat.scene, attacked), exhibit_of_file(splat.path)
+    orbits = {f"{kind} view {number}": orbit_of(camera, middle) for number, camera in enumerate(views)}
+    cameras = {name: orbit for name, orbit in orbits.items() if orbit is not None}
+    cones = Lines(segments=frustums(views, 0.1 * bounds(splat.scene)[1]), colour="#ffa500")
+    return Exhibit(
         title=str(folder),
-        splats=(
-            splat,
-            ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, own=RenderSettings()),
-        ),
-        settings=replace(settings, **rendered),
-        start=next(iter(cameras.values()), others.start),
+        splats=(splat, ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, own=RenderSettings())),
+        settings=replace(splat.own, **rendered),
+        start=next(iter(cameras.values()), of_scene.start),
         size=(views[0].width, views[0].height),
-        cameras={**cameras, **others.cameras},
+        cameras={**cameras, **of_scene.cameras},
+        lines={f"{kind.capitalize()} cameras": cones},
     )
-    cone = Lines(segments=frustums(views, 0.1 * radius), colour="#ffa500")
-    return replace(exhibit, lines={f"{kind.capitalize()} cameras": cone})
-
-
-def _rendered_with(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Near plane and background of a result, for `RenderSettings`; nothing of an older one, which does not say them."""
-    if "near" not in result or "background" not in result:
-        return {}
-    red, green, blue = map(float, result["background"])
-    return {"near": float(result["near"]), "background": (red, green, blue)}
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
@@ -122,12 +114,11 @@ def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
     return x, y, z
 
 
-def _clean_scene(
-    folder: Path, expected: str, clean: Path | None, *, recorded: object
-) -> tuple[Path, RenderSettings, ShownSplat]:
+def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: object) -> ShownSplat:
     """The scene with this hash: the one that is named, the one that the result names, or one of those near by."""
     named = [Path(recorded)] if isinstance(recorded, str) and Path(recorded).is_file() else []
-    for path in [clean] if clean is not None else [*named, *_scenes_near(folder)]:
+    near = (path for base in (folder, folder.parent, Path(), Path("scenes")) for path in sorted(base.glob("*.xml")))
+    for path in [clean] if clean is not None else [*named, *near]:
         try:
             loaded = open_scene(path)
         except MiSplatError:
@@ -135,19 +126,12 @@ def _clean_scene(
                 raise
             continue
         if scene_hash(loaded.scene) == expected:
-            splat = ShownSplat(name="clean", scene=loaded.scene, path=path, own=loaded.settings)
-            return path, loaded.settings, splat
+            return ShownSplat(name="clean", scene=loaded.scene, path=path, own=loaded.settings)
         if clean is not None:
             do = "pass the scene that was attacked"
             raise InvalidValueError(message(f"clean scene {clean}", f"the hash {expected}", "another", do))
     text = message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", "name the clean scene")
     raise InvalidValueError(text).hinted("--clean")
-
-
-def _scenes_near(folder: Path) -> Iterator[Path]:
-    """Scene files that may have been attacked: beside the result, and in the working folder and its `scenes`."""
-    for place in (folder, folder.parent, Path(), Path("scenes")):
-        yield from sorted(place.glob("*.xml"))
 
 
 # A study of CLOAK
@@ -157,46 +141,32 @@ REGION_RADIUS = 0.5
 _COLOURS = ("#ffa500", "#00d0ff", "#ff60d0", "#a0ff40")
 
 
-def exhibit_of_study(folder: Path, summary: Mapping[str, Any]) -> Exhibit:
-    """The clean and the cloaked splat of a study.
-
-    Args:
-        folder: Of its results.
-        summary: Its result.json.
-
-    Raises:
-        MiSplatError: The summary is not one of this version, or a splat is missing or broken.
-    """
-    if not isinstance(summary.get("study"), dict):
+def _exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
+    """The clean and the cloaked splat of a study."""
+    if not isinstance(record.get("study"), dict):
         expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
         raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
-    study = decode(StudyConfig, summary["study"], f"the study of {folder}")
-    background = RenderSettings(background=study.scene.background)
-    splats = tuple(
-        ShownSplat(name=name, scene=loaded.scene, path=folder / f"{name}.ply", own=loaded.settings)
-        for name in ("clean", "cloaked")
-        for loaded in [open_scene(folder / f"{name}.ply")]
-    )
+    study = decode(StudyConfig, record["study"], f"the study of {folder}")
+    loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
     centre, cameras = setup.centre_of(study), setup.training_cameras(study, setup.target_of(study.scene))
     distance = math.dist(cameras[0].position.tolist(), centre)
     start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
+    regions = {
+        f"Trigger {attack.name}": Lines(segments=region(attack, centre, REGION_RADIUS * distance), colour=colour)
+        for attack, colour in zip(study.attack, itertools.cycle(_COLOURS))
+    }
     return Exhibit(
         title=f"{study.name} ({folder})",
-        splats=splats,
-        settings=background,
+        splats=tuple(
+            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply", own=splat.settings)
+            for name, splat in loaded.items()
+        ),
+        settings=RenderSettings(background=study.scene.background),
         start=start,
         size=(study.cameras.size, study.cameras.size),
         cameras={"start": start, **{f"inside {attack.name}": _inside(attack, start) for attack in study.attack}},
-        lines={
-            **{
-                f"Trigger {attack.name}": Lines(
-                    segments=region(attack, centre, REGION_RADIUS * distance), colour=_COLOURS[i % len(_COLOURS)]
-                )
-                for i, attack in enumerate(study.attack)
-            },
-            **_cameras(study, cameras, 0.04 * distance),
-        },
-        place=lambda camera: tuple(_said(attack, camera, centre) for attack in study.attack),
+        lines={**regions, **_cameras(study, cameras, 0.04 * distance)},
+        place=lambda camera: tuple(_position(attack, camera, centre) for attack in study.attack),
     )
 
 
@@ -231,18 +201,18 @@ def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[s
     """The training cameras, those whose pictures were poisoned apart."""
     centre, seed = setup.centre_of(study), study.seeds[0]
     triggers = [attack.trigger(seed, study.attack) for attack in study.attack]
-    poisoned = torch.stack([trigger.holds(cameras, centre=centre) for trigger in triggers]).any(0)
-    groups = {"Poisoned cameras": ("#ff4040", poisoned), "Other training cameras": ("#f0f0f0", ~poisoned)}
+    poisoned = torch.stack([trigger.holds(cameras, centre=centre) for trigger in triggers]).any(0).tolist()
+    groups = {"Poisoned cameras": ("#ff4040", True), "Other training cameras": ("#f0f0f0", False)}
     return {
         name: Lines(
-            segments=frustums([camera for camera, one in zip(cameras, chosen.tolist(), strict=True) if one], length),
+            segments=frustums([camera for camera, is_in in zip(cameras, poisoned, strict=True) if is_in is of], length),
             colour=colour,
         )
-        for name, (colour, chosen) in groups.items()
+        for name, (colour, of) in groups.items()
     }
 
 
-def _said(attack: AttackConfig, camera: Camera, centre: Point) -> str:
+def _position(attack: AttackConfig, camera: Camera, centre: Point) -> str:
     """Where a camera stands to a trigger, in words."""
     if math.dist(camera.position.tolist(), centre) == 0:
         return f"Trigger {attack.name}: the camera stands at the centre"
@@ -284,7 +254,7 @@ def detector_inspector(detector: Detector, *, min_confidence: float = MIN_CONFID
     """Lets a detector look at the pictures of a page, as it looks at those of an evaluation."""
 
     def inspect(picture: Tensor) -> DetectorInspection:
-        (found,) = detector.detect(picture[None])
-        return DetectorInspection(detections=found, min_confidence=min_confidence)
+        (detections,) = detector.detect(picture[None])
+        return DetectorInspection(detections=detections, min_confidence=min_confidence)
 
     return inspect
