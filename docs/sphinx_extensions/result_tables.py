@@ -58,6 +58,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[DAGGER when the camera moves](../dagger-eot.md)",
         ("dagger_eot_smallest", "dagger_eot_pairs", "dagger_eot_settings"),
     ),
+    "transfer": ("Transfer of DAGGER from one view", "[transfer](../transfer.md)", ("transfer",)),
     "transfer_views": (
         "Transfer of DAGGER over held-out views",
         "[transfer](../transfer.md#over-views-that-no-search-has-seen)",
