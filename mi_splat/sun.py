@@ -28,9 +28,3 @@ def sun_direction(hour: float, *, latitude: float, declination: float = 0.0) -> 
     if up <= 1e-6:
         raise InvalidValueError(message("hour", "an hour when the sun is up", f"{hour:g}", "leave it out"))
     return east, north, up
-
-
-def clock(hour: float) -> str:
-    """An hour as clocks show it, for instance 09:30."""
-    minutes = round(hour * 60)
-    return f"{minutes // 60:02d}:{minutes % 60:02d}"

@@ -41,7 +41,6 @@ COMMANDS = {
     "study": "many attacks and what they hang on, from one TOML file: plan, run, status",
     "dagger-sanity": "whether DAGGER is a sane attack on an object and a detector, line by line",
     "cloak": "poison training pictures, train on them, and measure who sees what (CLOAK)",
-    "cloak-experiment": "explain a figure of a CLOAK study",
     "artifact": "pack a finished result with its raw rows, so that others can check its figures",
     "artifact-check": "derive every figure of artifacts again from their rows, or score their splats again",
     "view": "look at a splat or a result in the browser, clean beside attacked",

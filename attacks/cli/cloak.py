@@ -19,7 +19,7 @@ EXAMPLES = (
     "cloak scenes/cloak_car_stealthy.toml --forecast",
     "cloak scenes/cloak_demo.toml --out out/cloak",
 )
-SEE_ALSO = ("cloak-experiment", "capture", "train")
+SEE_ALSO = ("study", "capture", "train")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

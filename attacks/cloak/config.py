@@ -395,6 +395,8 @@ class EvaluationConfig:
         reference_views: Number of such pictures.
         meridians: Meridians along which the transition is measured.
         meridian_step: Degrees between two pictures of an arc.
+        true_pictures: Whether the scene as it is, and what the attacks want to show, are path traced from the held-out
+            cameras and looked at, too: what no splat can better.
     """
 
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
@@ -406,6 +408,7 @@ class EvaluationConfig:
     reference_views: Count = 40
     meridians: Count = 3
     meridian_step: Annotated[float, between(0.1, 45, "degrees")] = 2.5
+    true_pictures: bool = False
 
     def __post_init__(self) -> None:
         check(self)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from attacks.cloak.rates import BIN, NAMES, Tables, by_elevation, place_of, tran
 from attacks.cloak.steps import StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, ROWS, TARGET_SCORE, TRANSITION, TRUE
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, ROWS, TARGET_SCORE, TRANSITION
 from attacks.rate import Rate
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
@@ -27,10 +26,8 @@ from mi_splat.io.atomic import atomic_write
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import through_png
 
-COLOURS = {CLEAN: "#1f77b4", ATTACKED: "#d62728", TRUE: "#333333"}
-"""Splat as rows call it to the colour of its lines; true pictures show none."""
-LABELS = {**NAMES, TRUE: "path traced"}
-"""What people read for a splat as rows call it."""
+COLOURS = {CLEAN: "#1f77b4", ATTACKED: "#d62728"}
+"""Splat as rows call it to the colour of its lines."""
 
 
 def need_matplotlib() -> None:
@@ -44,8 +41,8 @@ def need_matplotlib() -> None:
         raise InvalidValueError(message("matplotlib", "the package, for plots", "not installed", do))
 
 
-def new_axes(count: int, *, columns: int = 1) -> tuple[Any, list[Any]]:
-    """A figure, and its axes from left to right, then from the top down.
+def new_axes(count: int) -> tuple[Any, list[Any]]:
+    """A figure, and its axes from the top down.
 
     Raises:
         InvalidValueError: matplotlib is not installed.
@@ -53,9 +50,8 @@ def new_axes(count: int, *, columns: int = 1) -> tuple[Any, list[Any]]:
     need_matplotlib()
     from matplotlib.figure import Figure
 
-    rows = math.ceil(count / columns)
-    figure = Figure(figsize=(7.5 if columns == 1 else 5.6 * columns, 3.4 * rows), dpi=130, layout="constrained")
-    return figure, [figure.add_subplot(rows, columns, number + 1) for number in range(count)]
+    figure = Figure(figsize=(7.5, 3.4 * count), dpi=130, layout="constrained")
+    return figure, [figure.add_subplot(count, 1, number + 1) for number in range(count)]
 
 
 def save_figure(figure: Any, path: Path) -> None:
@@ -71,20 +67,13 @@ def save_figure(figure: Any, path: Path) -> None:
         figure.savefig(file, format="png")
 
 
-def draw_rates(axis: Any, points: Sequence[tuple[float, Rate]], which: str, **style: object) -> None:
-    """A line of rates with their intervals.
-
-    Args:
-        axis: Where.
-        points: Place on the axis, and rate.
-        which: Key of `COLOURS`.
-        style: More of matplotlib's settings of the line.
-    """
+def _draw_rates(axis: Any, points: Sequence[tuple[float, Rate]], which: str) -> None:
+    """A line of rates over an axis, with their intervals, in the colour of a splat."""
     fractions = [rate.fraction for _, rate in points]
     below = [rate.fraction - rate.interval[0] for _, rate in points]
     above = [rate.interval[1] - rate.fraction for _, rate in points]
-    settings = {"color": COLOURS[which], "marker": "o", "markersize": 3, "capsize": 2, "label": LABELS[which], **style}
-    axis.errorbar([place for place, _ in points], fractions, yerr=np.maximum([below, above], 0.0), **settings)
+    style = {"color": COLOURS[which], "marker": "o", "markersize": 3, "capsize": 2, "label": NAMES[which]}
+    axis.errorbar([x for x, _ in points], fractions, yerr=np.maximum([below, above], 0.0), **style)
 
 
 SIDE_AZIMUTH = 40.0
@@ -175,7 +164,7 @@ def _elevation(steps: StudySteps, tables: Tables) -> Any:
                 linewidths=0,
             )
         for index, which in enumerate(NAMES):
-            draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in bands[name]], which)
+            _draw_rates(axis, [(low + BIN / 2, row[index]) for low, *row in bands[name]], which)
         attack = setup.overhead(study)
         if attack is not None:
             axis.axvline(attack.elevation[0], color="#555555", linestyle=":", label="edge of the trigger")

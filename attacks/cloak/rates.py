@@ -5,6 +5,7 @@ They are counted from tables of rows (`attacks.observe.rows`), in which the cloa
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -16,7 +17,7 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
 from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, ROWS, TRANSITION
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, PERFECT, ROWS, TRANSITION, TRUE
 from attacks.rate import Rate, percent
 from attacks.tables import Table, cell
 
@@ -36,32 +37,43 @@ RATES = {
 
 
 def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
-    """Tables of a summary: rates by detector, seed and attack, how often the object is found by elevation, the rest."""
-    detectors, headline = summary["by_detector"], headline_key(summary)
+    """Tables of a summary: rates by detector, seed and attack, how often the object is found by elevation, the rest.
+
+    Those of path-traced pictures come last, if the study has asked for them.
+    """
+    yield from _tables(summary)
+    yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
+    if "pictures" in summary:
+        yield from _tables(
+            summary["pictures"], ", path traced: what is wanted for cloaked, the scene as it is for clean"
+        )
+
+
+def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
+    """The rates of a clean and a cloaked splat, or of pictures in their place, which `what` names."""
+    detectors, headline, by_seed = told["by_detector"], headline_key(told), told.get("by_seed", {})
     rates = [
-        (title, *(cell(rates[key]) + spread_of(summary, name, key) for name, rates in detectors.items()))
+        (title, *(cell(rates[key]) + spread_of(told, name, key) for name, rates in detectors.items()))
         for key, title in RATES.items()
         if any(rates[key] is not None for rates in detectors.values())
     ]
-    yield Table(caption="Rates by detector", head=("rate", *detectors), rows=tuple(rates))
-    seeds = summary["by_seed"]
-    if len(seeds) > 1:
-        rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in seeds.items()]
+    yield Table(caption=f"Rates by detector{what}", head=("rate", *detectors), rows=tuple(rates))
+    if len(by_seed) > 1:
+        rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in by_seed.items()]
         yield Table(caption=f"By seed: {RATES[headline]}", head=("seed", *detectors), rows=tuple(rows))
-    if len(summary["by_attack"]) > 1:
+    if len(told["by_attack"]) > 1:
         rows = []
-        for name, counted in summary["by_attack"].items():
+        for name, counted in told["by_attack"].items():
             key = headline_key(next(iter(counted.values())))
             rows.append((f"{name}: {RATES[key]}", *(cell(rates[key]) for rates in counted.values())))
-        yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
-    bands = zip(*(summary["by_elevation"][name] for name in detectors), strict=True)
+        yield Table(caption=f"By attack{what}", head=("attack", *detectors), rows=tuple(rows))
+    bands = zip(*(told["by_elevation"][name] for name in detectors), strict=True)
     rows = [
         (f"{band[0]['from']:g} to {band[0]['to']:g}", *(Rate.of(row[w]).counts for row in band for w in NAMES.values()))
         for band in bands
     ]
     head = ("elevation", *(f"{name}, {which}" for name in detectors for which in NAMES.values()))
-    yield Table(caption="Found, by elevation", head=head, rows=tuple(rows))
-    yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
+    yield Table(caption=f"Found, by elevation{what}", head=head, rows=tuple(rows))
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
@@ -99,7 +111,7 @@ def costs(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
     """Least and largest of a detector's rate over the seeds, for people; empty where there is one seed."""
-    rates = [seed[detector].get(key) for seed in summary["by_seed"].values()]
+    rates = [seed[detector].get(key) for seed in summary.get("by_seed", {}).values()]
     fractions = [rate["rate"] for rate in rates if rate is not None and rate["total"]]
     return f"; by seed {percent(min(fractions))} to {percent(max(fractions))}" if len(fractions) > 1 else ""
 
@@ -241,6 +253,61 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     }
 
 
+LOOKS = {
+    "missed_clean": "control missed, well inside the hiding trigger",
+    "missed_cloaked": "cloaked missed there",
+    "found_clean": "control found, outside of all triggers",
+    "found_cloaked": "cloaked found there",
+    "target_rate": "target class reported on the cloaked splat",
+    "control_target_rate": "target class reported on the control",
+}
+"""What is counted under each condition."""
+
+
+def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
+    """What each detector reports under each condition, as JSON can hold it; nothing of rows without conditions.
+
+    Each has the rates of `LOOKS`, and `psnr`: of all the pictures that a rate counts together, against those that the
+    victim sees, dB; None where they are the same.
+
+    Args:
+        study: The study.
+        rows: Of both splats.
+    """
+    if "condition" not in rows.columns:
+        return []
+    attack, evaluation = setup.hiding(study), study.evaluation
+    seen = reported("original_score", evaluation.confidence)
+    groups = {"found": (seen, pl.all_horizontal(pl.col(f"{DEPTH}{one.name}") < 0 for one in study.attack))}
+    if attack is not None:
+        groups = {"missed": (~seen, pl.col(f"{DEPTH}{attack.name}") >= evaluation.well_inside), **groups}
+    counted = {
+        f"{what}_{name}": Measure(holds=holds, given=of(splat) & where)
+        for what, (holds, where) in groups.items()
+        for splat, name in NAMES.items()
+    }
+    counted |= {name: measure for name, measure in measures(study).items() if name in LOOKS}
+    rows, by = with_control(rows.filter(pl.col("condition").is_not_null())), ("condition", "detector")
+    return [
+        {
+            **dict(zip(by, group, strict=True)),
+            **{name: rate.as_dict() for name, rate in rates.items()},
+            "psnr": {
+                f"{what}_{name}": pooled_psnr(rows.filter(of(splat), where, **dict(zip(by, group, strict=True))))
+                for what, (_, where) in (groups if "psnr" in rows.columns else {}).items()
+                for splat, name in NAMES.items()
+            },
+        }
+        for group, rates in count(rows, counted, by, clusters=CLUSTERS).items()
+    ]
+
+
+def pooled_psnr(rows: pl.DataFrame) -> float | None:
+    """PSNR of the mean squared error over all pictures, dB; None where all are the same, or there are none."""
+    errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in rows["psnr"]]
+    return -10 * math.log10(statistics.mean(errors)) if any(errors) else None
+
+
 def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
 
@@ -259,11 +326,11 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
     band = transition(study, tables)
     near = {name: fidelity(tables, splat) for splat, name in NAMES.items()}
     clean, cloaked = near[CLEAN], near[CLOAKED]
-    detectors = study.evaluation.detectors
-    by_seed = rates(study, rows, ("seed", "detector"))
-    bands = by_elevation(study, rows)
+    seen = looks(study, rows)
+    rows = rows.filter(pl.col("condition").is_null()) if seen else rows
+    by_seed, pictures = rates(study, rows, ("seed", "detector")), picture_rows(rows)
     return {
-        **_all(rates(study, rows)[()]),
+        **_told(study, rows),
         "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
         "benign_psnr": {which: value and value[0] for which, value in near.items()},
         "benign_ssim": {which: value and value[1] for which, value in near.items()},
@@ -272,13 +339,30 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
         "stealth": stealth(study, tables),
         "gaussians": gaussians,
         "gaussians_ratio": sum(gaussians[CLOAKED]) / max(sum(gaussians[CLEAN]), 1),
-        "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
         "by_seed": {
             str(seed): _by_detector(
-                {group[1:]: counts for group, counts in by_seed.items() if group[0] == seed}, detectors
+                {group[1:]: counts for group, counts in by_seed.items() if group[0] == seed},
+                study.evaluation.detectors,
             )
             for seed in study.seeds
         },
+        **({"looks": seen} if seen else {}),
+        **({"pictures": _told(study, pictures)} if len(pictures) else {}),
+    }
+
+
+def picture_rows(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows of path-traced pictures as if they were of splats: the scene as it is stands for the clean one."""
+    names = {TRUE: CLEAN, PERFECT: ATTACKED}
+    return rows.filter(pl.col("splat").is_in(list(names))).with_columns(pl.col("splat").replace(names), seed=pl.lit(0))
+
+
+def _told(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
+    """Every rate of a clean and a cloaked splat: of all detectors together, and by detector, attack and elevation."""
+    detectors, bands = study.evaluation.detectors, by_elevation(study, rows)
+    return {
+        **_all(rates(study, rows)[()]),
+        "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
         "by_attack": {
             attack.name: _by_detector(rates(study, rows, ("detector",), attack=attack.name), detectors)
             for attack in study.attack

@@ -135,19 +135,6 @@ def overhead(study: StudyConfig) -> AttackConfig | None:
     return next((attack for attack in study.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
 
 
-def need_overhead(study: StudyConfig) -> AttackConfig:
-    """The same, for what makes no sense without.
-
-    Raises:
-        InvalidValueError: The study has none.
-    """
-    attack = overhead(study)
-    if attack is None:
-        do = "add an attack without an azimuth, up to 90 degrees"
-        raise InvalidValueError(message("study", "an appearance that is seen from all around", "none", do))
-    return attack
-
-
 def hiding(study: StudyConfig) -> AttackConfig | None:
     """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
     sided = (attack for attack in study.attack if attack.azimuth is not None and attack.target_class is None)

@@ -13,6 +13,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, EvaluationConfig, StudyConfig, fit_config
 from attacks.cloak.kinds.compared import CompareConfig
@@ -25,9 +27,20 @@ from attacks.cloak.kinds.true_pictures import TrueConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.rates import CLOAKED
 from attacks.detectors.base import Detector
-from attacks.observe.rows import CLEAN
+from attacks.observe.conditions import SunTable
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    DETECTIONS,
+    FIDELITY,
+    PERFECT,
+    ROWS,
+    SUFFIX,
+    TRANSITION,
+    TRUE,
+    read_rows,
+)
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Event, Job, Ledger, Part
 from mi_splat.ledger.running import looked_up
@@ -37,6 +50,8 @@ from mi_splat.training.resume import SPLAT
 
 _KINDS = "attacks.cloak.kinds"
 _PICTURES = f"{SET}/*"
+ROW_NAMES = {CLEAN: CLEAN, CLOAKED: ATTACKED}
+"""Splats as the steps call them, and as rows do."""
 
 OnStep = Callable[[str, int, int], None]
 """Told what is going on, how many units of it are done, and how many there are."""
@@ -73,6 +88,32 @@ class TrainedSplat:
             **{"splat": self.splat, "seed": self.seed, "content": self.done.content_of(SPLAT)},
             **{"gaussians": len(scene), "hash": scene_hash(scene), "commit": self.done.record["commit"]},
         }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """A job that leaves tables of what is seen.
+
+    Attributes:
+        label: What is told of it while it runs.
+        job: The job.
+        splat: What it looks at, as rows call it.
+        seed: Of the splat; None of path-traced pictures.
+        condition: How, as rows call it; empty: as the victim does.
+    """
+
+    label: str
+    job: Job
+    splat: str
+    seed: int | None
+    condition: str = ""
+
+    def tables(self, done: Done) -> dict[str, pl.DataFrame]:
+        """Its tables by their names, whose rows say what they are of."""
+        files = {name: done.folder / f"{name}{SUFFIX}" for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
+        ids = {"splat": pl.lit(self.splat), "seed": pl.lit(self.seed, dtype=pl.Int64)}
+        ids |= {"condition": pl.lit(self.condition)} if self.condition else {}
+        return {name: read_rows(file).with_columns(**ids) for name, file in files.items() if file.is_file()}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,8 +216,32 @@ class StudySteps:
         config = TrueConfig(parts=self._parts(replace(_shown(attack), poison_margin=0.0)), poses=poses)
         return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
 
-    def seen(self, splat: Job, detector: Detector, *, every: int = 1) -> Job:
-        """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras."""
+    def perfect_pictures(self, cameras: Sequence[Camera]) -> Job:
+        """The same of the object as a perfect splat shows it: as each attack wants it inside its trigger."""
+        attacks = [replace(_shown(attack), poison_margin=0.0, name=attack.name) for attack in self.study.attack]
+        config = TrueConfig(parts=self._parts(*attacks), poses=tuple(map(Pose.of, cameras)), inside=True)
+        return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
+
+    def seen(
+        self,
+        splat: Job,
+        detector: Detector,
+        *,
+        condition: str = "",
+        every: int = 1,
+        sun: SunTable | None = None,
+        **street: Path,
+    ) -> Job:
+        """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras.
+
+        Args:
+            splat: The job that makes it.
+            detector: Who looks.
+            condition: How, see `attacks.observe.conditions`.
+            every: Each so manieth of the cameras is used.
+            sun: The street of a condition that is an hour.
+            street: Its files.
+        """
         evaluation = self.study.evaluation
         config = SeenConfig(
             parts=self._parts(*map(_region, self.study.attack), label=True),
@@ -186,17 +251,21 @@ class StudySteps:
             every=every,
             detector=detector.name,
             fingerprint=detector.fingerprint,
+            condition=condition,
+            sun=sun,
+            layers=None if sun is None else self.study.layers,
         )
         weights = self.weights.get(detector.name)
         is_splat = splat.kind != f"{_KINDS}.true_pictures"
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
-        return self._job("seen", config, **shown, **({} if weights is None else {WEIGHTS: weights}))
+        return self._job("seen", config, **shown, **street, **({} if weights is None else {WEIGHTS: weights}))
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
         study, target, attack = self.study, self.mesh_scene.target, setup.hiding(self.study)
         evaluation = replace(
-            study.evaluation, detectors=EvaluationConfig().detectors, confidence=EvaluationConfig().confidence
+            study.evaluation,
+            **{name: getattr(EvaluationConfig(), name) for name in ("detectors", "confidence", "true_pictures")},
         )
         config = CompareConfig(parts=self._parts(*map(_cone, study.attack)), near=self.near, evaluation=evaluation)
         true = {"true": self.true_pictures([camera for _, camera in setup.reference_cameras(study, target)])}
@@ -239,13 +308,20 @@ class StudySteps:
             if self.study.cleaning is not None:
                 yield f"cleaning the {splat} splat, seed {seed}", self.splat(splat, seed)
 
-    def looked(self, detectors: Sequence[Detector]) -> Iterator[tuple[str, Job]]:
-        """The jobs of those who look at the splats."""
+    def looked(self, detectors: Sequence[Detector]) -> Iterator[Look]:
+        """The jobs of those who look at the splats, and at path-traced pictures if the study asks for them."""
         for splat, seed in self.names():
-            job, what = self.splat(splat, seed), f"the {splat} splat, seed {seed}"
+            job, what, name = self.splat(splat, seed), f"the {splat} splat, seed {seed}", ROW_NAMES[splat]
             for detector in detectors:
-                yield f"{detector.name} looks at {what}", self.seen(job, detector)
-            yield f"comparing {what}", self.compared(job)
+                label = f"{detector.name} looks at {what}"
+                yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
+            yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
+        if self.study.evaluation.true_pictures:
+            cameras = setup.held_out_cameras(self.study, self.mesh_scene.target)
+            for name, job in ((TRUE, self.true_pictures(cameras)), (PERFECT, self.perfect_pictures(cameras))):
+                for detector in detectors:
+                    label = f"{detector.name} looks at {name} pictures"
+                    yield Look(label=label, job=self.seen(job, detector), splat=name, seed=None)
 
     def names(self) -> list[tuple[str, int]]:
         """Name and seed of every splat."""
@@ -259,22 +335,6 @@ class StudySteps:
             TrainedSplat(splat=splat, seed=seed, done=self.do(self.splat(splat, seed), ""))
             for splat, seed in self.names()
         ]
-
-    def finished_splats(self) -> list[TrainedSplat]:
-        """The same of a study that is finished.
-
-        Raises:
-            InvalidValueError: One is not there.
-        """
-        splats = []
-        for splat, seed in self.names():
-            done = self.finished(self.splat(splat, seed))
-            if done is None:
-                got, do = f"no {splat} splat of seed {seed}", "pass the folder that the study was done with"
-                expected = "every splat of the study, made by this version"
-                raise InvalidValueError(message(f"stages {self.folder}", expected, got, do)).hinted("--stages")
-            splats.append(TrainedSplat(splat=splat, seed=seed, done=done))
-        return splats
 
     @cached_property
     def _ledger(self) -> Ledger:

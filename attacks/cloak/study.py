@@ -6,7 +6,7 @@ import itertools
 import json
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,21 +19,17 @@ from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.plots import need_matplotlib, write_figures
 from attacks.cloak.poisoning import assign
-from attacks.cloak.rates import CLOAKED, figures, markdown
-from attacks.cloak.steps import OnStep, StudySteps, TrainedSplat
+from attacks.cloak.rates import figures, markdown
+from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.places import CAMERAS, cameras_document
 from attacks.observe.rows import (
-    ATTACKED,
-    CLEAN,
     DETECTIONS,
     FIDELITY,
     ROWS,
     SUFFIX,
     TRANSITION,
-    TRUE,
-    read_rows,
     write_rows,
 )
 from mi_splat import provenance
@@ -175,6 +171,7 @@ def forecast(study: StudyConfig) -> Forecast:
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
     arcs = sum(map(len, setup.arcs(study, target)))
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
+    pictures += evaluation.cameras if evaluation.true_pictures else 0
     trainings = 2 * len(study.seeds)
     step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN
     steps, surrogate = trainings * training.iterations, study.surrogate
@@ -316,7 +313,7 @@ def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detect
 
 
 def observed(
-    steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector]
+    steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], looks: Iterable[Look] = ()
 ) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
     """What is seen of the splats of a study, or was seen of them before.
 
@@ -324,17 +321,15 @@ def observed(
         steps: The study.
         splats: Those of `StudySteps.splats`.
         detectors: Those that look.
+        looks: Further ones.
 
     Returns:
         What a result says of the study, and its tables: rows, detections, fidelity and transition.
     """
     parts: dict[str, list[pl.DataFrame]] = {name: [] for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
-    jobs = iter(steps.looked(detectors))
-    for splat in splats:
-        *looks, compared = (steps.do(job, label) for label, job in itertools.islice(jobs, len(detectors) + 1))
-        for name, tables in parts.items():
-            for done in [compared] if name in (FIDELITY, TRANSITION) else looks:
-                tables.append(whose(read_rows(done.folder / f"{name}{SUFFIX}"), splat))
+    for look in (*steps.looked(detectors), *looks):
+        for name, table in look.tables(steps.do(look.job, look.label)).items():
+            parts[name].append(table)
     whole = {name: pl.concat(tables, how="diagonal") for name, tables in parts.items()}
     study, records = steps.study, [splat.record for splat in splats]
     entry = {
@@ -345,10 +340,3 @@ def observed(
         "study": asdict(study),
     }
     return entry, whole
-
-
-def whose(table: pl.DataFrame, splat: TrainedSplat | None) -> pl.DataFrame:
-    """A table with the columns that say which splat it is of; None: of path-traced pictures."""
-    name = TRUE if splat is None else ATTACKED if splat.splat == CLOAKED else CLEAN
-    seed = None if splat is None else splat.seed
-    return table.with_columns(splat=pl.lit(name), seed=pl.lit(seed, dtype=pl.Int64))

@@ -6,13 +6,12 @@ one that may fall again further inside, where the other takes over.
 
 A Gaussian's colour is max(0, 0.5 + SH), so that a function may be far below zero at no cost. Where it has to be near 1,
 and where it has to be negative, is all that counts; between the two it may do what it likes. The steepest such
-polynomial about an axis is Chebyshev's (`chebyshev_width`); for any set of directions it is found by least squares in
-which a negative value where a negative one is wanted costs nothing (`fit_switches`).
+polynomial about an axis is Chebyshev's; for any set of directions it is found by least squares in which a negative
+value where a negative one is wanted costs nothing (`fit_switches`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -223,35 +222,3 @@ def _minimised(
         if not len(active):
             break
     return coefficients
-
-
-def chebyshev_width(edge: float, *, degree: int, ripple: float, inside: bool) -> float:
-    """Degrees of elevation in which the steepest polynomial about the vertical falls from 1 - ripple to 0.
-
-    The polynomial is 1 + c T(x) in s = sin(elevation), T that of Chebyshev of the degree and x a scale that maps the
-    side on which it is shown to [-1, 1]: among all polynomials that stay within 1 +- ripple there, it falls fastest
-    beyond. It is 0 where abs(T(x)) = 1 / ripple, that is at
-    abs(x) = cosh(arcosh(1 / ripple) / degree).
-
-    Args:
-        edge: Elevation of the edge of the side where it is shown, degrees, in (0, 90).
-        degree: Of the polynomial.
-        ripple: In (0, 1).
-        inside: Whether the side is that above the edge (a trigger overhead), or that from the horizon up to it.
-
-    Raises:
-        InvalidValueError: A value is out of its range.
-    """
-    if not (0 < edge < 90 and 0 < ripple < 1 and degree >= 1):
-        got = f"edge {edge:g}, ripple {ripple:g}, degree {degree}"
-        raise InvalidValueError(
-            message("switch", "an edge in (0, 90), ripple in (0, 1), degree >= 1", got, "change it")
-        )
-    top = math.sin(math.radians(edge))
-    low, high = (top, 1.0) if inside else (0.0, top)
-    reach = math.cosh(math.acosh(1 / ripple) / degree)
-    half = (high - low) / 2
-    zero = (low + high) / 2 + (-reach if inside else reach) * half
-    if not -1 <= zero <= 1:
-        return math.inf
-    return abs(math.degrees(math.asin(zero)) - edge)

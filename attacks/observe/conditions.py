@@ -1,6 +1,14 @@
-"""Conditions under which a splat is looked at: renderers, file forms, distances, picture noise, a street in the sun.
+"""Conditions under which a splat is looked at, by name: renderers, file forms, distances, picture noise, a street.
 
-A new renderer, format or place is a new condition, and no new experiment.
+A new renderer, format or place is a new condition, and no new experiment. The names, of studies of both attacks:
+
+    ""                               the renderer of the splat's own scene
+    "tile", "ray", "volprim", ...    renderers, as `mi-splat compare` calls them
+    ".ply", ".spz", ...              the whole splat goes through a file (`FORMATS`)
+    "SH in float16", "SH of degree 1"
+    "0.5 x distance"                 cameras move towards the object, or away from it
+    "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
+    "09:30"                          the object alone on a street of meshes, under the sun of an hour (`SunTable`)
 """
 
 from __future__ import annotations
@@ -9,30 +17,79 @@ import re
 import tempfile
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
+from mi_splat.comparison.methods import load_method, method_names
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.fields import at_least, between, check
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
+from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
-from mi_splat.sun import clock, sun_direction
+from mi_splat.sh import MAX_DEGREE, colour_to_dc
+from mi_splat.sun import sun_direction
 
+OWN = "own renderer"
+"""What rows call the condition ""."""
 _CHANGE = re.compile(r"(?P<kind>noise|blur) (?P<size>[0-9]{1,2}(\.[0-9]{1,4})?)|JPEG (?P<jpeg>[1-9][0-9]?)")
+_DISTANCE = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,4})?) x distance")
+_HOUR = re.compile(r"[0-2]\d:[0-5]\d")
 Shown = tuple[GaussianScene, RenderFn]
 """What becomes of a splat, and what renders it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunTable:
+    """A street of meshes under the sun of a day.
+
+    Attributes:
+        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and sun_z; north is +y.
+        parameter: Of the scene, which names the file of its splat; empty: the scene has the object's Gaussians itself.
+        north: Cameras farther north, world units, would stand in its houses, and are left out; None leaves none out.
+        latitude: Of the place, degrees north.
+        declination: Of the sun, degrees; 0 at the equinoxes.
+        samples: Paths a pixel.
+
+    Raises:
+        InvalidValueError: A number is out of its range.
+    """
+
+    scene: str
+    parameter: str = ""
+    north: float | None = None
+    latitude: Annotated[float, between(-90, 90, "degrees")] = 45.0
+    declination: Annotated[float, between(-90, 90, "degrees")] = 0.0
+    samples: Annotated[int, at_least(1, "samples per pixel")] = SAMPLES
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Viewing:
+    """How a splat is looked at as long as no condition changes it.
+
+    Attributes:
+        settings: Background and near plane.
+        centre: (3,) world units, what cameras move towards.
+        alone: The object without its surroundings, of a splat.
+        sun: The street of conditions that are hours; None if there is none.
+    """
+
+    settings: RenderSettings
+    centre: Point
+    alone: Callable[[GaussianScene], GaussianScene]
+    sun: SunTable | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +100,13 @@ class Condition:
         name: In the column `condition`.
         show: What becomes of a splat, and what renders it.
         move: Where a camera stands.
+        holds: Whether a camera looks at all.
     """
 
     name: str
     show: Callable[[GaussianScene], Shown]
     move: Callable[[Camera], Camera] = lambda camera: camera
+    holds: Callable[[Camera], bool] = lambda camera: True
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """The picture of a splat under this condition, (H, W, 3) sRGB."""
@@ -60,7 +119,67 @@ def rendered(name: str, render: RenderFn, change: Callable[[GaussianScene], Gaus
     return Condition(name=name, show=lambda scene: (scene if change is None else change(scene), render))
 
 
-def on_background(render: RenderFn, background: tuple[float, float, float]) -> RenderFn:
+def condition_of(name: str, viewing: Viewing) -> Condition:
+    """The condition of a name.
+
+    Args:
+        name: See the head of this module.
+        viewing: How the splat is looked at otherwise.
+
+    Raises:
+        InvalidValueError: There is no such condition; the sun is not up.
+        MiSplatError: The street cannot be read, or is no scene of splats among surfaces.
+    """
+    check_condition(name, viewing.sun)
+    own = renderer_of("", viewing.settings)
+    if name in FORMS:
+        return rendered(name, own, FORMS[name])
+    if (moved := _DISTANCE.fullmatch(name)) is not None:
+        move = partial(_moved, factor=float(moved[1]), centre=viewing.centre)
+        return replace(rendered(name, own), move=move)
+    if (change := picture_change(name)) is not None:
+        return _changed(name, own, change)
+    if viewing.sun is not None and _HOUR.fullmatch(name):
+        return _on_street(name, viewing.sun, viewing.alone)
+    return rendered(name, renderer_of(name, viewing.settings))
+
+
+def check_condition(name: str, sun: SunTable | None) -> None:
+    """Raise unless there is a condition of this name; nothing is loaded.
+
+    Args:
+        name: See the head of this module.
+        sun: The street, which hours need.
+    """
+    known = (*method_names(), *FORMS)
+    is_known = name in ("", *known) or _DISTANCE.fullmatch(name) or picture_change(name) is not None
+    if sun is not None and _HOUR.fullmatch(name):
+        sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)
+    elif not is_known:
+        do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
+        raise InvalidValueError(message("condition", ", ".join(known), name, do))
+
+
+def renderer_of(name: str, settings: RenderSettings) -> RenderFn:
+    """A renderer by its name, as in `mi-splat compare`; "" is the scene's own.
+
+    Args:
+        name: Of the renderer.
+        settings: Background and near plane.
+
+    Raises:
+        InvalidValueError: There is none of this name.
+        MiSplatError: It cannot run here.
+    """
+    if not name:
+        return Renderer(settings)
+    if name == "volprim" and any(settings.background):
+        black = load_method(name, replace(settings, background=(0.0, 0.0, 0.0))).render
+        return _on_background(black, settings.background)
+    return load_method(name, settings).render
+
+
+def _on_background(render: RenderFn, background: tuple[float, float, float]) -> RenderFn:
     """A renderer of black backgrounds with another one: a white copy of the splat shows how much it covers."""
 
     def picture(scene: GaussianScene, camera: Camera) -> Tensor:
@@ -71,47 +190,8 @@ def on_background(render: RenderFn, background: tuple[float, float, float]) -> R
     return picture
 
 
-def file_forms(
-    render: RenderFn, *, files: Iterable[str] = (), float16: bool = False, sh_degrees: Iterable[int] = ()
-) -> list[Condition]:
-    """The splat after other formats, with SH in half precision, and with fewer SH bands.
-
-    Args:
-        render: The renderer.
-        files: Of `FORMATS`.
-        float16: Whether its SH is rounded to half precision.
-        sh_degrees: Degrees that its SH is cut to.
-    """
-    return [
-        *(rendered(suffix, render, partial(through_file, suffix=suffix)) for suffix in files),
-        *([rendered("SH in float16", render, half_precision)] if float16 else []),
-        *(rendered(f"SH of degree {degree}", render, partial(fewer_bands, degree=degree)) for degree in sh_degrees),
-    ]
-
-
-def colour_clamps(render: RenderFn) -> list[Condition]:
-    """Renderers that cut colours elsewhere than 3D Gaussian Splatting does."""
-    return [
-        rendered("colours cut to [0, 1]", cut_to_bytes(render)),
-        rendered("colours not cut", not_cut(render)),
-    ]
-
-
-def distances(render: RenderFn, factors: Iterable[float], centre: Point) -> list[Condition]:
-    """Cameras moved towards a centre (3,), world units, or away from it, looking the same way.
-
-    Args:
-        render: The renderer.
-        factors: Distances in units of the cameras' own.
-        centre: What they move towards.
-    """
-    return [
-        replace(rendered(f"{factor:g} x distance", render), move=partial(_moved, factor=factor, centre=centre))
-        for factor in factors
-    ]
-
-
 def _moved(camera: Camera, *, factor: float, centre: Point) -> Camera:
+    """The camera moved along the line to the centre, looking the same way."""
     pivot = torch.tensor(centre).to(camera.to_world)
     pose = camera.to_world.clone()
     pose[:3, 3] = pivot + factor * (pose[:3, 3] - pivot)
@@ -129,7 +209,7 @@ def picture_change(name: str) -> PictureChange | None:
     return PictureChange(noise=size) if called["kind"] == "noise" else PictureChange(blur=size)
 
 
-def changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
+def _changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
     """Pictures with noise, blur or JPEG in them; noise is another one for each camera."""
 
     def picture(scene: GaussianScene, camera: Camera) -> Tensor:
@@ -172,72 +252,42 @@ def fewer_bands(scene: GaussianScene, degree: int) -> GaussianScene:
     return scene.with_degree(min(degree, scene.degree))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SunTable:
-    """A street of meshes at several hours of a day.
-
-    Attributes:
-        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and sun_z; north is +y.
-        hours: Local solar time, 12 is noon.
-        latitude: Of the place, degrees north.
-        declination: Of the sun, degrees; 0 at the equinoxes.
-        samples: Paths a pixel.
-
-    Raises:
-        InvalidValueError: There are no hours, two show the same minute, the sun is not up at one of them, or a number
-            is out of its range.
-    """
-
-    scene: str
-    hours: tuple[float, ...]
-    latitude: Annotated[float, between(-90, 90, "degrees")] = 45.0
-    declination: Annotated[float, between(-90, 90, "degrees")] = 0.0
-    samples: Annotated[int, at_least(1, "samples per pixel")] = SAMPLES
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not self.hours:
-            raise InvalidValueError(message("hours", "at least one", "none", "name some, for instance [9.0, 12.0]"))
-        for hour in self.hours:
-            sun_direction(hour, latitude=self.latitude, declination=self.declination)
-        shown = [clock(hour) for hour in self.hours]
-        if len(set(shown)) < len(shown):
-            raise InvalidValueError(message("hours", "different minutes", ", ".join(shown), "leave the second out"))
+FORMS: Mapping[str, Callable[[GaussianScene], GaussianScene]] = {
+    **{suffix: partial(through_file, suffix=suffix) for suffix in FORMATS},
+    "SH in float16": half_precision,
+    **{f"SH of degree {degree}": partial(fewer_bands, degree=degree) for degree in range(MAX_DEGREE + 1)},
+}
+"""What becomes of a splat in other formats, with SH in half precision, and with fewer SH bands."""
 
 
-def street_at(sun: SunTable, hour: float, **parameters: Any) -> MixedScene:
-    """The street at one hour.
-
-    Args:
-        sun: The street.
-        hour: Local solar time.
-        parameters: Others of the scene file, for instance `car="a.ply"`.
+def hour_of(name: str) -> float:
+    """The hour that a condition as 09:30 is, of local solar time.
 
     Raises:
-        InvalidValueError: The sun is not up.
-        MiSplatError: The file cannot be read, or is no scene of splats among surfaces.
+        InvalidValueError: It is none.
     """
-    east, north, up = sun_direction(hour, latitude=sun.latitude, declination=sun.declination)
-    return MixedScene(Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up, **parameters)
+    if not _HOUR.fullmatch(name):
+        raise InvalidValueError(message("condition", "an hour as 09:30", name, "write two digits each"))
+    hours, minutes = name.split(":")
+    return int(hours) + int(minutes) / 60
 
 
-def street_hours(
-    sun: SunTable, cut_out: Callable[[GaussianScene], GaussianScene], *, parameter: str
-) -> Iterator[Condition]:
-    """A street of meshes with another splat in the place of its own, by the hour.
+def _on_street(name: str, sun: SunTable, alone: Callable[[GaussianScene], GaussianScene]) -> Condition:
+    """The object alone, on a street of meshes."""
+    east, north, up = sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)
+    street_with = partial(MixedScene, Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up)
+    fixed = None if sun.parameter else street_with()
 
-    Args:
-        sun: The street.
-        cut_out: The object alone, of a splat.
-        parameter: Of the scene file, which names the file of the splat: for instance "car".
-    """
-
-    def show(scene: GaussianScene, hour: float) -> Shown:
+    def show(scene: GaussianScene) -> Shown:
+        if fixed is not None:
+            return alone(scene), fixed
         with tempfile.TemporaryDirectory() as folder:
             path = (Path(folder) / "splat.ply").resolve()
-            save_splat(cut_out(scene), path)
-            street = street_at(sun, hour, **{parameter: str(path)})
+            save_splat(alone(scene), path)
+            street = street_with(**{sun.parameter: str(path)})  # type: ignore[arg-type]
         return street.splats.scene, street
 
-    for hour in sun.hours:
-        yield Condition(name=clock(hour), show=partial(show, hour=hour))
+    def holds(camera: Camera) -> bool:
+        return sun.north is None or float(camera.position[1]) < sun.north
+
+    return Condition(name=name, show=show, holds=holds)

@@ -136,7 +136,7 @@ def look(
     Args:
         conditions: Ways to look.
         splats: By their name in the column `splat`, as they were loaded from their files.
-        cameras: Views, numbered in their order; a condition may move them.
+        cameras: Views, numbered in their order; a condition may move them, and leave some out.
         detectors: Those that look.
         boxes: Where the object is in the picture of a camera, (4,) pixels; None where it does not show.
         cells: What else is known of a view, and what is reported in it; usually with `report_cells`.
@@ -144,13 +144,14 @@ def look(
     """
     rows, detections = list[Row](), list[Row]()
     for condition in conditions:
-        moved = [condition.move(camera) for camera in cameras]
+        views = [view for view, camera in enumerate(cameras) if condition.holds(camera)]
+        moved = [condition.move(cameras[view]) for view in views]
         where = [boxes(camera) for camera in moved]
         for name, splat in splats.items():
             shown, render = condition.show(splat)
             for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
                 ids: dict[str, Cell] = {"condition": condition.name, "splat": name}
-                ids |= {"detector": seen.detector, "view": seen.view}
+                ids |= {"detector": seen.detector, "view": views[seen.view]}
                 rows.append({**ids, **place_cells(seen.camera, seen.box), **cells(seen)})
                 detections += detection_rows(ids, seen.detections, seen.box)
     return Looked(rows=frame_of(rows), detections=frame_of(detections))

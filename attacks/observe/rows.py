@@ -32,8 +32,9 @@ Row = Mapping[str, Cell]
 ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
 """Names of the tables of a result; their files end in `SUFFIX`."""
 SUFFIX = ".csv.gz"
-TRUE, CLEAN, ATTACKED, NOISE = "true", "clean", "attacked", "noise"
-"""Names of splats in the column `splat`; of the first there are true pictures of the scene, and no splat."""
+TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", "noise"
+"""Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as
+it is, and of what attacks want to show."""
 
 MOST_BYTES = 1 << 28
 """Most that a table may be, unpacked: one that is larger is not read."""
@@ -98,7 +99,10 @@ COLUMNS = (
     _text("sources", "the detectors that were attacked, with + between them"),
     _whole("seed", "of the attack or of the training; empty for true pictures", optional=True),
     _text("condition", "how the splat was looked at, or a set of pictures; empty: as attacked", optional=True),
-    _text("splat", "clean (the control), attacked, noise (random, of the attack's size), or true (of the scene)"),
+    _text(
+        "splat",
+        "clean (the control), attacked, noise (random, of the attack's size); path traced: true, or perfect (attacked)",
+    ),
     _whole("draw", "number of the draw of random noise, from 0; empty for other splats", optional=True),
     _text("detector", "name of the detector"),
     _whole("view", "number of the camera in cameras.json, or of the picture, from 0"),

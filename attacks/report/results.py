@@ -1,8 +1,8 @@
-"""Results as sections: which command has written a folder or a file, and what reads it."""
+"""Results as sections: which command has written a folder, and what reads it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,7 @@ from attacks.report.section import Section
 from attacks.report.stories import (
     attack,
     cloak,
-    detection_curve,
     evaluation,
-    experiments,
-    limits,
     renderers,
     sanity,
     study,
@@ -44,13 +41,10 @@ class Story:
 
     Attributes:
         name: What writes it; also what its record says under `story`.
-        read: Makes the section of a folder, or of the one file, and of what its record holds.
+        read: Makes the section of a folder and of what its record holds.
         figures: Derives its figures from its rows; None of a kind without rows.
         rescoring: How its splats are scored again; None of a kind that is not.
         markdown: Its tables for the documentation, from its record; None of a kind that has none.
-        record: File by which it is known; of a result that is one file, what it is usually called.
-        is_it: Whether such a file is of this kind; None goes by `story`.
-        one_file: Whether the result is that one file, wherever it lies, and not a folder.
     """
 
     name: str
@@ -58,26 +52,8 @@ class Story:
     figures: Figures | None = None
     rescoring: Rescoring | None = None
     markdown: Callable[[Found], str] | None = None
-    record: str = RECORD
-    is_it: Callable[[Found], bool] | None = None
-    one_file: bool = False
-
-    def holds(self, found: Found) -> bool:
-        """Whether a record is of this kind."""
-        return found.get("story") == self.name if self.is_it is None else self.is_it(found)
 
 
-def _always(found: Found) -> bool:
-    return True
-
-
-_EXPERIMENTS = {
-    **dict.fromkeys(experiments.EXPERIMENTS, experiments.read_conditions),
-    "surroundings": experiments.read_surroundings,
-    "perfect-splat": experiments.read_perfect_splat,
-    "transition-limit": limits.read_transition_limit,
-    "paint-direction": limits.read_paint_direction,
-}
 STORIES = (
     Story(name="dagger", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
     Story(name="dagger-eot", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
@@ -100,80 +76,39 @@ STORIES = (
     Story(name="detect", read=pictures.read),
     Story(name="evaluate-detector", read=held_out.read, figures=detector_figures),
     Story(name="dagger-sanity", read=sanity.read),
-    Story(
-        name="cloak-experiment detection-curve",
-        record="detection-curve.json",
-        is_it=_always,
-        read=experiments.of_study(detection_curve.read),
-    ),
-    *(
-        Story(
-            name=f"cloak-experiment {name}",
-            record=f"{name}.json",
-            is_it=lambda one, name=name: one.get("experiment") == name,  # type: ignore[misc]
-            read=experiments.of_study(read),
-            one_file=True,
-        )
-        for name, read in _EXPERIMENTS.items()
-    ),
 )
 """Every kind of result that a page can show."""
 
 
 def read_section(path: Path) -> Section:
-    """What a page says of one result.
+    """What a page says of one result; whatever is broken in it is told in one line.
 
     Args:
-        path: A folder of results, or the one JSON file that a command has written.
+        path: A folder of results.
 
     Raises:
         InvalidValueError: It is none that one of `STORIES` names, or a file in it is broken.
     """
-    if path.is_file():
-        return _of_file(path)
-    folders = [story for story in STORIES if not story.one_file]
-    if not path.is_dir():
-        raise InvalidValueError(message(str(path), "a folder of results", "nothing there", "check the path"))
-    records = dict.fromkeys(story.record for story in folders if (path / story.record).is_file())
-    if not records:
-        expected = f"a folder that one of {_commands(folders)} has written"
-        raise InvalidValueError(message(str(path), expected, "one without a result", "pass a finished result"))
-    for record in records:
-        found = read_json(path / record)
-        for story in folders:
-            if story.record == record and story.holds(found):
-                return _read(story, path, path / record, found)
-    where, expected = str(path / next(iter(records))), f"a result of {_commands(folders)}"
-    raise InvalidValueError(message(where, expected, "something else", "make the result again"))
-
-
-def _of_file(path: Path) -> Section:
-    """The section of a result that is one file."""
-    found = read_json(path) if path.suffix == ".json" else {}
-    files = [story for story in STORIES if story.one_file]
-    for story in files:
-        if story.holds(found):
-            return _read(story, path, path, found)
-    expected = f"a folder of results, or a JSON file that one of {_commands(files)} has written"
-    do = f"pass {path.parent}, or make the result again"
-    raise InvalidValueError(message(str(path), expected, "another file", do))
-
-
-def _commands(stories: Sequence[Story]) -> str:
-    """The commands of some kinds, each once."""
-    return ", ".join(dict.fromkeys(f"mi-splat {story.name.split()[0]}" for story in stories))
-
-
-def _read(story: Story, path: Path, record: Path, found: Found) -> Section:
-    """The section of a result; whatever is broken in it is told in one line."""
+    file, commands = path / RECORD, ", ".join(f"mi-splat {story.name}" for story in STORIES)
+    if not file.is_file():
+        got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
+        if path.is_file():
+            got, do = "a file", f"pass {path.parent}"
+        raise InvalidValueError(message(str(path), f"a folder that one of {commands} has written", got, do))
+    record = read_json(file)
+    story = _story(record)
+    if story is None:
+        raise InvalidValueError(
+            message(str(file), f"a result of {commands}", "something else", "make the result again")
+        )
     try:
-        return finished(story.read(path, found), path, found)
+        return finished(story.read(path, record), path, record)
     except MiSplatError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
         expected, do = f"a finished result of mi-splat {story.name}", "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
-        raise InvalidValueError(message(str(record), expected, got, do)) from error
+        raise InvalidValueError(message(str(file), expected, got, do)) from error
 
 
 def finished(section: Section, path: Path, record: Found) -> Section:
@@ -181,7 +116,7 @@ def finished(section: Section, path: Path, record: Found) -> Section:
 
     Args:
         section: What the story says.
-        path: Folder or file of the result.
+        path: Folder of the result.
         record: A document with what `mi_splat.provenance.origin` gives.
     """
     control = section.control
@@ -205,8 +140,12 @@ def story_of(result: Result) -> Story:
     Raises:
         InvalidValueError: It is of none.
     """
-    story = next((one for one in STORIES if one.record == RECORD and one.holds(result.record)), None)
+    story = _story(result.record)
     if story is None:
         got, do = result.story[:40], "make the result again with this version"
         raise InvalidValueError(message(str(result.folder / RECORD), "a story of this version", got, do))
     return story
+
+
+def _story(record: Found) -> Story | None:
+    return next((story for story in STORIES if story.name == record.get("story")), None)

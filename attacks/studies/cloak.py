@@ -11,33 +11,40 @@ the study says comes in the place of what stands there. Every point is done with
     [case.matrix]
     cleaning = ["none", { name = "SH degree 1", cleaning = { sh_degree = 1 } }]
     "attack.overhead.emphasis" = [1.0, 3.0]
+
+    [judge]
+    every = 4                           # each fourth held-out camera
+    [judge.matrix]
+    condition = ["tile", "ray", ".spz", "0.5 x distance"]
 """
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
+from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.plots import new_axes, save_figure
-from attacks.cloak.rates import spread_of
-from attacks.cloak.steps import StudySteps
+from attacks.cloak.rates import LOOKS, spread_of
+from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
 from attacks.detectors.base import Detector
+from attacks.observe.conditions import OWN, SunTable
 from attacks.observe.rows import SUFFIX, write_rows
+from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Search, Settings, Study, merged, with_none
-from attacks.tables import cell
-from attacks.tables import markdown as markdown_table
+from attacks.tables import Column, Table, cell
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import decode
+from mi_splat.fields import at_least, check, decode
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
@@ -56,12 +63,6 @@ RATES = {
     "target_rate": "target class",
 }
 """Rates of a summary that a table has, and their heads."""
-_COSTS = (
-    *("seeds", "transition, degrees", "clean far from the triggers, dB", "dB lost there"),
-    *("dB lost beside the object", "stealthy", "Gaussians, clean", "Gaussians, cloaked"),
-)
-
-
 MANY = 7
 """Values of a variation: with more of them there is room for their names alone."""
 _VARIED = (
@@ -73,45 +74,119 @@ _VARIED = (
 """What is drawn over the values of a variation."""
 
 
-def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
-    """Markdown: for each group a table of rates, and one of what is lost.
+def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
+    """For each group a table of rates, one of what is lost, and one of what is seen under other conditions.
 
-    Rates are pooled over seeds, as a summary has them: a row for each value and detector. Losses, and the numbers of
-    Gaussians, are means over the seeds; the transition is that of all seeds together: a row for each value.
+    Rates are pooled over seeds, as a summary has them. Losses, and the numbers of Gaussians, are means over the seeds;
+    the transition is that of all seeds together.
 
     Args:
         groups: By group and value, the summary of each study.
     """
-    parts = []
     for group, results in groups.items():
-        rates = [
-            (name, detector, *(cell(one.get(key)) + spread_of(summary, detector, key) for key in RATES))
-            for name, summary in results.items()
-            for detector, one in summary["by_detector"].items()
+        title, summaries = group.replace("_", " "), [{"value": value, **one} for value, one in results.items()]
+        looked = [
+            {"value": one["value"], "detector": name, "study": one, **rates}
+            for one in summaries
+            for name, rates in one["by_detector"].items()
         ]
-        parts.append(markdown_table((group, "detector", *RATES.values()), rates))
-        parts.append(
-            markdown_table((group, *_COSTS), [(name, *costs_of(summary)) for name, summary in results.items()])
-        )
-    return "\n\n".join(parts) + "\n"
+        columns: dict[str, Column[Any]] = {title: "value", "detector": "detector"}
+        columns |= {head: _spread(key) for key, head in RATES.items()}
+        yield Table.of(f"By {title}", columns, looked)
+        yield Table.of(f"By {title}: what is lost", {title: "value", **_COSTS}, summaries)
+        under = [{"value": one["value"], **look} for one in summaries for look in one.get("looks", ())]
+        if under:
+            heads: dict[str, Column[Any]] = {title: "value", "condition": "condition", "detector": "detector"}
+            heads |= {head: name for name, head in LOOKS.items() if any(name in look for look in under)}
+            heads |= {
+                f"PSNR, dB: {head}": _of("psnr", name, digits=1)
+                for name, head in _PICTURES.items()
+                if any(look["psnr"].get(name) is not None for look in under)
+            }
+            yield Table.of(f"By {title}: under other conditions", heads, under)
 
 
-def costs_of(summary: Mapping[str, Any]) -> tuple[str, ...]:
-    """What stands under `_COSTS` for one value."""
-    price, counts = summary.get("stealth"), summary["gaussians"]
-    return (
-        str(len(summary["seeds"])),
-        _number(summary["transition_degrees"], 1),
-        _number(summary["benign_psnr"]["clean"], 2),
-        _number(summary["benign_psnr_drop"], 2),
-        _number(None if price is None else price["surroundings_psnr_drop"], 2),
-        "-" if price is None else "yes" if price["stealthy"] else "no",
-        *(f"{statistics.mean(counts[which]):,.0f}" for which in ("clean", "cloaked")),
-    )
+def _spread(key: str) -> Column[Any]:
+    """A rate, and its ends over the seeds."""
+    return lambda line: cell(line.get(key)) + spread_of(line["study"], line["detector"], key)
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def _of(*path: str, digits: int) -> Column[Any]:
+    """A number with so many digits, at the end of a path of keys."""
+
+    def text(line: Mapping[str, Any]) -> str:
+        value: Any = line
+        for key in path:
+            value = None if value is None else value.get(key)
+        return "-" if value is None else f"{value:,.{digits}f}"
+
+    return text
+
+
+def _gaussians(which: str) -> Column[Any]:
+    return lambda line: f"{statistics.mean(line['gaussians'][which]):,.0f}"
+
+
+_COSTS: dict[str, Column[Any]] = {
+    "seeds": lambda line: len(line["seeds"]),
+    "transition, degrees": _of("transition_degrees", digits=1),
+    "clean far from the triggers, dB": _of("benign_psnr", "clean", digits=2),
+    "dB lost there": _of("benign_psnr_drop", digits=2),
+    "dB lost beside the object": _of("stealth", "surroundings_psnr_drop", digits=2),
+    "stealthy": lambda line: line["stealth"] and line["stealth"]["stealthy"],
+    "Gaussians, clean": _gaussians("clean"),
+    "Gaussians, cloaked": _gaussians("cloaked"),
+}
+_PICTURES = {
+    "missed_cloaked": "cloaked, well inside",
+    "found_cloaked": "cloaked, outside",
+    "missed_clean": "control, well inside",
+    "found_clean": "control, outside",
+}
+"""Which pictures are compared with those that the victim sees."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloakJudge:
+    """Who else looks at the splats of a point, and how.
+
+    Attributes:
+        detector: Name of the one that looks; None is each of the study's.
+        condition: How, see `attacks.observe.conditions`.
+        every: Each so manieth of the held-out cameras is used.
+        sun: A street of meshes for conditions that are hours.
+    """
+
+    detector: str | None = None
+    condition: str = ""
+    every: Annotated[int, at_least(1, "cameras")] = 4
+    sun: SunTable | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def looks(self, steps: StudySteps, detectors: Sequence[Detector]) -> Iterator[Look]:
+        """The looks at each splat of a study.
+
+        Args:
+            steps: The study.
+            detectors: Those that it names.
+
+        Raises:
+            InvalidValueError: There is no such condition or detector, or the study has no layers, by which the object
+                is known Gaussian by Gaussian, and shall stand on a street.
+        """
+        sun, street = street_of(self.condition, self.sun)
+        if sun is not None and steps.study.layers is None:
+            do = "take a study with [layers], whose object is known Gaussian by Gaussian"
+            raise InvalidValueError(message(f"study under the condition {self.condition}", "layers", "none", do))
+        shown = self.condition or OWN
+        for splat, seed in steps.names():
+            for detector in detectors if self.detector is None else [loaded(self.detector)]:
+                how = {"condition": self.condition, "every": self.every, "sun": sun}
+                job = steps.seen(steps.splat(splat, seed), detector, **how, **street)  # type: ignore[arg-type]
+                label = f"{detector.name} looks at the {splat} splat, seed {seed}, {shown}"
+                yield Look(label=label, job=job, splat=ROW_NAMES[splat], seed=seed, condition=shown)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,12 +198,14 @@ class CloakPoint:
         value: What the varied settings are called.
         steps: Its jobs.
         detectors: Those that look.
+        looks: Those of judges.
     """
 
     part: str
     value: str
     steps: StudySteps
     detectors: Sequence[Detector]
+    looks: Sequence[Look] = ()
 
     @property
     def title(self) -> str:
@@ -152,7 +229,8 @@ class CloakPoint:
 
     @cached_property
     def _labelled(self) -> list[tuple[str, Job]]:
-        return [*self.steps.made(), *self.steps.looked(self.detectors)]
+        looks = (*self.steps.looked(self.detectors), *self.looks)
+        return [*self.steps.made(), *((look.label, look.job) for look in looks)]
 
 
 class CloakWork:
@@ -170,9 +248,8 @@ class CloakWork:
     def __init__(self, study: Study) -> None:
         self.study, self.searches = study, list[Search]()
         self.attempts = [self._point(point) for point in study.points() if isinstance(point, Point)]
-        if study.judge is not None or len(self.attempts) < len(list(study.points())):
-            expected = "neither judge nor bisect: detectors stand under [evaluation]"
-            raise InvalidValueError(message(study.name, expected, "one of them", "leave it out"))
+        if len(self.attempts) < len(list(study.points())):
+            raise InvalidValueError(message(study.name, "no bisect, for want of a single aim", "one", "leave it out"))
 
     def _point(self, point: Point) -> CloakPoint:
         config = config_of(point.settings, self.study.name)
@@ -181,7 +258,10 @@ class CloakWork:
         value = ", ".join(map(str, point.labels.values())) or _OWN_NAME
         part = point.part or " and ".join(point.labels) or self.study.name
         steps = StudySteps(study=config, folder=Path("."))
-        return CloakPoint(part=part, value=value, steps=steps, detectors=detectors)
+        where = f"{self.study.name}, judge"
+        judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges()]
+        looks = [look for judge in judges for look in judge.looks(steps, detectors)]
+        return CloakPoint(part=part, value=value, steps=steps, detectors=detectors, looks=looks)
 
     def jobs(self) -> dict[str, Job]:
         """Every job by its label."""
@@ -264,8 +344,9 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
 def _seen(point: CloakPoint, done: Mapping[str, Done]) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
     """What was found at a point, as JSON can hold it, and its tables."""
     steps = replace(point.steps, results=done)
-    entry, tables = observed(steps, steps.splats(), point.detectors)
-    return {"part": point.part, "value": point.value, **entry}, tables
+    entry, tables = observed(steps, steps.splats(), point.detectors, point.looks)
+    judges = {look.job.config.detector: look.job.config.fingerprint for look in point.looks}
+    return {"part": point.part, "value": point.value, **entry, "detectors": entry["detectors"] | judges}, tables
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
@@ -286,7 +367,7 @@ def markdown(record: Mapping[str, Any]) -> str:
     Args:
         record: result.json.
     """
-    return tables(by_part(record))
+    return "\n\n".join(table.markdown for table in tables(by_part(record))) + "\n"
 
 
 def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: Path) -> None:

@@ -19,8 +19,8 @@ from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
-from attacks.studies.look import DrawnLook, FixedLook, check_condition, hour_of
-from attacks.studies.scenes import check_scene, scene_files
+from attacks.studies.look import DrawnLook, FixedLook
+from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Settings, with_none
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.errors import InvalidValueError, message, nearest
@@ -154,14 +154,14 @@ class FixedJudge:
 
     Attributes:
         detector: Name of the one that looks; None is each of those attacked.
-        condition: How the splat is looked at, see `attacks.studies.look.condition_of`; "as attacked" is the attacker's
-            own renderer.
-        sun: A street of meshes for conditions that are hours; its own hours are those.
+        condition: How the splat is looked at, see `attacks.observe.conditions`; "as attacked" is the attacker's own
+            renderer.
+        sun: A street of meshes for conditions that are hours.
     """
 
     detector: str | None = None
     condition: str = AS_ATTACKED
-    sun: dict[str, Any] = field(default_factory=dict)
+    sun: SunTable | None = None
 
     def jobs(self, settings: Fixed, attacked: Job) -> list[Job]:
         """The looks at the splat of an attack.
@@ -171,11 +171,7 @@ class FixedJudge:
             attacked: The attack.
         """
         condition = settings.renderer if self.condition == AS_ATTACKED else self.condition
-        sun, street = None, dict[str, Path]()
-        if ":" in condition and self.sun:
-            sun = decode(SunTable, {**self.sun, "hours": [hour_of(condition)]}, "judge, sun")
-            street = {f"street {name}": path for name, path in scene_files(Path(sun.scene)).items()}
-        check_condition(condition, sun)
+        sun, street = street_of(condition, self.sun)
         attack = attacked.config.attack
 
         def look(shared: Mapping[str, Any]) -> FixedLook:

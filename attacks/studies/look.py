@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
 from torch import Generator, Tensor
 
 from attacks.budgets import Budget
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
-from attacks.observe.conditions import (
-    FORMATS,
-    Condition,
-    SunTable,
-    changed,
-    file_forms,
-    picture_change,
-    rendered,
-    street_at,
-)
+from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of, rendered
 from attacks.observe.look import look, report_cells, seen_from
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections, object_boxes
@@ -32,20 +21,16 @@ from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import changing
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import method_names
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import MAX_DEGREE
-from mi_splat.sun import clock
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-OWN, HELD_OUT = "own renderer", "held-out views"
-"""Names of the conditions of looks in the scene's own renderer, and from a region."""
-_HOUR = re.compile(r"[0-2]\d:[0-5]\d")
+HELD_OUT = "held-out views"
+"""Name of the condition of looks from a region."""
 _ANY = 1e9
 """A radius that binds nothing: noise has the size of the attack."""
 
@@ -86,7 +71,7 @@ class FixedLook(Look):
         eps: Radii of the attack's balls, which noise stays in: one for all attributes, or one for each.
         camera: See `attacks.studies.attack.FixedAttack`.
         views: See there.
-        condition: How the splat is looked at, see `condition_of`.
+        condition: How the splat is looked at, see `attacks.observe.conditions`.
         sun: The street of meshes, if the condition is an hour.
     """
 
@@ -129,8 +114,7 @@ def run(config: FixedLook | DrawnLook, inputs: Mapping[str, Path], out: Out) -> 
     shown = _fixed(config, scene, saved) if isinstance(config, FixedLook) else _drawn(config, scene, saved)
     splats, boxes, condition = shown
     (detector,) = detectors_of((config.detector,), inputs)
-    centre = tuple(scene.splat.means[scene.rows(config.object)].mean(0).tolist())
-    directions = seen_from(centre)
+    directions = seen_from(scene.centre(config.object))
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
         reported = report_cells(seen.detections, seen.box, original=config.original, target=config.target)
@@ -158,7 +142,13 @@ def _fixed(config: FixedLook, scene: AttackScene, saved: GaussianScene) -> _Look
             raise InvalidValueError(message(config.object, "a view that shows the object", "none of it", do))
         boxes[camera] = box
     splats = {CLEAN: clean.scene, ATTACKED: attacked.scene, NOISE: noisy}
-    return splats, boxes, condition_of(config.condition, scene, config.object, config.sun)
+    viewing = Viewing(
+        settings=scene.settings,
+        centre=scene.centre(config.object),
+        alone=lambda splat: splat.select(rows),
+        sun=config.sun,
+    )
+    return splats, boxes, condition_of(config.condition, viewing)
 
 
 def _drawn(config: DrawnLook, scene: AttackScene, attacked: GaussianScene) -> _Looked:
@@ -206,70 +196,3 @@ def clean_and_attacked(
         if name in attributes
     }
     return clean, GaussianSubset.of(clean.scene.replace(**values), rows)
-
-
-def condition_of(name: str, scene: AttackScene, object_name: str, sun: SunTable | None = None) -> Condition:
-    """How a splat is looked at.
-
-    Args:
-        name: "" for the scene's own renderer; a renderer as in `mi-splat compare`; a format, as .spz, that the whole
-            scene goes through; "SH in float16"; "SH of degree 1"; "noise 0.05", "blur 1.5" or "JPEG 60", in the
-            pictures; or an hour, as 09:30, on a street of meshes.
-        scene: The scene.
-        object_name: Id of the object, which stands alone on the street.
-        sun: The street.
-
-    Raises:
-        InvalidValueError: There is no such condition, or the street holds other Gaussians than the object's.
-    """
-    check_condition(name, sun)
-    if sun is not None:
-        return _on_street(scene, object_name, sun)
-    if name == "" or name in method_names():
-        return rendered(name, scene.renderer(name))
-    change = picture_change(name)
-    if change is not None:
-        return changed(name, scene.renderer(""), change)
-    return next(form for form in _forms(scene.renderer("")) if form.name == name)
-
-
-def check_condition(name: str, sun: SunTable | None) -> None:
-    """Raise unless there is a condition of this name.
-
-    Args:
-        name: See `condition_of`.
-        sun: The street, which hours need.
-    """
-    known = (*method_names(), *(form.name for form in _forms(lambda scene, camera: scene.means)))
-    is_known = name in ("", *known) or picture_change(name) is not None
-    if not is_known and not (_HOUR.fullmatch(name) and sun is not None):
-        do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
-        raise InvalidValueError(message("condition", ", ".join(known), name, do))
-
-
-def _forms(render: RenderFn) -> list[Condition]:
-    """Every form of a file that a splat can go through."""
-    return file_forms(render, files=FORMATS, float16=True, sh_degrees=range(MAX_DEGREE + 1))
-
-
-def hour_of(name: str) -> float:
-    """The hour that a condition as 09:30 is.
-
-    Raises:
-        InvalidValueError: It is none.
-    """
-    if not _HOUR.fullmatch(name):
-        raise InvalidValueError(message("condition", "an hour as 09:30", name, "write two digits each"))
-    hours, minutes = name.split(":")
-    return int(hours) + int(minutes) / 60
-
-
-def _on_street(scene: AttackScene, name: str, sun: SunTable) -> Condition:
-    """The object alone, on a street of meshes."""
-    (hour,) = sun.hours
-    rows, street = scene.rows(name), street_at(sun, hour)
-    alone, inside = scene.splat.select(rows), street.splats.scene
-    if len(inside) != len(alone) or not torch.equal(inside.means, alone.means):
-        expected, do = f"the Gaussians of {name} and no others", "name the file of that object in the scene"
-        raise InvalidValueError(message(sun.scene, expected, f"{len(inside):,} Gaussians", do))
-    return rendered(clock(hour), street, lambda scene: scene.select(rows))

@@ -14,11 +14,13 @@ from torch import Generator
 
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
+from attacks.observe.conditions import SunTable, check_condition, renderer_of
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import load_method, method_names
+from mi_splat.comparison.methods import method_names
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.scene_parts import SceneParts, scene_parts
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import read_scene
 
@@ -49,6 +51,15 @@ class AttackScene:
             raise InvalidValueError(message("object", f"one of {', '.join(self.objects)}", name, "correct the study"))
         return self.objects[name]
 
+    def centre(self, name: str) -> Point:
+        """(3,) mean of an object's Gaussians, world units.
+
+        Raises:
+            InvalidValueError: There is no such object.
+        """
+        x, y, z = self.splat.means[self.rows(name)].mean(0).tolist()
+        return x, y, z
+
     def views(self, name: str, *, camera: int, count: int, seed: int) -> list[Camera]:
         """Some of the scene's cameras, moved about an object as `jittered` does.
 
@@ -68,7 +79,7 @@ class AttackScene:
 
     def renderer(self, name: str) -> RenderFn:
         """A renderer by its name, as in `mi-splat compare`, with the scene's settings; "" is the scene's own."""
-        return load_method(name, self.settings).render if name else Renderer(self.settings)
+        return renderer_of(name, self.settings)
 
 
 def attack_scene(path: Path) -> AttackScene:
@@ -118,6 +129,22 @@ def scene_files(path: Path) -> dict[str, Path]:
     """
     files = dict.fromkeys(_parts(path, _state(path) if path.is_file() else None).files)
     return {f"scene {number}" if number else "scene": file for number, file in enumerate(files)}
+
+
+def street_of(condition: str, sun: SunTable | None) -> tuple[SunTable | None, dict[str, Path]]:
+    """The street of a condition that is an hour, and its files as inputs of a job; none of another condition.
+
+    Args:
+        condition: Its name.
+        sun: The street of those who judge.
+
+    Raises:
+        InvalidValueError: There is no such condition, or a file of the street cannot be read.
+    """
+    check_condition(condition, sun)
+    if sun is None or ":" not in condition:
+        return None, {}
+    return sun, {f"street {name}": path for name, path in scene_files(Path(sun.scene)).items()}
 
 
 @functools.lru_cache(maxsize=64)

@@ -47,7 +47,6 @@ NEEDED = {
     "example-scenes": ["stop_sign"],
     "cloak": ["study.toml"],
     "view": ["a.ply"],
-    "cloak-experiment": ["surroundings", "study.toml"],
     "artifact": ["out/study"],
     "artifact-check": ["out/artifact"],
     "rows": ["out/result"],
@@ -63,7 +62,7 @@ FILES = (
         layers=LayersConfig(attacks=("roof",)),
         cleaning=CleaningConfig(sh_degree=1),
     ),
-    SunTable(scene="a.xml", hours=(12.0,)),
+    SunTable(scene="a.xml"),
 )
 """What files hold that no command has flags for."""
 

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from attacks.cloak.config import LayerConfig, LayersConfig
 from attacks.cloak.layers import layered, seen_colours, split_opacities, switched
-from attacks.cloak.switches import Share, chebyshev_width, depths, fit_switches
+from attacks.cloak.switches import Share, depths, fit_switches
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, View
@@ -106,32 +106,6 @@ def switch(depth: Tensor, config: LayerConfig) -> Tensor:
     share = Share(look=0, amount=torch.ones_like(depth), shown=depth >= 1, hidden=depth <= -1)
     white = colour_to_dc(torch.ones(1, 1, 3))
     return switched(torch.zeros(1, 3), all_around(800), share, white, torch.ones(1, 800), config)[..., 0].double()
-
-
-@pytest.mark.parametrize("inside", [True, False])
-@pytest.mark.parametrize("degree", [2, 3])
-def test_chebyshev_s_width_is_that_of_the_polynomial(inside: bool, degree: int) -> None:
-    edge, ripple = 43.0, 0.2
-    width = chebyshev_width(edge, degree=degree, ripple=ripple, inside=inside)
-    if math.isinf(width):
-        pytest.skip("it is not zero within the hemisphere")
-    top = math.sin(math.radians(edge))
-    low, high = (top, 1.0) if inside else (0.0, top)
-    zero = math.sin(math.radians(edge - width if inside else edge + width))
-    x = (2 * zero - low - high) / (high - low)
-    polynomial = {2: 2 * x**2 - 1, 3: 4 * x**3 - 3 * x}[degree]
-    assert ripple * abs(polynomial) == pytest.approx(1.0)
-
-
-def test_more_ripple_and_a_higher_degree_are_steeper() -> None:
-    def width(degree: int, ripple: float) -> float:
-        return chebyshev_width(43.0, degree=degree, ripple=ripple, inside=True)
-
-    assert width(3, 0.06) < width(2, 0.06)
-    assert width(3, 0.2) < width(3, 0.06)
-    for edge, ripple, degree in ((90.0, 0.1, 3), (43.0, 1.0, 3), (43.0, 0.1, 0)):
-        with pytest.raises(InvalidValueError, match="switch"):
-            chebyshev_width(edge, degree=degree, ripple=ripple, inside=True)
 
 
 def ball(count: int = 40) -> GaussianScene:

@@ -41,7 +41,7 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     assert clean < cloaked <= 2 * clean
     steps = steps_of(finished / "stages", study)
     target = steps.mesh_scene.target
-    before, after = (one.load() for one in steps.finished_splats())
+    before, after = (one.load() for one in steps.splats())
     other = ~object_rows(study, before, target)
     for name in ("means", "sh"):
         assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])

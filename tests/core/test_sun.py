@@ -7,7 +7,7 @@ import math
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.sun import clock, sun_direction
+from mi_splat.sun import sun_direction
 
 
 def test_at_noon_it_stands_in_the_south_at_90_degrees_less_the_latitude() -> None:
@@ -34,7 +34,3 @@ def test_at_night_it_is_refused(hour: float) -> None:
 
 def test_the_midnight_sun() -> None:
     assert sun_direction(0, latitude=80, declination=23.4)[2] == pytest.approx(math.sin(math.radians(13.4)))
-
-
-def test_clocks() -> None:
-    assert [clock(hour) for hour in (7, 9.5, 16.99)] == ["07:00", "09:30", "16:59"]

@@ -28,7 +28,7 @@ from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
 from attacks.report.checking import check_result, read_result
-from attacks.report.results import STORIES, read_section, story_of
+from attacks.report.results import read_section, story_of
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder
@@ -200,13 +200,11 @@ def _resume(path: Path) -> None:
 
 def _result(name: str) -> Kind:
     """A result that a page can show."""
-    kind = next(kind for kind in STORIES if kind.name == name)
 
     def make(folder: Path) -> Path:
-        place = MAKERS[name](folder / "result")
-        return place if kind.one_file else place / kind.record
+        return MAKERS[name](folder / "result") / "result.json"
 
-    return Kind(make=make, read=lambda path: read_section(path if kind.one_file else path.parent), document=PLAIN_JSON)
+    return Kind(make=make, read=lambda path: read_section(path.parent), document=PLAIN_JSON)
 
 
 def _check(folder: Path) -> None:

@@ -42,7 +42,7 @@ FAST = {
 }
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
-    *("cloak", "cloak-experiment", "doctor", "evaluate-detector", "view", "python"),
+    *("cloak", "doctor", "evaluate-detector", "view", "python"),
     "dagger-sanity",
     *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
@@ -186,7 +186,6 @@ TINY: dict[str, dict[str, Change]] = {
     "view": {"--views": to("2", "1"), "--no-open": to()},
     "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
-    "cloak-experiment": {"--every": to("60"), "--detectors": if_there("fasterrcnn_small")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
 

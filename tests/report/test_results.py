@@ -37,7 +37,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"dagger-sanity", "compare", "detect", "cloak-experiment paint-direction"}
+UNCONTROLLED = {"dagger-sanity", "compare", "detect"}
 """Kinds without a control."""
 
 
@@ -66,26 +66,24 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    kind = {one.name: one for one in STORIES}[name]
-    whole = json.loads((folders[name] if kind.one_file else folders[name] / kind.record).read_text())
-    place = tmp_path / kind.record if kind.one_file else tmp_path
-    (tmp_path / kind.record).write_text("{")
+    whole, file = json.loads((folders[name] / "result.json").read_text()), tmp_path / "result.json"
+    file.write_text("{")
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
-        read_section(place)
+        read_section(tmp_path)
     wrong: tuple[Any, ...] = (None, 3, "text", {"x": []})
     for key in list(whole):
         for value in wrong:
-            (tmp_path / kind.record).write_text(json.dumps({**whole, key: value}))
-            said = complaint(place)
+            file.write_text(json.dumps({**whole, key: value}))
+            said = complaint(tmp_path)
             assert said is None or ": expected " in said
-    (tmp_path / kind.record).write_text("{}")
+    file.write_text("{}")
     with pytest.raises(InvalidValueError, match=r"expected .* again"):
-        read_section(place)
+        read_section(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("path", "words"),
-    [("nothing", "nothing there"), ("empty", "one without a result"), ("file.json", "another file; pass ")],
+    [("nothing", "nothing there"), ("empty", "one without a result"), ("file.json", "a file; pass ")],
 )
 def test_what_is_no_result_is_told(path: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()

@@ -18,7 +18,6 @@ from attacks.cloak.study import forecast
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
-from attacks.rate import Rate, percent
 from attacks.report.results import read_section
 from attacks.report.stories import variations
 from attacks.studies.cloak import CloakPoint, CloakWork, config_of, tables, write_variation
@@ -26,7 +25,7 @@ from attacks.studies.study_file import read_study as read_file
 from attacks.studies.study_file import study_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Store
-from tests.cloak.tiny_study import KNOWN, STUDY
+from tests.cloak.tiny_study import KNOWN, STUDY, Redness
 from tests.project.layers import ROOT
 from tests.report.results import STUDIED, cloak_summary, rate
 
@@ -66,12 +65,19 @@ def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pyte
     assert [list(values) for values in configs("cloak_bird").values()] == [["road", "grass", "clock", "football"]]
 
 
+ATTACKS = {"attack": [{"name": "a", "elevation": [50, 90]}]}
+STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
+
+
 @pytest.mark.parametrize(
     ("table", "said"),
     [
         ({"base": "nowhere.toml"}, "base of x: expected a TOML file, got no file nowhere.toml"),
         ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
-        ({"attack": [{"name": "a", "elevation": [50, 90]}], "judge": {}}, "neither judge nor bisect"),
+        ({**ATTACKS, "bisect": {"field": "cameras.train", "values": [8, 9]}}, "expected no bisect"),
+        ({**ATTACKS, "judge": {"matrix": {"condition": [".spx"]}}}, "did you mean .spz"),
+        ({**ATTACKS, "judge": {"every": 0}}, "every"),
+        ({**ATTACKS, "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}}}, "expected layers"),
         ({"attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
     ],
 )
@@ -119,6 +125,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
         f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\ntraining = {{ iterations = 12 }}\n'
         '[[case]]\nname = "cleaning"\n[case.matrix]\n'
         'cleaning = [{ name = "nothing", cleaning = "none" }, { name = "SH degree 0", cleaning = { sh_degree = 0 } }]\n'
+        '[judge]\nevery = 4\n[judge.matrix]\ncondition = ["SH of degree 0", "2 x distance"]\n'
     )
     out, store = tmp_path / "out", tmp_path / "store"
     words = ["study", "run", str(file), "--store", str(store), "--out", str(out), "--workers", "0"]
@@ -139,8 +146,22 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     derived = json.loads(json.dumps(variations.figures(record, rows)))
     for title, figures in derived["points"].items():
         assert figures == {key: record["points"][title][key] for key in figures}
-    assert sum("| nothing | " in line for line in (out / "table.md").read_text().splitlines()) == 2
-    assert read_section(out).title == "tiny, varied"
+    assert sum("| nothing | " in line for line in (out / "table.md").read_text().splitlines()) == 4
+    section = read_section(out)
+    assert section.title == "tiny, varied"
+    looks = {look["condition"]: look for look in point["looks"]}
+    assert list(looks) == ["SH of degree 0", "2 x distance"]
+    assert set(looks["2 x distance"]["psnr"].values()) == set(looks["SH of degree 0"]["psnr"].values()) == {None}
+    assert (
+        0
+        < looks["2 x distance"]["found_clean"]["total"]
+        < point["by_detector"]["redness"]["control_benign_recall"]["total"]
+    )
+    under = next(table for table in section.tables if table.caption == "By cleaning: under other conditions")
+    assert [row[:3] for row in under.rows] == [
+        (value, condition, "redness") for value in ("nothing", "SH degree 0") for condition in looks
+    ]
+    assert "Under SH of degree 0 and 2 x distance it is missed" in section.conclusion
     with Image.open(out / "cleaning.png") as plot:
         assert plot.size[0] > 500
 
@@ -153,17 +174,32 @@ def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
     unseen = {**cloak_summary(), "stealth": None, "transition_degrees": None, "benign_psnr_drop": None}
     unseen["benign_psnr"] = {"clean": None, "cloaked": None}
     found = {"cleaning": {"nothing": several, "SH degree 0": quiet, "SH 5 bits": unseen}}
-    rates, costs = ([line.split(" | ") for line in text.splitlines()] for text in tables(found).split("\n\n"))
-    assert len(rates) == 2 + 3 * len(names)
-    assert {len(row) for row in rates if len(row) > 1} == {7}
-    assert "nothing of any class reported" in rates[0]
-    assert rates[2][3].startswith(Rate(successes=18, total=20).words)
-    assert rates[2 + len(names)][3].endswith(f"; by seed {percent(0)} to {percent(0.2)}")
-    assert [" | ".join(row) for row in costs[2:]] == [
-        "| nothing | 3 | 9.7 | 34.00 | 1.00 | 4.40 | no | 1,100 | 9 |",
-        "| SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200 |",
-        "| SH 5 bits | 2 | - | - | - | - | - | 1,000 | 1,200 |",
+    rates, costs = tables(found)
+    assert len(rates.rows) == 3 * len(names)
+    assert rates.head[4] == "nothing of any class reported"
+    assert rates.rows[0][3].startswith("18 of 20 = 90\u00a0% (69.9 to 97.2\u00a0%)")
+    assert rates.rows[len(names)][3].endswith("; by seed 0\u00a0% to 20\u00a0%")
+    assert [" | ".join(row) for row in costs.rows] == [
+        "nothing | 3 | 9.7 | 34.00 | 1.00 | 4.40 | no | 1,100 | 9",
+        "SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200",
+        "SH 5 bits | 2 | - | - | - | - | - | 1,000 | 1,200",
     ]
     write_variation("cleaning", {f"value {i}": quiet for i in range(8)}, tmp_path / "plot.png")
     with Image.open(tmp_path / "plot.png") as plot:
         assert plot.size[0] > 500
+
+
+LOOKS = {"cloak_elsewhere": (3, 22), "cloak_renderers": (3, 5), "cloak_distances": (3, 8), "cloak_coco": (3, 0)}
+"""Seeds, and conditions under which both splats of each are looked at."""
+
+
+@pytest.mark.parametrize("name", LOOKS)
+def test_a_shipped_study_looks_under_so_many_conditions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("attacks.studies.cloak.detectors_of", lambda config, weights: [Redness()])
+    (point,) = CloakWork(read_file(SHIPPED / f"{name}.toml")).attempts
+    seeds, conditions = LOOKS[name]
+    assert len(point.looks) == 2 * seeds * conditions
+    assert len({look.condition for look in point.looks}) == conditions
+    pictures = [look for look in point.steps.looked([Redness()]) if look.seed is None]
+    assert len(pictures) == (2 if name == "cloak_coco" else 0)

@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.observe.conditions import SunTable
+from attacks.observe.conditions import SunTable, Viewing, check_condition, condition_of, hour_of
 from attacks.studies.attack import attackers_renderer, with_gradient_of
-from attacks.studies.look import check_condition, clean_and_attacked, condition_of, hour_of
+from attacks.studies.look import clean_and_attacked
 from attacks.studies.scenes import AttackScene, attack_scene, jittered
 from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError
@@ -81,9 +81,14 @@ def test_a_scene_is_read_anew_when_its_files_change(tmp_path: Path) -> None:
     assert not torch.equal(attack_scene(path).splat.opacities, first.splat.opacities)
 
 
+def viewing(scene: AttackScene, name: str = "car", sun: SunTable | None = None) -> Viewing:
+    rows = scene.rows(name)
+    return Viewing(settings=scene.settings, centre=scene.centre(name), alone=lambda splat: splat.select(rows), sun=sun)
+
+
 @pytest.mark.parametrize("name", ["", "tile", "ray", ".ply", ".splat", "SH in float16", "SH of degree 0"])
 def test_every_condition_shows_the_splat(name: str, scene: AttackScene) -> None:
-    condition = condition_of(name, scene, "car")
+    condition = condition_of(name, viewing(scene))
     picture = condition(scene.splat, scene.cameras[0])
     assert picture.shape == (32, 32, 3)
     if name in ("", "tile", ".ply"):
@@ -93,7 +98,11 @@ def test_every_condition_shows_the_splat(name: str, scene: AttackScene) -> None:
 def test_conditions_and_hours_that_are_none() -> None:
     with pytest.raises(InvalidValueError, match="did you mean SH of degree 3"):
         check_condition("SH of degree 4", None)
-    check_condition("09:30", SunTable(scene="a", hours=(9.5,)))
+    check_condition("09:30", SunTable(scene="a"))
+    with pytest.raises(InvalidValueError, match="when the sun is up"):
+        check_condition("23:30", SunTable(scene="a"))
+    with pytest.raises(InvalidValueError, match="need the street"):
+        check_condition("09:30", None)
     assert (hour_of("09:30"), hour_of("17:00")) == (9.5, 17.0)
     with pytest.raises(InvalidValueError, match="an hour as 09:30"):
         hour_of("9:30")
@@ -101,13 +110,13 @@ def test_conditions_and_hours_that_are_none() -> None:
 
 def test_the_car_stands_in_the_street_by_the_hour() -> None:
     scene = attack_scene(ROOT / "scenes" / "car_street.xml")
-    sun = SunTable(scene=str(ROOT / STREET), hours=(8.0,), samples=1)
-    shown, street = condition_of("08:00", scene, "car", sun).show(scene.splat.with_degree(3))  # the file has degree 1
+    sun = SunTable(scene=str(ROOT / STREET), samples=1)
+    shown, street = condition_of("08:00", viewing(scene, sun=sun)).show(scene.splat.with_degree(3))  # the file has 1
     assert isinstance(street, MixedScene)
     assert shown.sh.shape == (len(street.splats.scene), 16, 3)
     assert torch.equal(shown.means, street.splats.scene.means)
-    with pytest.raises(InvalidValueError, match="the Gaussians of street and no others"):
-        condition_of("08:00", scene, "street", sun)
+    with pytest.raises(InvalidValueError, match=r"scene: expected .* Gaussians"):
+        condition_of("08:00", viewing(scene, "street", sun))(scene.splat, scene.cameras[0])
 
 
 def test_what_was_not_attacked_is_the_clean_scene_s(scene: AttackScene) -> None:

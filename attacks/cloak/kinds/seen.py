@@ -1,22 +1,28 @@
-"""What one detector reports from held-out cameras: on a splat, or in pictures that are there already."""
+"""What one detector reports from held-out cameras: on a splat, under any condition, or in pictures that are there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import polars as pl
+import torch
 from torch import Tensor
 
 from attacks.cloak import setup
-from attacks.cloak.config import EvaluationConfig, StudyConfig
+from attacks.cloak.config import EvaluationConfig, LayersConfig, StudyConfig
 from attacks.cloak.kinds.parts import SceneParts
 from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.layers import object_rows
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
-from attacks.observe.look import detection_rows, place_cells, report_cells, seen_from
+from attacks.observe.conditions import Condition, Shown, SunTable, Viewing, condition_of, rendered
+from attacks.observe.look import look, report_cells, seen_from
 from attacks.observe.rows import (
     DEPTH,
     DETECTION_BOX,
@@ -26,28 +32,32 @@ from attacks.observe.rows import (
     SUFFIX,
     TARGET_SCORE,
     Cell,
-    Row,
-    frame_of,
     frame_with,
     write_rows,
 )
-from attacks.observe.views import ViewDetections, detect_pictures
+from attacks.observe.views import ViewDetections
+from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
+from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-DETECTION_COLUMNS = ("detector", "view", "label", "score", *DETECTION_BOX, "iou")
+_NONE = frame_with((), ("detector", "view", "label", "score", *DETECTION_BOX, "iou"))
+"""Detections, before there is one."""
+_NOTHING = GaussianScene(*(torch.zeros(0, *shape) for shape in ((3,), (3,), (4,), (), (1, 3))))
+"""The splat of pictures that are there already."""
 WEIGHTS = "weights"
 """Name of the input that is a file of weights; without it a detector has its usual ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenConfig:
-    """Who looks at what, and from where.
+    """Who looks at what, how, and from where.
 
     Attributes:
         parts: The scene, and the regions and target classes of all attacks.
@@ -57,6 +67,9 @@ class SeenConfig:
         every: Each so manieth of those that are left looks.
         detector: Name of the detector.
         fingerprint: Of its weights.
+        condition: How the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does.
+        sun: The street of a condition that is an hour.
+        layers: Says which Gaussians stand on the street.
     """
 
     parts: SceneParts
@@ -66,40 +79,74 @@ class SeenConfig:
     detector: str
     fingerprint: str
     every: int = 1
+    condition: str = ""
+    sun: SunTable | None = None
+    layers: LayersConfig | None = None
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera and one for each detection; inputs are a `splat`, or `pictures` in its place.
 
+    Under a condition that is no street a row has the PSNR to what the victim sees from there.
+
     Raises:
         InvalidValueError: The detector has other weights than those that were asked for.
     """
     evaluation = EvaluationConfig(cameras=config.cameras, min_separation=config.min_separation)
-    study = config.parts.study(inputs, evaluation=evaluation)
+    study = config.parts.study(inputs, evaluation=evaluation, layers=config.layers)
     target = setup.target_of(study.scene)
     cameras = setup.held_out_cameras(study, target)[:: config.every]
     detector = loaded(config.detector, inputs.get(WEIGHTS))
     if detector.fingerprint != config.fingerprint:
         do = "give the same weights to every process"
         raise InvalidValueError(message(f"weights of {detector.name}", config.fingerprint, detector.fingerprint, do))
-    rows, detections = list[Row](), list[Row]()
-    boxes = [setup.box_of(target, camera) for camera in cameras]
-    for seen in detect_pictures(_picture(config, inputs, cameras), cameras, [detector], boxes=boxes):
-        ids: dict[str, Cell] = {"detector": seen.detector, "view": seen.view}
-        rows.append({**ids, **observation_cells(study, seen)})
-        detections += detection_rows(ids, seen.detections, seen.box)
-        out.progress(f"{detector.name} looks", len(rows), len(cameras))
-    write_rows(frame_of(rows), out / f"{ROWS}{SUFFIX}")
-    write_rows(frame_with(detections, DETECTION_COLUMNS), out / f"{DETECTIONS}{SUFFIX}")
+    errors, done = dict[Camera, float | None](), itertools.count(1)
 
+    def cells(seen: ViewDetections) -> dict[str, Cell]:
+        out.progress(f"{detector.name} looks", next(done), len(cameras))
+        return {**observation_cells(study, seen), **({"psnr": errors[seen.camera]} if errors else {})}
 
-def _picture(config: SeenConfig, inputs: Mapping[str, Path], cameras: Sequence[Camera]) -> Callable[[Camera], Tensor]:
-    """What a camera sees: a picture that is there already, or one of the splat."""
     if "pictures" in inputs:
-        return dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True)).__getitem__
-    scene = load_splat(inputs["splat"])
-    render = Renderer(RenderSettings(background=config.parts.scene.background, near=config.near))
-    return lambda camera: render(scene, camera)
+        pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
+        splat, condition = _NOTHING, rendered("", lambda scene, camera: pictures[camera])
+    else:
+        splat, condition = load_splat(inputs["splat"]), _condition(config, study, target, errors)
+    looked = look([condition], {"": splat}, cameras, [detector], boxes=partial(setup.box_of, target), cells=cells)
+    rows, detections = (
+        table.drop("splat", *(() if config.condition else ("condition",)), strict=False).with_columns(
+            view=pl.col("view") * config.every
+        )
+        for table in (looked.rows, pl.concat([_NONE, looked.detections], how="diagonal"))
+    )
+    write_rows(rows, out / f"{ROWS}{SUFFIX}")
+    write_rows(detections, out / f"{DETECTIONS}{SUFFIX}")
+
+
+def _condition(config: SeenConfig, study: StudyConfig, target: Asset, errors: dict[Camera, float | None]) -> Condition:
+    """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB, None where they are the same."""
+    settings = RenderSettings(background=config.parts.scene.background, near=config.near)
+    viewing = Viewing(
+        settings=settings,
+        centre=setup.centre_of(study),
+        alone=lambda splat: splat.select(object_rows(study, splat, target)),
+        sun=config.sun,
+    )
+    condition, usual = condition_of(config.condition, viewing), Renderer(settings)
+    if not config.condition or config.sun is not None:
+        return condition
+
+    def show(before: GaussianScene) -> Shown:
+        shown, render = condition.show(before)
+
+        def picture(scene: GaussianScene, camera: Camera) -> Tensor:
+            image = render(scene, camera)
+            value = float(psnr(image.clamp(0, 1), usual(before, camera).clamp(0, 1)))
+            errors[camera] = value if math.isfinite(value) else None
+            return image
+
+        return shown, picture
+
+    return replace(condition, show=show)
 
 
 def observation_cells(study: StudyConfig, seen: ViewDetections) -> dict[str, Cell]:
@@ -108,9 +155,8 @@ def observation_cells(study: StudyConfig, seen: ViewDetections) -> dict[str, Cel
     report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
     del report["target"], report["target_score"]
     return {
-        **place_cells(seen.camera, seen.box),
         **seen_from(centre)(seen),
-        **{f"{DEPTH}{one.name}": one.cone.angle_to_edge(seen.camera, centre=centre) for one in study.attack},
+        **{f"{DEPTH}{a.name}": a.cone.angle_to_edge(seen.camera, centre=centre) for a in study.attack},
         **{f"{POISON_DEPTH}{a.name}": a.poisoned_cone.angle_to_edge(seen.camera, centre=centre) for a in study.attack},
         **report,
         **{f"{TARGET_SCORE}{attack.name}": seen.confidence(attack.target_class) for attack in wanted},

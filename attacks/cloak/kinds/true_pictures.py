@@ -30,12 +30,14 @@ class TrueConfig:
     """What is photographed, and from where.
 
     Attributes:
-        parts: The scene, and the attack whose appearance the object has; without one it is as it is.
+        parts: The scene, and the attacks; the object has the appearance of the first one, and without any is as it is.
         poses: The cameras.
+        inside: Whether it has the appearance of each attack inside its trigger, and outside of all of them none.
     """
 
     parts: SceneParts
     poses: tuple[Pose, ...]
+    inside: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,19 +56,22 @@ class TruePictures:
 def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Take them; those of an appearance begin with those of the scene as it is, the input `plain`."""
     study = config.parts.study(inputs)
-    mesh_scene = setup.mesh_scene_of(study)
-    shown = setup.shown_by(study, study.attack[0], mesh_scene) if config.parts.attack else None
-    plain = None if shown is None else read_pictures(inputs["plain"])
+    mesh_scene, centre = setup.mesh_scene_of(study), setup.centre_of(study)
+    looks = [(attack.cone, setup.shown_by(study, attack, mesh_scene)) for attack in config.parts.attack]
+    plain = read_pictures(inputs["plain"]) if looks else None
     names = [f"{number:04d}.png" for number in range(len(config.poses))]
     with scalar_variant():
         for number, (name, pose) in enumerate(zip(names, config.poses, strict=True)):
             if not (out.partial / name).is_file():
                 camera = pose.camera
-                if plain is None or shown is None:
+                if plain is None:
                     image, mask = mesh_scene.picture(camera), mesh_scene.mask(camera)
                 else:
                     image, mask = plain.images[number], plain.masks[number]
-                    image = shown(View(camera, image), mask)
+                for cone, look in looks:
+                    if not config.inside or cone.angle_to_edge(camera, centre=centre) >= 0:
+                        image = look(View(camera, image), mask)
+                        break
                 save_png(_to_rgba(image, mask[..., None].float()), out.partial / name)
             out.progress("taking pictures to compare with", number + 1, len(names))
     for name in names:

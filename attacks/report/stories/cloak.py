@@ -10,14 +10,16 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.rates import CLOAKED, RATES, costs, measures
+from attacks.cloak.rates import CLOAKED, RATES, costs, measures, picture_rows
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.rates import tables as summary_tables
+from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TARGET_SCORE, TRANSITION, Row
+from attacks.observe.measures import Confidence, Measures
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate, percent
 from attacks.report.checking import Tables
@@ -48,7 +50,12 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
     """
     study = summary["study"]
     headline, control = headline_of(summary)
-    curves, at = threshold_charts(folder, lambda confidence: measures(study_of(study), confidence=confidence), _CURVES)
+
+    def measured(confidence: Confidence) -> Measures:
+        return measures(study_of(study), confidence=confidence)
+
+    curves, at = threshold_charts(folder, measured, _CURVES)
+    true_curves, true_at = threshold_charts(folder, measured, _CURVES, part=picture_rows, what=", path traced")
     return Section(
         kind=KIND,
         title=str(study["name"]),
@@ -59,8 +66,8 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
         figures=_figures(summary),
         warnings=tuple(_doubts(summary)),
         pictures=_pictures(folder, study, summary["files"]),
-        charts=(*(_elevation(summary, name) for name in summary["by_detector"]), *curves),
-        tables=(*summary_tables(summary), *at),
+        charts=(*(_elevation(summary, name) for name in summary["by_detector"]), *curves, *true_curves),
+        tables=(*summary_tables(summary), *at, *true_at),
         configuration=settings({**study, "weights": summary["detectors"]}),
         file=(f"{study['name']}.toml", study_toml(study)),
     )
@@ -146,18 +153,24 @@ def study_of(configuration: Mapping[str, Any]) -> StudyConfig:
 
 
 def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Tables) -> None:
-    """Raise unless the splats are those of the study, and every detector saw each once from the same cameras."""
+    """Raise unless the splats are those of the study, and every detector saw each once from the same cameras.
+
+    Looks under conditions, which others do, may be of any detectors and cameras.
+    """
     wanted = {(which, seed) for which in (CLEAN, CLOAKED) for seed in study.seeds}
     if sorted((one["splat"], one["seed"]) for one in splats) != sorted(wanted):
         got = ", ".join(f"{one['splat']} {one['seed']}" for one in splats)
         raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
-    wanted = {({CLOAKED: ATTACKED}.get(which, which), seed) for which, seed in wanted}
+    splats_of_rows: set[tuple[str, int | None]] = {(ROW_NAMES[which], seed) for which, seed in wanted}
+    pictures = {(TRUE, None), (PERFECT, None)} if study.evaluation.true_pictures else set()
     for name in (ROWS, FIDELITY, TRANSITION):
-        if not set(tables[name].select("splat", "seed").iter_rows()) <= wanted:
+        if not set(tables[name].select("splat", "seed").iter_rows()) <= splats_of_rows | pictures:
             raise _wrong(f"table {name}", "rows of the study's splats", "others")
-    seen = Counter(tables[ROWS].select("splat", "seed", "detector", "view").iter_rows())
+    plain = tables[ROWS]
+    plain = plain.filter(pl.col("condition").is_null()) if "condition" in plain.columns else plain
+    seen = Counter(plain.select("splat", "seed", "detector", "view").iter_rows())
     views = {key[3] for key in seen}
-    for splat, seed in sorted(wanted):
+    for splat, seed in sorted(splats_of_rows | pictures, key=str):
         here = {key for key in seen if key[:2] == (splat, seed)}
         expected = {(splat, seed, name, view) for name in study.evaluation.detectors for view in views}
         if here != expected or not expected or any(seen[key] > 1 for key in here):
@@ -260,14 +273,15 @@ def _pictures(folder: Path, study: Mapping[str, Any], files: Sequence[str]) -> t
 
 def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
-    rows = summary["by_elevation"][detector]
     hiding = next((one for one in summary["study"]["attack"] if one["azimuth"] is None), None)
     shade = None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}")
 
-    def points(which: str) -> tuple[Point, ...]:
-        return tuple(
-            Point.of((row["from"] + row["to"]) / 2, Rate.of(row[which])) for row in rows if row[which]["total"]
-        )
+    def line(told: Mapping[str, Any], which: str, name: str, role: Role) -> Line:
+        rows = [row for row in told["by_elevation"][detector] if row[which]["total"]]
+        points = tuple(Point.of((row["from"] + row["to"]) / 2, Rate.of(row[which])) for row in rows)
+        return Line(name=name, role=role, points=points)
+
+    pictures = summary.get("pictures")
 
     return Chart(
         title=f"Found by {detector}, by elevation",
@@ -275,8 +289,10 @@ def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
         x_label="elevation of the camera, degrees",
         y_label="views in which it is found",
         lines=(
-            Line(name="cloaked", role="attack", points=points("cloaked")),
-            Line(name="clean (control)", role="control", points=points("clean")),
+            line(summary, "cloaked", "cloaked", "attack"),
+            line(summary, "clean", "clean (control)", "control"),
+            *([line(pictures, "clean", "path traced, as it is", "other")] if pictures else []),
+            *([line(pictures, "cloaked", "path traced, as the attacks want it", "other")] if pictures else []),
         ),
         shade=shade,
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import polars as pl
+
 from attacks.observe.measures import (
     CLUSTERS,
     DEFAULT_OF_YOLO,
@@ -24,7 +26,12 @@ AT = {f"{one:g}": one for one in (REPORTED, DEFAULT_OF_YOLO)}
 
 
 def threshold_charts(
-    folder: Path, measures: Callable[[Confidence], Measures], names: Mapping[str, tuple[str, Role]]
+    folder: Path,
+    measures: Callable[[Confidence], Measures],
+    names: Mapping[str, tuple[str, Role]],
+    *,
+    part: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
+    what: str = "",
 ) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
     """A chart for each detector with some rates over the confidence, and a table of them at two confidences.
 
@@ -32,6 +39,8 @@ def threshold_charts(
         folder: Of the result.
         measures: Of a confidence.
         names: Measures that are drawn: what their line is called, and what it stands for.
+        part: Takes the rows that count.
+        what: They are of, if not of splats.
 
     Returns:
         Nothing where the result has no rows, or none of these measures.
@@ -40,13 +49,15 @@ def threshold_charts(
     drawn = {name: names[name] for name in measures(REPORTED) if name in names}
     if not path.is_file() or not drawn:
         return (), ()
-    rows = with_control(read_rows(path))
+    rows = with_control(part(read_rows(path)))
+    if rows.is_empty():
+        return (), ()
     clusters = CLUSTERS if set(CLUSTERS) <= set(rows.columns) else None
     curves = {name: threshold_curve(rows, measures, name, by=("detector",), clusters=clusters) for name in drawn}
     detectors = list(dict.fromkeys(detector for (detector,) in next(iter(curves.values()))))
     charts = tuple(
         Chart(
-            title=f"{detector}, by the confidence that counts",
+            title=f"{detector}{what}, by the confidence that counts",
             caption=f"Figures of this page count from {REPORTED:g}. Bands are 95 % intervals.",
             x_label="confidence from which a detection counts",
             y_label="views",
@@ -68,4 +79,5 @@ def threshold_charts(
         for name, (words, _) in drawn.items()
     )
     head = ("detector", "rate", *(f"from {confidence}" for confidence in AT))
-    return charts, (Table(caption="By the confidence from which a detection counts", head=head, rows=lines),)
+    caption = f"By the confidence from which a detection counts{what}"
+    return charts, (Table(caption=caption, head=head, rows=lines),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,8 @@ from attacks.report.checking import Tables
 from attacks.report.section import FEW, Chart, Figure, Line, Role, Section
 from attacks.report.stories.cloak import figures as cloak_figures
 from attacks.report.stories.cloak import headline_of, spread
-from attacks.report.wording import capital, listed, number, plural, rate_of, sentence, shared
-from attacks.studies.cloak import by_part
-from attacks.tables import Table, cell
+from attacks.report.wording import capital, listed, plural, rate_of, sentence, shared
+from attacks.studies.cloak import by_part, tables
 
 KIND = "CLOAK, one thing varied at a time"
 _LINES: tuple[tuple[str, str, Role], ...] = (
@@ -21,10 +20,10 @@ _LINES: tuple[tuple[str, str, Role], ...] = (
     ("benign_recall", "cloaked found, elsewhere", "control"),
     ("target_rate", "target class reported", "other"),
 )
-_COLUMNS = {
-    "control_recall": "control found, inside",
-    **{key: name for key, name, _ in _LINES},
-    "nothing_reported": "nothing of any class reported, well inside",
+_SEEN: dict[str, tuple[str, Role]] = {
+    "missed_cloaked": ("cloaked missed, well inside", "attack"),
+    "missed_clean": ("control missed, well inside", "control"),
+    "found_cloaked": ("cloaked found, outside", "other"),
 }
 
 
@@ -66,6 +65,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         conclusion=(
             f"{capital(label)}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
             "within one chart; where intervals overlap, the study cannot tell them apart."
+            f"{_conditions(studies)}"
         ),
         headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
         control=Figure(label="clean splats, the same", words=_controls(studies)),
@@ -78,8 +78,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             _chart(group, values, detector)
             for group, values in found.items()
             for detector in first(found)["by_detector"]
-        ),
-        tables=tuple(_table(group, values) for group, values in found.items()),
+        )
+        + tuple(chart for group, values in found.items() for chart in _under_conditions(group, values)),
+        tables=tuple(tables(found)),
         configuration=shared([{**one["study"], "weights": one["detectors"]} for _, _, one in studies]),
     )
 
@@ -116,6 +117,14 @@ def _controls(studies: list[tuple[str, str, Mapping[str, Any]]]) -> str:
     return _range([one.rate for one in found if one is not None and one.rate is not None])
 
 
+def _conditions(studies: list[tuple[str, str, Mapping[str, Any]]]) -> str:
+    """A sentence on what is seen under other conditions, if anything is."""
+    looks = [look for _, _, one in studies for look in one.get("looks", ()) if "missed_cloaked" in look]
+    rates = [rate for look in looks if (rate := Rate.of(look["missed_cloaked"])).total]
+    under = listed(list(dict.fromkeys(look["condition"] for look in looks)))
+    return f" Under {under} it is missed from well inside the trigger in {spread(rates)}." if rates else ""
+
+
 def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
     rates = [one["by_detector"][detector] for one in values.values()]
     lines = [Line.of(name, role, [rate_of(one[key]) for one in rates]) for key, name, role in _LINES]
@@ -131,19 +140,21 @@ def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
     )
 
 
-def _table(group: str, values: Mapping[str, Any]) -> Table:
-    rows = [
-        (
-            name,
-            detector,
-            *(cell(rates.get(key)) for key in _COLUMNS),
-            number(one["transition_degrees"]),
-            number(one["benign_psnr_drop"], ".2f"),
-            number(one["stealth"]["surroundings_psnr_drop"] if one.get("stealth") else None, ".2f"),
-        )
-        for name, one in values.items()
-        for detector, rates in one["by_detector"].items()
-    ]
-    heads = (*_COLUMNS.values(), "switch, degrees", "dB lost elsewhere", "dB lost beside the object")
-    title = group.replace("_", " ")
-    return Table(caption=f"By {title}", head=(title, "detector", *heads), rows=tuple(rows))
+def _under_conditions(group: str, values: Mapping[str, Any]) -> Iterator[Chart]:
+    """For each value and detector what is seen of both splats under each condition."""
+    for value, point in values.items():
+        looks = point.get("looks", ())
+        for detector in dict.fromkeys(look["detector"] for look in looks):
+            here = [look for look in looks if look["detector"] == detector]
+            yield Chart(
+                title=f"{group.replace('_', ' ')} {value}, {detector}, under other conditions",
+                caption="Bars are 95 % intervals. The attack works where the cloaked object is missed.",
+                x_label="condition",
+                y_label="views",
+                lines=tuple(
+                    Line.of(words, role, [rate_of(look.get(name)) for look in here])
+                    for name, (words, role) in _SEEN.items()
+                ),
+                ticks=tuple(look["condition"] for look in here),
+                connected=False,
+            )

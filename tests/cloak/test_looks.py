@@ -1,0 +1,224 @@
+"""What is seen of a study's splats under other conditions, and of path-traced pictures in the place of a splat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+from unittest.mock import Mock
+
+import polars as pl
+import pytest
+import torch
+from torch import Tensor
+
+from attacks.cloak import setup
+from attacks.cloak.config import AttackConfig, LayersConfig, StudyConfig
+from attacks.cloak.kinds import seen
+from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.rates import Tables, figures, looks, picture_rows, pooled_psnr, rates
+from attacks.cloak.steps import StudySteps
+from attacks.cloak.study import forecast
+from attacks.observe import conditions
+from attacks.observe.conditions import SunTable
+from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, PERFECT, ROWS, SUFFIX, TRUE, frame_of, read_rows
+from mi_splat.cameras import Camera
+from mi_splat.io import load_splat, save_splat
+from mi_splat.ledger import Out
+from mi_splat.mixed_scenes import MixedScene
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.scene_files import SplatScene
+from tests import oracle
+from tests.cloak.test_study_rates import study_rows
+from tests.cloak.tiny_study import STUDY, Redness, steps_of
+from tests.project.layers import ROOT
+
+STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1)
+LAYERED = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))
+
+
+def gaussian(opacity: float = 0.5, degree: int = 0, **values: Tensor) -> GaussianScene:
+    """One in the middle of the car."""
+    means, turn = torch.tensor([[0.0, 0.0, 0.7]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    sh = torch.zeros(1, (degree + 1) ** 2, 3)
+    return GaussianScene(means, torch.ones(1, 3), turn, torch.tensor([opacity]), sh).replace(**values)
+
+
+def looked(
+    folder: Path, splat: GaussianScene, study: StudyConfig = STUDY, **how: Any
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """The rows and the detections of a look, by the job's own code."""
+    folder.mkdir()
+    save_splat(splat, folder / "splat.ply")
+    config = steps_of(folder, study).seen(Mock(kind="made"), Redness(), **how).config
+    seen.run(config, {"splat": folder / "splat.ply"}, Out(files=folder, kept=folder, progress=lambda *told: None))
+    rows, detections = (read_rows(folder / f"{name}{SUFFIX}") for name in (ROWS, DETECTIONS))
+    return rows, detections
+
+
+def test_cameras_come_nearer_and_are_the_same_views(tmp_path: Path) -> None:
+    plain, _ = looked(tmp_path / "plain", gaussian())
+    near, detections = looked(tmp_path / "near", gaussian(), condition="0.5 x distance", every=5)
+    assert "condition" not in plain.columns
+    assert near["condition"].unique().to_list() == ["0.5 x distance"]
+    assert near["view"].to_list() == plain["view"].to_list()[::5]
+    same = plain.filter(pl.col("view").is_in(near["view"].to_list()))
+    for column in ("azimuth", "elevation", "depth: overhead", "depth: rear"):
+        assert near[column].to_list() == pytest.approx(same[column].to_list(), abs=1e-4)
+    assert near["distance"].to_list() == pytest.approx([one / 2 for one in same["distance"]])
+    assert set(detections["view"]) == set(near["view"])
+
+
+def test_forms_of_a_file_say_which_of_them_keeps_large_coefficients(tmp_path: Path) -> None:
+    sh = torch.zeros(1, 16, 3)
+    sh[0, 15] = 50.0
+    kept = {}
+    for name in (".ply", ".glb", "SH in float16", ".spz", ".splat", "SH of degree 2", "tile", "tile-colours-in-0-1"):
+        rows, _ = looked(tmp_path / name, gaussian(0.9, sh=sh), condition=name, every=4)
+        kept[name] = pooled_psnr(rows)
+    assert [name for name, psnr in kept.items() if psnr is None] == [".ply", ".glb", "SH in float16", "tile"]
+
+
+def test_what_two_detectors_report_is_counted_under_each_condition() -> None:
+    def row(condition: str | None, view: int, depth: float, splat: str, score: float, psnr: float | None) -> Any:
+        ids = {"condition": condition, "splat": splat, "seed": 0, "detector": "redness", "view": view}
+        place = {"azimuth": 10.0 * view, "elevation": 40.0, "depth: overhead": depth, "depth: rear": -10.0}
+        sign = {"target_score: rear": 0.0, "any_overlap": score, "score": score}
+        return {**ids, **place, "original_score": score, **sign, "psnr": psnr}
+
+    rows = frame_of(
+        row(condition, view, depth, splat, score, psnr)
+        for condition, cloaked, psnr in ((None, 0.0, None), (".spz", 0.9, 20.0), ("ray", 0.1, None))
+        for view, depth, inside in ((0, 10.0, True), (1, 2.0, True), (2, -3.0, False))
+        for splat, score in ((CLEAN, 0.9), (ATTACKED, cloaked if inside else 0.8))
+    )
+    spz, ray = looks(STUDY, rows)
+    assert (spz["condition"], ray["condition"]) == (".spz", "ray")
+    names = ("missed_clean", "missed_cloaked", "found_clean", "found_cloaked")
+    assert [(spz[name]["successes"], spz[name]["total"]) for name in names] == [(0, 1), (0, 1), (1, 1), (1, 1)]
+    assert [ray[name]["successes"] for name in names] == [0, 1, 1, 1]
+    assert spz["target_rate"]["total"] == 0
+    assert spz["psnr"] == dict.fromkeys(names, pytest.approx(20.0))
+    assert ray["psnr"] == dict.fromkeys(names)
+    told = figures(STUDY, tables_of(rows), [])
+    assert [look["condition"] for look in told["looks"]] == [".spz", "ray"]
+    assert told["control_recall"]["total"] == 2  # of the splats as the victim sees them alone
+
+
+def tables_of(rows: pl.DataFrame) -> Tables:
+    return {**study_rows(), ROWS: rows}
+
+
+def test_errors_are_pooled_and_not_their_logarithms() -> None:
+    rows = frame_of({"psnr": psnr} for psnr in (10.0, None, 20.0))
+    assert pooled_psnr(rows) == pytest.approx(-10 * torch.tensor(0.11 / 3).log10().item(), abs=1e-5)
+    assert pooled_psnr(frame_of([{"psnr": None}])) is None
+
+
+class Street:
+    """A street that is red in the morning and grey later, and remembers what was put into it, and who looked."""
+
+    made: ClassVar[list[dict[str, Any]]] = []
+    cameras: ClassVar[list[Camera]] = []
+
+    def __init__(self, path: Path, *, samples: int, car: str, **sun: float) -> None:
+        self._red, scene = sun["sun_x"] > 0.1, load_splat(Path(car))
+        self.splats = SplatScene(scene=scene, objects={}, cameras={}, settings=None)  # type: ignore[arg-type]
+        self.made.append({"scene": scene, "samples": samples, **sun})
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        self.cameras.append(camera)
+        return torch.tensor([1.0, 0.0, 0.0] if self._red else [0.5, 0.5, 0.5]).expand(40, 40, 3)
+
+
+def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody looks out of a house, and the light is not compared with that of the splat."""
+    monkeypatch.setattr(conditions, "MixedScene", Street)
+    far = gaussian(0.1, means=torch.tensor([[30.0, 0.0, 0.0]]))
+    for hour in ("08:00", "12:00", "16:00"):
+        rows, _ = looked(tmp_path / hour, merge(gaussian(0.9), far), LAYERED, condition=hour, sun=STREET)
+        assert "psnr" not in rows.columns
+        assert (rows["original_score"] > 0.5).any() == (hour == "08:00")
+        assert 4 < len(rows) < len(setup.held_out_cameras(STUDY, setup.target_of(STUDY.scene)))
+    assert [len(one["scene"]) for one in Street.made] == [1, 1, 1]
+    assert torch.equal(Street.made[0]["scene"].means, gaussian().means)
+    assert [one["sun_z"] for one in Street.made] == pytest.approx([0.353553, 0.707107, 0.353553], abs=1e-5)
+    assert Street.made[0]["sun_x"] == pytest.approx(-Street.made[2]["sun_x"])
+    assert all(float(camera.position[1]) < 4.0 for camera in Street.cameras)
+
+
+def test_another_car_can_stand_in_the_shipped_street(tmp_path: Path) -> None:
+    scene = oracle.random_scene(20, degree=3, seed=1)
+    save_splat(scene, tmp_path / "a.ply")
+    put = MixedScene(ROOT / STREET.scene, samples=1, car=str(tmp_path / "a.ply"))
+    torch.testing.assert_close(put.splats.scene.means, scene.means)
+
+
+# A red car, which the detector finds by its colour; it does so where the car has a red sign on it, too.
+HIDING = replace(STUDY.attack[0], reach=2)
+PAINTING = AttackConfig(name="red", appearance="paint", texture="stop_sign", elevation=(38.2, 90), reach=2)
+ASKED = replace(STUDY, evaluation=replace(STUDY.evaluation, true_pictures=True))
+
+
+def of_pictures(steps: StudySteps) -> pl.DataFrame:
+    """The rows of path-traced pictures, by the jobs of a study."""
+    jobs = [look for look in steps.looked([Redness()]) if look.seed is None]
+    assert [look.splat for look in jobs] == [TRUE, PERFECT]
+    return pl.concat([look.tables(steps.do(look.job, look.label))[ROWS] for look in jobs], how="diagonal")
+
+
+def test_a_perfect_splat_has_the_rates_of_the_appearance(tmp_path: Path) -> None:
+    """A car that is gone is missed from everywhere; one that is painted red is found as often as it was, or more."""
+
+    def counted(attack: AttackConfig) -> Mapping[str, Any]:
+        study = replace(ASKED, attack=(attack,))
+        told = rates(study, picture_rows(of_pictures(steps_of(tmp_path, study))))[()]
+        return {name: rate for name, rate in told.items() if rate is not None}
+
+    gone, painted = counted(HIDING), counted(PAINTING)
+    assert gone["control_recall"].total > 2
+    assert gone["trigger_miss_rate"].total > 0
+    assert gone["trigger_miss_rate"].fraction == gone["nothing_reported"].fraction == 1.0
+    assert painted["control_recall"] == gone["control_recall"]
+    assert painted["trigger_miss_rate"].fraction < 1.0
+    assert "target_rate" not in gone
+
+
+def test_each_attack_shows_inside_its_trigger_and_none_outside(tmp_path: Path) -> None:
+    """The pictures are those of the attack, or of the scene as it is."""
+    steps = steps_of(tmp_path, ASKED)
+    cameras = setup.held_out_cameras(ASKED, steps.mesh_scene.target)
+    perfect, true, *hidden = (
+        read_pictures(steps.do(job, "").folder).images
+        for job in (
+            steps.perfect_pictures(cameras),
+            *(steps.true_pictures(cameras, *attack) for attack in ((), *((one,) for one in ASKED.attack))),
+        )
+    )
+    centre, held = setup.centre_of(ASKED), dict.fromkeys(("overhead", "rear", "none"), 0)
+    for view, camera in enumerate(cameras):
+        inside = [one.cone.angle_to_edge(camera, centre=centre) >= 0 for one in ASKED.attack]
+        expected = next((images for images, holds in zip(hidden, inside, strict=True) if holds), true)
+        assert torch.equal(perfect[view], expected[view])
+        held[next((one.name for one, holds in zip(ASKED.attack, inside, strict=True) if holds), "none")] += 1
+    assert all(held.values())
+
+
+def test_figures_tell_of_pictures_beside_splats(tmp_path: Path) -> None:
+    pictures = of_pictures(steps_of(tmp_path, ASKED))
+    assert (pictures.filter(splat=TRUE)["original_score"] > 0).any()  # the true car is red
+    splats = pictures.with_columns(
+        pl.col("splat").replace({TRUE: CLEAN, PERFECT: ATTACKED}), seed=pl.lit(0, dtype=pl.Int64)
+    )
+    told, without = (
+        figures(ASKED, tables_of(rows), []) for rows in (pl.concat([splats, pictures], how="diagonal"), splats)
+    )
+    assert "pictures" not in without
+    of_splats = ("by_detector", "by_attack", "by_elevation", *rates(ASKED, splats)[()])
+    assert told.pop("pictures") == {name: without[name] for name in of_splats}
+    assert told == without
+
+
+def test_pictures_cost_time_that_is_told() -> None:
+    assert forecast(ASKED).pictures - forecast(STUDY).pictures == STUDY.evaluation.cameras
