@@ -1,8 +1,9 @@
 """`mi-splat doctor`: check what `mi-splat dagger` needs on this machine, and say what to do where it does not work.
 
 A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So the checks run in child
-processes (`python -m attacks.cli.doctor GROUP`). A child reports each check as soon as it is done, one JSON object a
-line. If it ends early, the first check without a report has failed; the signal or the last line of stderr says why.
+processes (`python -m attacks.cli.doctor GROUP`). A child prints what each check says as soon as it is done, one JSON
+text a line. If it ends early, the first check without a line has failed; the signal or the last line of stderr says
+why.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from mi_splat.cli.console import progress, show, show_json
+from mi_splat.cli.console import progress, show_result
+from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, install
 from mi_splat.llvm import llvm_hint
 from mi_splat.provenance import versions
@@ -33,23 +35,16 @@ TIME_LIMIT = 300.0
 """Seconds that one group may take; the first kernels of a machine have to be compiled."""
 
 
-class AbsentError(MiSplatError):
-    """Something optional is not on this machine."""
-
-
 EXAMPLES = ("doctor",)
 SEE_ALSO = ("detectors",)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DoctorOptions:
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions(JsonOptions):
     """Render one Gaussian, take one gradient, load one detector; say what works and what to do about what does not.
 
     The exit status is 1 if something that `mi-splat dagger` needs does not work.
     """
-
-    json: bool = False
-    """Print the findings as one JSON document on stdout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,15 +81,16 @@ def run(options: DoctorOptions) -> int:
     with progress("checking", total=len(GROUPS)) as advance:
         findings = examine(lambda group: advance(f"checked {group}"))
     healthy = all(finding.state == "works" for finding in findings if finding.required)
-    if options.json:
-        show_json({"healthy": healthy, "findings": [dataclasses.asdict(finding) for finding in findings]})
-        return 0 if healthy else 1
     width = max(len(finding.name) for finding in findings)
+    lines = []
     for finding in findings:
-        show(f"{finding.state:7}  {finding.name:{width}}  {finding.detail}")
+        lines.append(f"{finding.state:7}  {finding.name:{width}}  {finding.detail}")
         if finding.advice:
-            show(f"{'':7}  {'':{width}}  -> {finding.advice}")
-    show("all that mi-splat needs works" if healthy else "something that mi-splat needs does not work; see the arrows")
+            lines.append(f"{'':7}  {'':{width}}  -> {finding.advice}")
+    fine, broken = "all that mi-splat needs works", "something that mi-splat needs does not work; see the arrows"
+    lines.append(fine if healthy else broken)
+    document = {"healthy": healthy, "findings": [dataclasses.asdict(finding) for finding in findings]}
+    show_result(document, *lines, as_json=options.json)
     return 0 if healthy else 1
 
 
@@ -104,39 +100,39 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     Args:
         on_done: Called with the name of each group of checks when it is done.
     """
-    findings = [_versions()]
+    packages = ", ".join(f"{package} {number}" for package, number in versions().items())
+    detail = f"{packages}; {platform.system()} {platform.machine()}"
+    findings = [Finding(name="versions", state="works", detail=detail, advice="", required=True)]
     for group in GROUPS:
         findings += examine_group(group, [sys.executable, "-m", "attacks.cli.doctor", group])
         on_done(group)
-    return findings + [_extra(name, module) for name, module in EXTRAS.items()]
+    for extra, module in EXTRAS.items():
+        missing = importlib.util.find_spec(module) is None
+        state: State = "absent" if missing else "works"
+        detail, advice = f"no {module}" if missing else module, f"optional: {install(extra)}" if missing else ""
+        findings.append(Finding(name=f"extra {extra}", state=state, detail=detail, advice=advice, required=False))
+    return findings
 
 
 def examine_group(group: str, command: list[str]) -> list[Finding]:
     """The findings of one group, whose probes run in the child process `command`."""
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace"
-    ) as child:
-        try:
-            output, errors = child.communicate(timeout=TIME_LIMIT)
-            reason = _end_of(child.returncode, errors)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            output, _ = child.communicate()
-            reason = f"no answer after {TIME_LIMIT:.0f} s"
-    reports = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
-    return list(_findings(GROUPS[group], reports, reason))
-
-
-def _findings(probes: tuple[Probe, ...], reports: list[dict[str, object]], reason: str) -> Iterator[Finding]:
-    """Match a child's reports with its probes; the first probe without one has failed for `reason`."""
-    for index, probe in enumerate(probes):
-        state: State
-        if index < len(reports):
-            state, detail = ("absent" if reports[index]["absent"] else "works"), str(reports[index]["detail"])
+    try:
+        child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT, check=False)
+        output, reason = child.stdout, _end_of(child.returncode, child.stderr.decode(errors="replace"))
+    except subprocess.TimeoutExpired as error:
+        output, reason = error.stdout or b"", f"no answer after {TIME_LIMIT:.0f} s"
+    details = [str(json.loads(line)) for line in output.splitlines() if line.startswith(b'"')]
+    findings = []
+    for number, probe in enumerate(GROUPS[group]):
+        state: State = "works"
+        if number < len(details):
+            detail, advice = details[number], ""
+        elif number == len(details):
+            state, detail, advice = "fails" if probe.required else "absent", reason, probe.advice
         else:
-            state, detail = ("fails", reason) if index == len(reports) else ("skipped", "needs what failed before")
-        advice = probe.advice if state in ("fails", "absent") else ""
-        yield Finding(name=probe.name, state=state, detail=detail, advice=advice, required=probe.required)
+            state, detail, advice = "skipped", "needs what failed before", ""
+        findings.append(Finding(name=probe.name, state=state, detail=detail, advice=advice, required=probe.required))
+    return findings
 
 
 def _end_of(status: int, errors: str) -> str:
@@ -145,25 +141,6 @@ def _end_of(status: int, errors: str) -> str:
     if status < 0:
         return f"the process was ended by {signal.Signals(-status).name}" + (f" ({lines[0]})" if lines else "")
     return re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1]) if lines else f"exit status {status}"
-
-
-def _versions() -> Finding:
-    """Python and the packages that matter; always works, since we run."""
-    packages = ", ".join(f"{package} {number}" for package, number in versions().items())
-    detail = f"{packages}; {platform.system()} {platform.machine()}"
-    return Finding(name="versions", state="works", detail=detail, advice="", required=True)
-
-
-def _extra(name: str, module: str) -> Finding:
-    """Whether an optional package is there, without importing it."""
-    there = importlib.util.find_spec(module) is not None
-    return Finding(
-        name=f"extra {name}",
-        state="works" if there else "absent",
-        detail=module if there else f"no {module}",
-        advice="" if there else f"optional: {install(name)}",
-        required=False,
-    )
 
 
 def _llvm() -> str:
@@ -223,7 +200,7 @@ def _cuda() -> str:
     import torch
 
     if not torch.cuda.is_available():
-        raise AbsentError(f"torch {torch.__version__} sees no GPU")
+        raise MiSplatError(f"torch {torch.__version__} sees no GPU")
     picture = _render(variant="cuda_ad_rgb")
     return f"{torch.cuda.get_device_name()}; the middle pixel of one Gaussian is {_middle(picture):.2f}"
 
@@ -294,15 +271,6 @@ EXTRAS = {
 }
 
 
-def report_group(group: str) -> None:
-    """In the child: run the probes of a group in order, and report each on stdout as soon as it is done."""
-    for probe in GROUPS[group]:
-        try:
-            detail, absent = probe.run(), False
-        except AbsentError as error:
-            detail, absent = str(error), True
-        os.write(sys.stdout.fileno(), (json.dumps({"detail": detail, "absent": absent}) + "\n").encode())
-
-
 if __name__ == "__main__":
-    report_group(sys.argv[1])
+    for probe in GROUPS[sys.argv[1]]:  # in the child; a line is there as soon as its probe is done
+        os.write(sys.stdout.fileno(), (json.dumps(probe.run()) + "\n").encode())

@@ -5,11 +5,12 @@ One set of rules for every command, by the name of the option.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mi_splat.cli.console import UsageError, warn
+from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, message, nearest
 
 if TYPE_CHECKING:
@@ -19,11 +20,9 @@ DEFAULT_OBJECT = "car"
 """Part that is attacked if nothing else is said."""
 DEFAULT_TARGET = "person"
 """Class that detectors shall see there if nothing else is said."""
-ENDINGS = ("_small", "_coco")
-"""Of the names of the project's own detectors, and of those that `mi-splat detectors --get` fetches."""
 
 
-def check_names(options: object) -> None:
+def check_names(options: Any) -> None:
     """Raise unless detectors are known, they know the classes, and the aim can be one.
 
     Args:
@@ -35,18 +34,19 @@ def check_names(options: object) -> None:
             a class, or the class wanted is what the object is.
         UsageError: A class is wanted beside an objective that wants none, or nothing may change.
     """
-    radii = getattr(getattr(options, "config", None), "eps", ())
-    if 0 in radii:  # which an attack from Python may have, as a control
+    given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    if 0 in getattr(given.get("config"), "eps", ()):  # which an attack from Python may have, as a control
         raise UsageError(message("--eps", "a number > 0", 0, "5 is the paper's"))
-    objective, target = getattr(options, "objective", "relabel"), getattr(options, "target", None)
+    objective, target, weights = given.get("objective", "relabel"), given.get("target"), given.get("weights")
     if objective != "relabel" and target is not None:
         do = "leave one out"
         raise UsageError(message("--target", f"none beside --objective {objective}", target, do))
-    names = _detectors(options)
-    weights = getattr(options, "weights", None)
-    if len(names) > 1 or isinstance(weights, tuple):
-        check_detectors(names, weights or ())
-    asked = (*names, *_others(options))
+    named = given.get("detectors") or given.get("detector") or ()
+    names = (named,) if isinstance(named, str) else named
+    if isinstance(weights, tuple):
+        check_detectors(names, weights)
+    surrogate = given.get("surrogate", "none")
+    asked = (*names, *([surrogate] if surrogate not in ("none", "auto") else []))
     if not asked:
         return
     from attacks.detectors.registry import detector_spec  # not for commands that have none
@@ -54,9 +54,14 @@ def check_names(options: object) -> None:
     known = {name: detector_spec(name).classes for name in asked}
     for flag in ("original", "target"):
         for name in names if not weights else ():  # a file of weights may have other classes
-            check_class(getattr(options, flag, None), name, known[name], what=f"--{flag}")
-    if hasattr(options, "target") and objective == "relabel":
-        _check_new(options, target)
+            check_class(given.get(flag), name, known[name], what=f"--{flag}")
+    if objective == "relabel" and {"target", "selection"} <= set(given):
+        attacks, selection = "original" not in given, given["selection"]  # who judges takes nothing for granted
+        part = DEFAULT_OBJECT if selection.is_empty and attacks else selection.object or ""
+        name = given.get("original") or part.replace("_", " ")
+        if name and name == (target or (DEFAULT_TARGET if attacks else None)):
+            do = "name another class with --target"
+            raise InvalidValueError(message("--target", f"another class than the object's, {name}", name, do))
 
 
 def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
@@ -120,47 +125,3 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
         raise InvalidValueError(message("--detectors", "one name or more", "none", "see `mi-splat detectors`"))
     check_detectors(names, weights)
     return dict(zip(names, weights, strict=True)) if weights else {}
-
-
-def loadable() -> list[str]:
-    """Names of the project's own detectors, and of those that others trained, that can be loaded here.
-
-    Says which cannot, and why.
-    """
-    from attacks.detectors.registry import DETECTORS
-
-    names = []
-    for name in DETECTORS:
-        if name.endswith(ENDINGS):
-            missing = DETECTORS[name].missing()
-            if missing:
-                warn(f"{name} is left out: {missing}")
-            else:
-                names.append(name)
-    return names
-
-
-def _detectors(options: object) -> tuple[str, ...]:
-    """Names of the detectors that a command uses."""
-    named: Any = getattr(options, "detectors", None) or getattr(options, "detector", None) or ()
-    return (named,) if isinstance(named, str) else tuple(named)
-
-
-def _others(options: object) -> tuple[str, ...]:
-    """Names of detectors that are used beside these."""
-    surrogate = getattr(options, "surrogate", "none")
-    return (surrogate,) if surrogate not in ("none", "auto") else ()
-
-
-def _check_new(options: object, target: str | None) -> None:
-    """Raise if the class wanted is what the object is by its own name."""
-    selection: Any = getattr(options, "selection", None)
-    if selection is None:
-        return
-    attacks = not hasattr(options, "original")  # the other command judges, and takes nothing for granted
-    named = DEFAULT_OBJECT if selection.is_empty and attacks else selection.object
-    name = getattr(options, "original", None) or (named or "").replace("_", " ")
-    wanted = target or (DEFAULT_TARGET if attacks else None)
-    if wanted is not None and wanted == name:
-        do = "name another class with --target"
-        raise InvalidValueError(message("--target", f"another class than the object's, {name}", wanted, do))
