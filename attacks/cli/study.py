@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.studies.study_file import Study
-from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, show_result, warn
+from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Folder, at_least, between
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from attacks.studies.plan import Work
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
-    from mi_splat.ledger.plans import Result
+    from mi_splat.ledger.index import Entry
 
 
 EXAMPLES = (
@@ -30,8 +32,8 @@ EXAMPLES = (
 SEE_ALSO = ("dagger", "dagger-eot", "report")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudyOptions:
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions(JsonOptions):
     """Do a study: a TOML file that says what is attacked, and what of it varies.
 
     plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
@@ -67,19 +69,17 @@ class StudyOptions:
     """Why the change of the code changes no result (reuse)."""
     sbatch: Annotated[tuple[str, ...], Called("OPTION")] = ()
     """Options of each array without their dashes, as time=02:00:00 (export)."""
-    json: bool = False
-    """Print one JSON document on stdout."""
+
+    def folder(self, study: Study) -> Path:
+        """Folder for the result of a study."""
+        return self.out or Path("out/studies") / study.name
 
 
-def run(options: StudyOptions) -> int:
+def run(options: StudyOptions) -> int | None:
     """Do what is asked for."""
     from attacks.studies.study_file import read_study
 
     return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))
-
-
-def _out(options: StudyOptions, study: Study) -> Path:
-    return options.out or Path("out/studies") / study.name
 
 
 def _work(study: Study) -> Work | CloakWork:
@@ -93,37 +93,26 @@ def _work(study: Study) -> Work | CloakWork:
     return Work(study)
 
 
-def _plan(options: StudyOptions, study: Study) -> int:
+def _plan(options: StudyOptions, study: Study) -> None:
     """Count the jobs, and forecast."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import forecast, plan
 
     work, store = _work(study), Store(options.store)
-    entries = plan(store, work.study.name, work.jobs())
+    entries = plan(store, study.name, work.jobs())
     done = sum(entry.state == "done" for entry in entries)
     seconds, unknown = forecast(store, entries)
-    document = {
-        "study": work.study.name,
-        "jobs": len(entries),
-        "done": done,
-        "seconds": round(seconds, 1),
-        "not_measured": unknown,
-        "searches": len(work.searches),
-    }
-    if options.json:
-        show_json(document)
-        return 0
-    show(f"{work.study.question or work.study.name}")
-    show(f"{document['jobs']} jobs, {document['done']} of them done.")
+    document = {"study": study.name, "jobs": len(entries), "done": done, "seconds": round(seconds, 1)}
+    lines = [study.question or study.name, f"{len(entries)} jobs, {done} of them done."]
     if work.searches:
-        show(f"Of {len(work.searches)} searches some of the jobs: which ones, their results say.")
-    workers = max(1, options.workers)
+        lines.append(f"Of {len(work.searches)} searches some of the jobs: which ones, their results say.")
     if seconds:
-        on = "" if workers == 1 else f", on {workers} workers"
-        show(f"About {_duration(seconds / workers)} by what was measured{on}.")
+        on = "" if options.workers < 2 else f", on {options.workers} workers"
+        lines.append(f"About {_duration(seconds / max(1, options.workers))} by what was measured{on}.")
     if unknown:
-        show(f"Of {unknown} jobs no like was done yet, so their time is not known.")
-    return 0
+        lines.append(f"Of {unknown} jobs no like was done yet, so their time is not known.")
+    document |= {"not_measured": unknown, "searches": len(work.searches)}
+    show_result(document, *lines, as_json=options.json)
 
 
 def _duration(seconds: float) -> str:
@@ -134,49 +123,43 @@ def _duration(seconds: float) -> str:
 
 def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
-    from attacks.studies.result import STUDY_FILE
+    from attacks.cli.summary import show_summary
+    from attacks.studies.result import STUDY_FILE, write_result
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.io.locks import check_unlocked
     from mi_splat.io.manifest import write_manifest
     from mi_splat.ledger.plans import Driver
 
-    out = _out(options, study)
+    out = options.folder(study)
     check_own_folder(out, STUDY_FILE)
     check_unlocked(out)
-    work = _work(study)
+    work: Any = _work(study)
+    write = work.write if study.kind == "cloak" else partial(write_result, work)
     if study.kind == "cloak":
-        cast("CloakWork", work).check_room(options.store)
+        work.check_room(options.store)
     with own_folder(out, STUDY_FILE):
         with progress("preparing", total=None if work.searches else work.size) as advance:
             engine = _engine(options, _follow(advance))
-            driver = Driver(options.store, engine, name=work.study.name, on_event=_follow(advance))
+            driver = Driver(options.store, engine, name=study.name, on_event=_follow(advance))
             results = driver.run(work.plans())
         failed = {label: result for label, result in results.items() if isinstance(result, str)}
-        paths = [] if len(failed) == len(results) else _written(work, results, out)
+        paths = [] if len(failed) == len(results) else write(results, out)
         if paths:
             write_manifest(out)
     if options.json:
         show_json({"jobs": len(results), "failed": failed, "files": [str(path) for path in paths]})
-    else:
-        _tell(failed, paths, options.study)
+        return 1 if failed else 0
+    for label, text in failed.items():
+        warn(f"{label}: {_last_line(text)}")
+    if failed:
+        warn(f"{len(failed)} jobs have failed; mend the cause, then: mi-splat study retry {options.study}")
+    if paths:
+        show_summary(out, as_json=False)
     return 1 if failed else 0
 
 
-def _written(work: Work | CloakWork, results: Mapping[str, Result], out: Path) -> list[Path]:
-    """Write the result; returns its files."""
-    if work.study.kind == "cloak":
-        return cast("CloakWork", work).write(results, out)
-    from attacks.studies.result import write_result
-
-    return write_result(cast("Work", work), results, out)
-
-
-def _tell(failed: Mapping[str, str], paths: list[Path], study: Path) -> None:
-    for label, text in failed.items():
-        warn(f"{label}: {text.strip().splitlines()[-1]}")
-    if failed:
-        warn(f"{len(failed)} jobs have failed; mend the cause, then: mi-splat study retry {study}")
-    show("\n".join(map(str, paths)))
+def _last_line(text: str) -> str:
+    return text.strip().splitlines()[-1]
 
 
 def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
@@ -207,20 +190,20 @@ def _follow(advance: Advance) -> Callable[[Event], None]:
     return told
 
 
-def _export(options: StudyOptions, study: Study) -> int:
+def _export(options: StudyOptions, study: Study) -> None:
     """Write what SLURM runs; then `run` finds everything done and writes the result."""
     from mi_splat.ledger.slurm import SUBMIT, export
 
-    work, folder = _work(study), _out(options, study).with_name(f"{_out(options, study).name}-slurm")
+    work, out = _work(study), options.folder(study)
+    folder = out.with_name(f"{out.name}-slurm")
     levels = export(work.jobs().values(), folder, options.store, options=[f"--{option}" for option in options.sbatch])
     if work.searches:
         warn("a search looks at some of its values only; all of them are exported")
     line = f"{sum(levels)} jobs in {len(levels)} arrays: sh {folder / SUBMIT}"
     show_result({"levels": levels, "file": str(folder / SUBMIT)}, line, as_json=options.json)
-    return 0
 
 
-def _reuse(options: StudyOptions, study: Study) -> int:
+def _reuse(options: StudyOptions, study: Study) -> None:
     """Take over what older code has made."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.job import by_depth
@@ -240,10 +223,9 @@ def _reuse(options: StudyOptions, study: Study) -> int:
         raise InvalidValueError(message(study.name, "results of older code", "none", "run the study"))
     told = "{}: {verified} made again with the same bytes, {taken} taken over"
     show_result(taken, *(told.format(kind, **counts) for kind, counts in taken.items()), as_json=options.json)
-    return 0
 
 
-def _status(options: StudyOptions, study: Study) -> int:
+def _status(options: StudyOptions, study: Study) -> None:
     """How far the study is, as of its last planning."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import STATES, status
@@ -253,16 +235,15 @@ def _status(options: StudyOptions, study: Study) -> int:
     counts = Counter(entry.state for entry in entries)
     failed = {_title(entry): store.failures(entry.key)[-1]["error"] for entry in entries if entry.state == "failed"}
     document = {**{state: counts[state] for state in STATES}, "failures": failed}
-    lines = [f"{label}: {text.strip().splitlines()[-1]}" for label, text in failed.items()]
+    lines = [f"{label}: {_last_line(text)}" for label, text in failed.items()]
     show_result(document, ", ".join(f"{counts[state]} {state}" for state in STATES), *lines, as_json=options.json)
-    return 0
 
 
-def _title(entry: Any) -> str:
+def _title(entry: Entry) -> str:
     return entry.labels[0] if entry.labels else f"{entry.kind} {entry.key}"
 
 
-def _retry(options: StudyOptions, study: Study) -> int:
+def _retry(options: StudyOptions, study: Study) -> None:
     """Forget what has failed."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import status
@@ -271,10 +252,9 @@ def _retry(options: StudyOptions, study: Study) -> int:
     forgiven = [_title(entry) for entry in status(store, study.name) if entry.key and store.forgive(entry.key)]
     line = f"{len(forgiven)} jobs will be tried again by: mi-splat study run {options.study}"
     show_result({"forgiven": forgiven}, line, as_json=options.json)
-    return 0
 
 
-def _clean(options: StudyOptions, study: Study) -> int:
+def _clean(options: StudyOptions, study: Study) -> None:
     """Delete the results that no other study of the store uses."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import status
@@ -288,10 +268,9 @@ def _clean(options: StudyOptions, study: Study) -> int:
     store.sweep()
     line = f"{len(keys)} jobs deleted from {options.store}; the result folder of the study stays as it is."
     show_result({"deleted": len(keys)}, line, as_json=options.json)
-    return 0
 
 
-_ACTIONS: Mapping[str, Callable[[StudyOptions, Study], int]] = {
+_ACTIONS: Mapping[str, Callable[[StudyOptions, Study], int | None]] = {
     "plan": _plan,
     "run": _run,
     "status": _status,

@@ -18,7 +18,6 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Length, at_least, between
 
 if TYPE_CHECKING:
-    from mi_splat.viewer.exhibit import Exhibit
     from mi_splat.viewer.painter import Painter
 
 
@@ -30,7 +29,7 @@ EXAMPLES = (
 SEE_ALSO = ("render", "report", "dagger")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ViewOptions:
     """Look at a splat or at the result of an attack on a page in the browser, or write such a page to a file.
 
@@ -70,13 +69,17 @@ class ViewOptions:
     """Replace the file of --export if it is there."""
 
 
-def run(options: ViewOptions) -> int:
+def run(options: ViewOptions) -> None:
     """Serve the page until Ctrl-C or SIGTERM, or write it."""
+    from attacks.report.exhibits import detector_inspector, open_exhibit
+    from mi_splat.rendering import Renderer
+    from mi_splat.viewer.exhibit import Wishes
     from mi_splat.viewer.export import check_export, write_export
     from mi_splat.viewer.guard import checked_host
     from mi_splat.viewer.page import check_port, need_viser
+    from mi_splat.viewer.painter import Painter
 
-    limit_threads((os.cpu_count() or 1) // 2)
+    limit_threads()
     if options.weights is not None and options.detector is None:
         raise InvalidValueError(
             message("weights", "a detector that they belong to", "none", "name it with --detectors")
@@ -87,31 +90,21 @@ def run(options: ViewOptions) -> int:
         need_viser()
         check_port(checked_host(options.host, allow_remote=options.allow_remote), options.port)
     with progress("loading"):
-        painter = _painter(options)
+        wishes = Wishes(background=options.background, near=options.near, size=options.size)
+        exhibit = wishes.applied(open_exhibit(options.path, clean=options.clean))
+        inspector = None
+        if options.detector is not None:
+            inspector = detector_inspector(load_detector(options.detector, weights=options.weights))
+        painter = Painter(exhibit, Renderer(exhibit.settings), inspector)
     if options.export is None:
-        return _serve(painter, options)
+        _serve(painter, options)
+        return
     with progress("taking pictures", total=options.views[0] * options.views[1]) as advance:
         write_export(painter, options.export, views=options.views, force=options.force, on_view=advance)
     show(f"{options.export}: {options.views[0]} x {options.views[1]} pictures; open it in any browser.")
-    return 0
 
 
-def _painter(options: ViewOptions) -> Painter:
-    """What makes the pictures that the options ask for."""
-    from attacks.report.exhibits import detector_inspector, open_exhibit
-    from mi_splat.rendering import Renderer
-    from mi_splat.viewer.exhibit import Wishes
-    from mi_splat.viewer.painter import Painter
-
-    wishes = Wishes(background=options.background, near=options.near, size=options.size)
-    exhibit: Exhibit = wishes.applied(open_exhibit(options.path, clean=options.clean))
-    inspector = None
-    if options.detector is not None:
-        inspector = detector_inspector(load_detector(options.detector, weights=options.weights))
-    return Painter(exhibit, Renderer(exhibit.settings), inspector)
-
-
-def _serve(painter: Painter, options: ViewOptions) -> int:
+def _serve(painter: Painter, options: ViewOptions) -> None:
     """Serve the page until it is to stop."""
     from mi_splat.viewer.guard import is_loopback
     from mi_splat.viewer.page import Page, stopping
@@ -127,7 +120,6 @@ def _serve(painter: Painter, options: ViewOptions) -> int:
             threading.Thread(target=webbrowser.open, args=(page.address,), daemon=True).start()
         page.run(stop)
     show("The page is closed.")
-    return 0
 
 
 def _has_screen() -> bool:
