@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mi_splat.cli.console import progress, show, show_json, show_table
+from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.formats.detection import format_to_write
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from mi_splat.io.formats.encoded import Encoded
     from mi_splat.scene import GaussianScene
 
 
@@ -29,8 +29,8 @@ EXAMPLES = (
 SEE_ALSO = ("info", "render")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ConvertOptions:
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions(JsonOptions):
     """Convert a splat file to another format, which the ending of its name says.
 
     Says what the new file does not hold, and how far its values are off.
@@ -48,12 +48,12 @@ class ConvertOptions:
     """Version of an SPZ file; None is 3."""
     drop_invalid: bool = False
     """Leave out Gaussians that are not valid, instead of an error."""
-    json: bool = False
-    """Print what was written and lost as one JSON document on stdout."""
 
 
-def run(options: ConvertOptions) -> int:
+def run(options: ConvertOptions) -> None:
     """Convert, read the new file back, and say how it differs."""
+    import torch
+
     from mi_splat.io import load_splat
     from mi_splat.io.folders import check_not_input, check_writable
     from mi_splat.io.formats.encoded import Values, dropped_bands
@@ -73,37 +73,31 @@ def run(options: ConvertOptions) -> int:
         options.out.parent.mkdir(parents=True, exist_ok=True)
         encoded = write_splat_file(kept, options.out, spz_version=options.spz_version or 3)
         again = load_splat(options.out)
-    changes = differences(_as_written(scene, encoded), again)
+    written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
+    changes = differences(written, again)
     losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
-    if options.json:
-        document = {
-            "source": str(options.source),
-            "out": str(options.out),
-            "gaussians": len(again),
-            "bytes_before": options.source.stat().st_size,
-            "bytes_after": options.out.stat().st_size,
-            "sh_degree_before": scene.degree,
-            "sh_degree_after": again.degree,
-            "reordered": encoded.order is not None,
-            "largest_changes": changes,
-            "lost": [dataclasses.asdict(loss) for loss in losses],
-        }
-        show_json(document)
-        return 0
-    rows = [("file", f"{options.out}, {options.out.stat().st_size:,} bytes"), ("gaussians", f"{len(again):,}")]
-    rows += [("sh degree", f"{scene.degree} before, {again.degree} after")]
-    rows += [("order", "changed" if encoded.order is not None else "kept")]
-    show_table([*rows, *(("largest change", f"{name}: {value:.3g}") for name, value in changes.items())])
-    for loss in losses:
-        show(f"lost: {loss}")
-    return 0
-
-
-def _as_written(scene: GaussianScene, encoded: Encoded) -> GaussianScene:
-    """The scene in the order of the file."""
-    import torch
-
-    return scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
+    sizes = options.source.stat().st_size, options.out.stat().st_size
+    document = {
+        "source": str(options.source),
+        "out": str(options.out),
+        "gaussians": len(again),
+        "bytes_before": sizes[0],
+        "bytes_after": sizes[1],
+        "sh_degree_before": scene.degree,
+        "sh_degree_after": again.degree,
+        "reordered": encoded.order is not None,
+        "largest_changes": changes,
+        "lost": [dataclasses.asdict(loss) for loss in losses],
+    }
+    lines = [
+        f"file            {options.out}, {sizes[1]:,} bytes",
+        f"gaussians       {len(again):,}",
+        f"sh degree       {scene.degree} before, {again.degree} after",
+        f"order           {'changed' if encoded.order is not None else 'kept'}",
+        *(f"largest change  {name}: {value:.3g}" for name, value in changes.items()),
+        *(f"lost: {loss}" for loss in losses),
+    ]
+    show_result(document, *lines, as_json=options.json)
 
 
 def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]:
@@ -119,14 +113,16 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
     one, two = before.with_degree(degree), after.with_degree(degree)
     first, second = one.rotations.double(), two.rotations.double()
     chord = torch.minimum((first - second).norm(dim=1), (first + second).norm(dim=1))  # q and -q are one rotation
-    found = {
+    changes = {
         "means, world units": _largest(one.means - two.means),
         "scales, ratio": math.exp(_largest(one.scales.double().log() - two.scales.double().log())),
         "rotations, degrees": math.degrees(4 * math.asin(min(1.0, _largest(chord) / 2))),
         "opacity": _largest(one.opacities - two.opacities),
         "colour": _largest(dc_to_colour(one.sh[:, 0]) - dc_to_colour(two.sh[:, 0])),
     }
-    return {**found, "SH coefficients": _largest(one.sh[:, 1:] - two.sh[:, 1:])} if degree else found
+    if degree:
+        changes["SH coefficients"] = _largest(one.sh[:, 1:] - two.sh[:, 1:])
+    return changes
 
 
 def _largest(values: Tensor) -> float:

@@ -8,15 +8,15 @@ from typing import Annotated
 
 from mi_splat.cli.console import limit_threads, progress, show_result
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import Samples
+from mi_splat.cli.options import JsonOptions, Samples
 from mi_splat.fields import Folder, Seed, Steps, at_least
 
 EXAMPLES = ("example-scenes stop_sign --out out/scenes",)
 SEE_ALSO = ("render", "dagger")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExampleScenesOptions:
+@dataclass(frozen=True, kw_only=True)
+class ExampleScenesOptions(JsonOptions):
     """Make one of the splat scenes that the project ships, from its own meshes: pictures, start on surfaces, training.
 
     Writes NAME.xml, its two splats and NAME.json, a record with counts, settings, seed and PSNR, into --out. With the
@@ -35,11 +35,9 @@ class ExampleScenesOptions:
     """Steps of the training; None takes the recipe's number."""
     seed: Seed = 0
     """Seed of everything but the meshes."""
-    json: bool = False
-    """Print the record as one JSON document on stdout."""
 
 
-def run(options: ExampleScenesOptions) -> int:
+def run(options: ExampleScenesOptions) -> None:
     """Make the scene and say how good it is."""
     from mi_splat.example_scenes import make
     from mi_splat.io.folders import check_writable
@@ -61,4 +59,3 @@ def run(options: ExampleScenesOptions) -> int:
         f"PSNR: {record['psnr_fitted']} dB on the pictures fitted to, {record['psnr_held_out']} dB on others",
     )
     show_result(record, *lines, as_json=options.json)
-    return 0

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import progress, show_json, show_table
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.io.errors import SplatFileWarning
 
 if TYPE_CHECKING:
@@ -27,20 +28,18 @@ EXAMPLES = (
 SEE_ALSO = ("render", "select", "convert")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InfoOptions:
+@dataclass(frozen=True, kw_only=True)
+class InfoOptions(JsonOptions):
     """Say what a splat file or a scene XML holds."""
 
     file: Positional[Path]
     """Splat file of any format that is read, or scene XML made of splats."""
-    json: bool = False
-    """Print it as one JSON document on stdout."""
 
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
-def run(options: InfoOptions) -> int:
+def run(options: InfoOptions) -> None:
     """Print the facts about a file."""
     with progress(f"reading {options.file}"):
         facts = _scene_file_facts(options.file) if options.file.suffix.lower() == ".xml" else _file_facts(options.file)
@@ -48,7 +47,6 @@ def run(options: InfoOptions) -> int:
         show_json({"file": str(options.file), **facts})
     else:
         show_table([("file", str(options.file)), *((name, _text(value)) for name, value in facts.items())])
-    return 0
 
 
 def _file_facts(path: Path) -> dict[str, object]:

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from mi_splat.cli.console import Advance, progress, show, show_json
+from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions, Samples
+from mi_splat.cli.options import CameraOptions, JsonOptions, Rate, Samples
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Called, Range
+from mi_splat.fields import Called
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from mi_splat.cameras import Camera, RenderFn
     from mi_splat.mixed_scenes import MixedScene
-    from mi_splat.scene import GaussianScene
-    from mi_splat.scene_files import SplatScene
 
 
 EXAMPLES = (
@@ -33,8 +31,8 @@ EXAMPLES = (
 SEE_ALSO = ("info", "compare", "train")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RenderOptions:
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions(JsonOptions):
     """Render a scene XML or a splat file: a picture, a picture from each of several cameras, or an animation.
 
     A scene XML with meshes beside splats is path traced by its integrator splat_ray.
@@ -50,9 +48,7 @@ class RenderOptions:
     the other; a folder, or a name with {} for the camera's, for a picture from each."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
-    fps: Annotated[
-        float, Range(low=0, high=1000, open_low=True, unit="pictures a second", do="24 is usual"), Called("RATE")
-    ] = 24.0
+    fps: Rate = 24.0
     """Pictures a second of an animation."""
     method: Literal["tile", "ray"] | None = None
     """How splats alone are rendered: tile is the picture of the reference 3DGS rasteriser, ray traces rays; without the
@@ -61,8 +57,6 @@ class RenderOptions:
     """Samples a pixel, for a scene with meshes; the other pictures need one."""
     force: bool = False
     """Replace a folder of pictures that an earlier call has written."""
-    json: bool = False
-    """Print what was rendered as one JSON document on stdout."""
 
 
 RECORD = "cameras.json"
@@ -70,46 +64,50 @@ RECORD = "cameras.json"
 _PLACE = "{}"
 
 
-def run(options: RenderOptions) -> int:
+def run(options: RenderOptions) -> None:
     """Render and save."""
+    import torch
+
     from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
     from mi_splat.io.camera_records import describe
     from mi_splat.io.folders import check_not_input
+    from mi_splat.io.images import to_bytes
+    from mi_splat.scene_files import open_scene
 
     check_not_input(options.out, options.scene)
     with progress("loading") as advance:
         mixed = _mixed_scene(options)
-        loaded = _opened(options) if mixed is None else mixed.splats
+        loaded = open_scene(options.scene) if mixed is None else mixed.splats
+        if options.method is not None:
+            loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, method=options.method))
         cameras = find_cameras(loaded, options.view)
         _check_out(options, cameras)
         settings = render_settings(loaded, options.view, cameras)
         render: RenderFn = renderer_of(loaded, options.view, cameras) if mixed is None else mixed
-        begun = time.perf_counter()
-        pictures = _pictures(loaded.scene, cameras, render, advance)
+        begun, pictures = time.perf_counter(), {}
+        for number, (name, camera) in enumerate(cameras.items(), 1):
+            advance(f"rendering {number} of {len(cameras)}")
+            with torch.no_grad():
+                pictures[name] = to_bytes(render(loaded.scene, camera))
         files = _save(pictures, cameras, options)
     seconds = time.perf_counter() - begun
     first = next(iter(cameras.values()))
-    if options.json:
-        show_json(
-            {
-                "out": str(options.out),
-                "files": [str(file) for file in files],
-                "gaussians": len(loaded.scene),
-                "width": first.width,
-                "height": first.height,
-                "near": settings.near,
-                "camera_to_world": first.to_world.tolist(),
-                "focal": [first.fx, first.fy],
-                "cameras": [describe(name, camera) for name, camera in cameras.items()],
-                "seconds": seconds,
-            }
-        )
-        return 0
-    size = f"{first.width} x {first.height}"
+    document = {
+        "out": str(options.out),
+        "files": [str(file) for file in files],
+        "gaussians": len(loaded.scene),
+        "width": first.width,
+        "height": first.height,
+        "near": settings.near,
+        "camera_to_world": first.to_world.tolist(),
+        "focal": [first.fx, first.fy],
+        "cameras": [describe(name, camera) for name, camera in cameras.items()],
+        "seconds": seconds,
+    }
     many = f"{len(cameras)} pictures, " if len(cameras) > 1 else ""
-    took = f"{seconds:.2f} s (the first picture compiles)"
-    show(f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}")
-    return 0
+    size, took = f"{first.width} x {first.height}", f"{seconds:.2f} s (the first picture compiles)"
+    line = f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}"
+    show_result(document, line, as_json=options.json)
 
 
 def _mixed_scene(options: RenderOptions) -> MixedScene | None:
@@ -128,16 +126,6 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
         do = "leave it out: the scene file says how it is rendered"
         raise InvalidValueError(message("scene with meshes", "flags that it can follow", ", ".join(idle), do))
     return MixedScene(options.scene, samples=options.samples)
-
-
-def _opened(options: RenderOptions) -> SplatScene:
-    """A scene of splats alone, with the method that was asked for."""
-    from mi_splat.scene_files import open_scene
-
-    loaded = open_scene(options.scene)
-    if options.method is None:
-        return loaded
-    return dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, method=options.method))
 
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
@@ -167,22 +155,6 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         raise InvalidValueError(message("--out", expected, out, "change the ending"))
     else:
         check_new_folder(out, force=options.force, record=RECORD)
-
-
-def _pictures(
-    scene: GaussianScene, cameras: Mapping[str, Camera], render: RenderFn, advance: Advance
-) -> dict[str, NDArray[np.uint8]]:
-    """The picture from each camera."""
-    import torch
-
-    from mi_splat.io.images import to_bytes
-
-    found = {}
-    for number, (name, camera) in enumerate(cameras.items(), 1):
-        advance(f"rendering {number} of {len(cameras)}")
-        with torch.no_grad():
-            found[name] = to_bytes(render(scene, camera))
-    return found
 
 
 def _save(

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mi_splat.cli.console import progress, show, show_json, warn
+from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.selection.config import Selection
 
@@ -29,8 +29,8 @@ EXAMPLES = (
 SEE_ALSO = ("info", "render", "dagger")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SelectOptions:
+@dataclass(frozen=True, kw_only=True)
+class SelectOptions(JsonOptions):
     """Select one object of a splat, and see whether it is the right one.
 
     Prints how many Gaussians it has, where they are, how much of the picture it makes up, and what is doubtful about
@@ -45,8 +45,6 @@ class SelectOptions:
     """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
     out: tuple[Path, ...] = ()
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
-    json: bool = False
-    """Print what was selected as one JSON document on stdout."""
 
 
 LISTED = 6
@@ -55,13 +53,13 @@ TINT = (1.0, 0.0, 0.8)
 """sRGB colour of the object in the picture, mixed half and half with its own."""
 
 
-def run(options: SelectOptions) -> int:
+def run(options: SelectOptions) -> None:
     """Select, save, and say what was selected."""
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_not_input, check_writable
     from mi_splat.io.pictures import is_picture
     from mi_splat.scene_files import open_scene
-    from mi_splat.selection.select import doubts
+    from mi_splat.selection.select import SEEN, doubts
 
     for path in options.out:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
@@ -78,45 +76,34 @@ def run(options: SelectOptions) -> int:
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
             _save(path, scene, mask, next(iter(weights.values())), first, chosen.render)
-    found = _facts(scene, mask, weights)
+    views: list[dict[str, Any]] = [
+        {
+            "camera": name,
+            "seen": bool((weight >= SEEN).any()),
+            "share": float((weight >= SEEN).double().mean()),
+            "highest": float(weight.max()),
+        }
+        for name, weight in weights.items()
+    ]
+    box = [scene.means[mask].amin(0).tolist(), scene.means[mask].amax(0).tolist()]
+    document = {
+        **{"gaussians": int(mask.sum()), "of": len(mask), "box": box, "views": views},
+        "selection": options.selection.as_dict(),
+        "doubts": doubts(mask, weights),
+        "files": [str(path) for path in options.out],
+    }
     for doubt in doubts(mask, weights):
         warn(f"warning: {doubt}")
-    if options.json:
-        files = [str(path) for path in options.out]
-        show_json({**found, "selection": options.selection.as_dict(), "doubts": doubts(mask, weights), "files": files})
-        return 0
-    low, high = (" ".join(f"{value:.4g}" for value in corner) for corner in found["box"])
-    show(f"{found['gaussians']:,} of {len(scene):,} Gaussians, in the box {low} {high}")
-    for view in found["views"][:LISTED]:
-        show(f"{'seen' if view['seen'] else 'not seen'} by {view['camera']}: {view['share']:.1%} of the pixels")
-    if len(found["views"]) > LISTED:
-        seen = [view["share"] for view in found["views"] if view["seen"]]
-        shares = f", {min(seen):.1%} to {max(seen):.1%} of the pixels" if seen else ""
-        show(f"seen by {len(seen)} of {len(found['views'])} cameras in all{shares}")
-    for path in options.out:
-        show(str(path))
-    return 0
-
-
-def _facts(scene: GaussianScene, mask: Tensor, weights: dict[str, Tensor]) -> dict[str, Any]:
-    """What was selected, in numbers."""
-    from mi_splat.selection.select import SEEN
-
-    means = scene.means[mask]
-    return {
-        "gaussians": int(mask.sum()),
-        "of": len(mask),
-        "box": [means.amin(0).tolist(), means.amax(0).tolist()],
-        "views": [
-            {
-                "camera": name,
-                "seen": bool((weight >= SEEN).any()),
-                "share": float((weight >= SEEN).double().mean()),
-                "highest": float(weight.max()),
-            }
-            for name, weight in weights.items()
-        ],
-    }
+    low, high = (" ".join(f"{value:.4g}" for value in corner) for corner in box)
+    lines = [f"{document['gaussians']:,} of {len(mask):,} Gaussians, in the box {low} {high}"]
+    for view in views[:LISTED]:
+        seen = "seen" if view["seen"] else "not seen"
+        lines.append(f"{seen} by {view['camera']}: {view['share']:.1%} of the pixels")
+    if len(views) > LISTED:
+        shares = [view["share"] for view in views if view["seen"]]
+        of_pixels = f", {min(shares):.1%} to {max(shares):.1%} of the pixels" if shares else ""
+        lines.append(f"seen by {len(shares)} of {len(views)} cameras in all{of_pixels}")
+    show_result(document, *lines, *map(str, options.out), as_json=options.json)
 
 
 def _save(path: Path, scene: GaussianScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:

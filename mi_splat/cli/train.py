@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json, warn
+from mi_splat.cli.console import UsageError, limit_threads, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import Colour
+from mi_splat.cli.options import Colour, JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Folder, Length, Seed, at_least, between, check, check_choice
 from mi_splat.io.parsing import read_json
@@ -18,7 +19,6 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
 
 if TYPE_CHECKING:
-    from mi_splat.cameras import View
     from mi_splat.datasets import Dataset
     from mi_splat.rendering import Renderer
     from mi_splat.scene import GaussianScene
@@ -49,8 +49,8 @@ ALIASES = {
 _STRATEGY = strategy_name(FitConfig().strategy)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainOptions:
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions(JsonOptions):
     """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
 
     Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
@@ -90,8 +90,6 @@ class TrainOptions:
     """Steps between two checkpoints."""
     seed: Seed = 0
     """Seed of everything random."""
-    json: bool = False
-    """Print the figures as one JSON document on stdout."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -125,30 +123,31 @@ _WORTH_A_WORD = 0.001
 """Share of the Gaussians from which it is said that the near plane hides them."""
 
 
-def run(options: TrainOptions) -> int:
+def run(options: TrainOptions) -> None:
     """Train, or go on with a training, and say what came of it."""
     from mi_splat.io.folders import own_folder
     from mi_splat.training.resume import CHECKPOINT, CONFIG
 
     with own_folder(options.out, CONFIG, CHECKPOINT):
-        return _train(options)
+        _train(options)
 
 
-def _train(options: TrainOptions) -> int:
+def _train(options: TrainOptions) -> None:
     """As `run`, in a folder that is this process's own."""
     from mi_splat.bounds import near_plane
-    from mi_splat.datasets import load_dataset
+    from mi_splat.datasets import has_tests, load_dataset
     from mi_splat.metrics import load_lpips
     from mi_splat.training.resume import METRICS, SPLAT, train
 
     limit_threads(1)
     config = options.fit
     with progress("loading the pictures"):
-        views = load_dataset(options.dataset, split="train", downscale=options.downscale, background=options.background)
+        load = partial(load_dataset, options.dataset, downscale=options.downscale, background=options.background)
+        views = load(split="train")
         if config.masks and not any(frame.mask for frame in views.frames):
             do = "leave out --masks, or put them where the set says"
             raise InvalidValueError(message(str(options.dataset), "masks of pictures", "none", do))
-        held_out = _held_out(options)
+        held_out = load(split="test") if has_tests(options.dataset) else ()
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
         render = _renderer(options, near)
@@ -159,10 +158,12 @@ def _train(options: TrainOptions) -> int:
     with progress("training", total=config.iterations) as advance:
 
         def resumed(state: TrainState) -> None:
-            warn(_resumed(state, config.iterations))
+            whole = f"the run has all its {config.iterations:,} steps; only its results are written again"
+            rest = f"going on from step {state.iteration:,} of {config.iterations:,}"
+            warn(whole if state.iteration >= config.iterations else rest)
             advance("training", state.iteration)
 
-        found = train(
+        trained = train(
             views,
             start,
             options.out,
@@ -176,25 +177,14 @@ def _train(options: TrainOptions) -> int:
             on_resume=resumed,
             on_step=lambda line: advance(words(line)),
         )
-    figures = read_json(options.out / METRICS)
-    if options.json:
-        show_json({**figures, "out": str(options.out), "seconds": time.monotonic() - begun})
-        return 0
-    show(f"{options.out / SPLAT}: {len(found.scene):,} Gaussians after {config.iterations} steps")
+    figures, seconds = read_json(options.out / METRICS), time.monotonic() - begun
+    lines = [f"{options.out / SPLAT}: {len(trained.scene):,} Gaussians after {config.iterations} steps"]
     if figures["psnr"] is not None:
-        count = figures["held_out_views"]
         perceptual = "" if figures["lpips"] is None else f", LPIPS {figures['lpips']:.4f}"
-        show(f"held out ({count} pictures): PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}")
-    show(f"took {time.monotonic() - begun:.0f} s; figures are in {options.out / METRICS}")
-    return 0
-
-
-def _held_out(options: TrainOptions) -> Sequence[View]:
-    from mi_splat.datasets import has_tests, load_dataset
-
-    if not has_tests(options.dataset):
-        return ()
-    return load_dataset(options.dataset, split="test", downscale=options.downscale, background=options.background)
+        quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}"
+        lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
+    lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
+    show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:
@@ -217,13 +207,6 @@ def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
     if max(culled) > _WORTH_A_WORD * len(start):
         most = f"{max(culled):,} of {len(start):,} Gaussians"
         warn(f"in {sum(map(bool, culled))} of {len(culled)} pictures, up to {most} are nearer than near = {near:g}")
-
-
-def _resumed(state: TrainState, iterations: int) -> str:
-    """What is said of a run that goes on."""
-    if state.iteration >= iterations:
-        return f"the run has all its {iterations:,} steps; only its results are written again"
-    return f"going on from step {state.iteration:,} of {iterations:,}"
 
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
