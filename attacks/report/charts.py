@@ -9,11 +9,11 @@ from __future__ import annotations
 import importlib.util
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from attacks.rate import percent
-from attacks.report.section import Chart, Line, Point
+from attacks.report.section import Chart, Line
 from attacks.tables import Table
 from mi_splat.errors import InvalidValueError, install, message
 
@@ -29,10 +29,10 @@ _VARIABLES = {
     _INK: "--ink",
     _FAINT: "--rule",
     _SHADE: "--shade",
-    **{colour: f"--line-{place}" for place, colour in enumerate(_COLOURS)},
+    **{colour: f"--line-{number}" for number, colour in enumerate(_COLOURS)},
 }
 """Made-up colours to variables of the page's style."""
-_PLACES = {"attack": (0, 2, 4), "control": (1, 3, 5), "other": (2, 4, 0)}
+_PREFERRED = {"attack": (0, 2, 4), "control": (1, 3, 5), "other": (2, 4, 0)}
 """What a line stands for to the colours that such lines have, one after the other."""
 _MARKERS, _DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", "-.", ":", "-", "--")
 NEEDED = {"jinja2": "Jinja2", "matplotlib": "matplotlib"}
@@ -55,12 +55,12 @@ def need_packages() -> None:
         raise InvalidValueError(message(" and ".join(missing), "the package, for pages", "not installed", do))
 
 
-def places(lines: Sequence[Line]) -> list[int]:
+def colours(chart: Chart) -> list[int]:
     """Number of the colour of each line: the attack, its control and the rest keep theirs from chart to chart."""
     taken: list[int] = []
-    for line in lines:
-        wanted = [*_PLACES[line.role], *range(len(_COLOURS))]
-        taken.append(next((place for place in wanted if place not in taken), len(taken) % len(_COLOURS)))
+    for line in chart.drawn:
+        wanted = [*_PREFERRED[line.role], *range(len(_COLOURS))]
+        taken.append(next((number for number in wanted if number not in taken), len(taken) % len(_COLOURS)))
     return taken
 
 
@@ -105,25 +105,20 @@ def _draw(axes: Any, chart: Chart) -> None:
         axes.axvspan(*chart.shade[:2], facecolor=_SHADE, edgecolor="none")
     if chart.level is not None:
         axes.axhline(chart.level[0], color=_INK, linestyle=":", linewidth=1)
-    lines = [line for line in chart.lines if line.points]
-    for number, (line, place) in enumerate(zip(lines, places(lines), strict=True)):
+    lines = chart.drawn
+    for number, (line, colour) in enumerate(zip(lines, colours(chart), strict=True)):
         shift = 0.12 * (number - (len(lines) - 1) / 2) if chart.ticks else 0.0
-        _draw_line(axes, line, place, shift, connected=chart.connected)
-    if chart.logarithmic:
-        axes.set_xscale("log")
-        axes.minorticks_off()
-        values = sorted({point.x for line in lines for point in line.points})
-        axes.set_xticks(values, [f"{value:g}" for value in values])
+        _draw_line(axes, line, colour, shift, connected=chart.connected)
     if chart.fractions:
         axes.set_ylim(-0.03, 1.03)
         axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
     if chart.ticks:
         axes.set_xlim(-0.5, len(chart.ticks) - 0.5)
         named = range(0, len(chart.ticks), -(-len(chart.ticks) // MOST_TICKS))
-        words = [_short(chart.ticks[place], LONGEST_TICK) for place in named]
-        turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if max(map(len, words)) > 9 else {}
-        axes.set_xticks(list(named), words, **turned)
-    elif not chart.logarithmic and all(point.x.is_integer() for line in lines for point in line.points):
+        names = [_short(chart.ticks[number], LONGEST_TICK) for number in named]
+        turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if max(map(len, names)) > 9 else {}
+        axes.set_xticks(list(named), names, **turned)
+    elif all(point.x.is_integer() for line in lines for point in line.points):
         axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set_xlabel(_short(chart.x_label, LONGEST_LABEL))
     axes.set_ylabel(_short(chart.y_label, LONGEST_LABEL))
@@ -134,28 +129,26 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def _draw_line(axes: Any, line: Line, place: int, shift: float, *, connected: bool) -> None:
-    """Points with their intervals: as a band where they are connected, as bars where they are not.
+def _draw_line(axes: Any, line: Line, number: int, shift: float, *, connected: bool) -> None:
+    """Points in the colour of this number, with their intervals: a band where they are connected, bars where not.
 
     Args:
         axes: Where.
         line: Its points.
-        place: Number of its colour.
+        number: Of its colour.
         shift: By how much it is moved, so that bars do not hide each other.
         connected: Whether the points belong together.
     """
-    colour = _COLOURS[place]
-    points = sorted(line.points, key=lambda point: point.x)
+    colour, points = _COLOURS[number], sorted(line.points, key=lambda point: point.x)
     x, y = [point.x + shift for point in points], [point.y for point in points]
-    style = {"color": colour, "marker": _MARKERS[place], "markersize": 4, "linewidth": 1.6}
-    axes.plot(x, y, linestyle=_DASHES[place] if connected else "none", **style)
-    sure = [(at, point) for at, point in zip(x, points, strict=True) if point.low is not None]
-    if connected and len(sure) > 1:
-        low, high = ([getattr(point, end) for _, point in sure] for end in ("low", "high"))
-        axes.fill_between([at for at, _ in sure], low, high, color=colour, alpha=0.18, linewidth=0)
+    style = {"color": colour, "marker": _MARKERS[number], "markersize": 4, "linewidth": 1.6}
+    axes.plot(x, y, linestyle=_DASHES[number] if connected else "none", **style)
+    ends = [(at, point.low, point.high) for at, point in zip(x, points, strict=True) if point.low is not None]
+    if connected and len(ends) > 1:
+        axes.fill_between(*zip(*ends, strict=True), color=colour, alpha=0.18, linewidth=0)
     else:
-        for at, point in sure:
-            axes.plot([at, at], [point.low, point.high], color=colour, linewidth=1.6)
+        for at, low, high in ends:
+            axes.plot([at, at], [low, high], color=colour, linewidth=1.6)
 
 
 def _inline(text: str, name: str) -> str:
@@ -175,29 +168,24 @@ def _inline(text: str, name: str) -> str:
 
 def values_of(chart: Chart) -> Table:
     """The numbers that a chart shows, for whoever cannot see it."""
-    lines = [line for line in chart.lines if line.points]
-    every = sorted({point.x for line in lines for point in line.points})
-    rows = []
-    for x in every:
-        place = chart.ticks[int(x)] if chart.ticks else f"{x:g}"
-        rows.append((place, *(_words(chart, line, x) for line in lines)))
-    return Table(
-        caption=f"{chart.title}: the numbers", head=(chart.x_label, *(one.name for one in lines)), rows=tuple(rows)
-    )
+    every = sorted({point.x for line in chart.drawn for point in line.points})
+    names = (chart.ticks[int(x)] if chart.ticks else f"{x:g}" for x in every)
+    rows = ((name, *(_heights(chart, line, x) for line in chart.drawn)) for name, x in zip(names, every, strict=True))
+    head = (chart.x_label, *(line.name for line in chart.drawn))
+    return Table(caption=f"{chart.title}: the numbers", head=head, rows=tuple(rows))
 
 
-def _words(chart: Chart, line: Line, x: float) -> str:
-    return "; ".join(_point(chart, point) for point in line.points if point.x == x) or "-"
-
-
-def _point(chart: Chart, point: Point) -> str:
-    if not chart.fractions:
-        return f"{point.y:.4g}"
-    low = "" if point.low is None or point.high is None else f" ({percent(point.low)} to {percent(point.high)})"
-    return f"{percent(point.y)}{low}"
+def _heights(chart: Chart, line: Line, x: float) -> str:
+    """What a line shows at a place."""
+    heights = []
+    for point in (point for point in line.points if point.x == x):
+        interval = (
+            "" if point.low is None or point.high is None else f" ({percent(point.low)} to {percent(point.high)})"
+        )
+        heights.append(f"{percent(point.y)}{interval}" if chart.fractions else f"{point.y:.4g}")
+    return "; ".join(heights) or "-"
 
 
 def legend(chart: Chart) -> Iterator[tuple[int, str]]:
     """Number of the colour, and name, of each line."""
-    lines = [line for line in chart.lines if line.points]
-    yield from zip(places(lines), (line.name for line in lines), strict=True)
+    yield from zip(colours(chart), (line.name for line in chart.drawn), strict=True)

@@ -13,7 +13,7 @@ from typing import Any
 from PIL import Image
 
 from attacks.report.charts import legend, svg, values_of
-from attacks.report.section import Chart, Picture, Section
+from attacks.report.section import Section
 from attacks.report.wording import capital, listed
 from attacks.tables import Table
 from mi_splat.io.documents import save_text
@@ -95,58 +95,49 @@ def comparisons(sections: Sequence[Section]) -> Iterator[dict[str, Any]]:
         kinds.setdefault(section.kind, []).append((name, section))
     for kind, members in kinds.items():
         if len(members) > 1:
-            some = [section for _, section in members]
-            head = ("figure", *(name for name, _ in members))
-            figures = [{figure.label: figure.cell for figure in section.all_figures} for section in some]
-            settings = [{"folder": section.folder, **dict(section.configuration)} for section in some]
+            head = tuple(name for name, _ in members)
+            figures = _rows([{figure.label: figure.cell for figure in section.all_figures} for _, section in members])
+            settings = _rows([{"folder": section.folder, **dict(section.configuration)} for _, section in members])
+            differing = tuple(row for row in settings if len(set(row[1:])) > 1)
             yield {
                 "kind": kind,
-                "figures": Table(caption="Figures, with their 95 % intervals", head=head, rows=_rows(figures)),
-                "settings": Table(
-                    caption="Settings that differ", head=("setting", *head[1:]), rows=_rows(settings, differing=True)
-                ),
+                "figures": Table(caption="Figures, with their 95 % intervals", head=("figure", *head), rows=figures),
+                "settings": Table(caption="Settings that differ", head=("setting", *head), rows=differing),
             }
 
 
-def _rows(columns: Sequence[dict[str, str]], *, differing: bool = False) -> tuple[tuple[str, ...], ...]:
-    """One row for each name in any of the columns; only those that differ, if so asked."""
+def _rows(columns: Sequence[dict[str, str]]) -> tuple[tuple[str, ...], ...]:
+    """A row for each name in any of the columns."""
     names = dict.fromkeys(name for column in columns for name in column)
-    rows = ((name, *(column.get(name, "-") for column in columns)) for name in names)
-    return tuple(row for row in rows if not differing or len(set(row[1:])) > 1)
+    return tuple((name, *(column.get(name, "-") for column in columns)) for name in names)
 
 
 def _part(number: int, section: Section) -> dict[str, Any]:
     """A section with what the template needs besides: pictures as addresses, charts as SVG."""
+    charts = [(chart, svg(chart, f"chart-{number}-{place}")) for place, chart in enumerate(section.charts, start=1)]
     figures = tuple(figure.row for figure in section.all_figures)
     return {
         "section": section,
-        "pictures": [_picture(picture) for picture in section.pictures],
-        "charts": [_chart(chart, f"chart-{number}-{place}") for place, chart in enumerate(section.charts, start=1)],
+        "pictures": [{"of": picture, **data_address(picture.path)} for picture in section.pictures],
+        "charts": [
+            {"of": chart, "svg": drawing, "legend": list(legend(chart)), "table": values_of(chart)}
+            for chart, drawing in charts
+        ],
         "figures": Table(caption="The figures", head=("figure", "value", "95 % interval"), rows=figures),
         "settings": Table(caption="Every setting", head=("setting", "value"), rows=section.configuration),
         "versions": Table(caption="What made it", head=("package", "version"), rows=section.versions),
     }
 
 
-def _picture(picture: Picture) -> dict[str, Any]:
-    address, width, height = data_address(picture.path)
-    more = {"caption": picture.caption, "alt": picture.alt or picture.caption, "wide": picture.wide}
-    return {"address": address, "width": width, "height": height, **more}
-
-
-def data_address(path: Path) -> tuple[str, int, int]:
-    """A picture as a data: address, and its width and height on the page.
+def data_address(path: Path) -> dict[str, Any]:
+    """A picture as a data: address, with its width and height on the page.
 
     Raises:
         PictureFileError: The file is no picture, or has too many pixels.
     """
     picture = load_picture(path).convert("RGB")
-    if max(picture.size) > LONGEST_SIDE:
-        picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
+    picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     picture.save(buffer, format="PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"), *picture.size
-
-
-def _chart(chart: Chart, name: str) -> dict[str, Any]:
-    return {"of": chart, "svg": svg(chart, name), "legend": list(legend(chart)), "table": values_of(chart)}
+    address = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    return {"address": address, "width": picture.width, "height": picture.height}

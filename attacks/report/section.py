@@ -132,7 +132,6 @@ class Chart:
         shade: Ends and name of a part of the axis that is marked; None for none.
         level: Height and name of a horizontal line; None for none.
         fractions: Whether heights are fractions, shown from 0 to 100 %.
-        logarithmic: Whether the axis is.
         connected: Whether the points of a line belong together.
     """
 
@@ -145,8 +144,12 @@ class Chart:
     shade: tuple[float, float, str] | None = None
     level: tuple[float, str] | None = None
     fractions: bool = True
-    logarithmic: bool = False
     connected: bool = True
+
+    @property
+    def drawn(self) -> tuple[Line, ...]:
+        """The lines that have points."""
+        return tuple(line for line in self.lines if line.points)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -191,9 +191,9 @@ def test_doubts(attack: tuple[int, int], control: tuple[int, int] | None, words:
 
 def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:
     save_png(np.zeros((30, 3 * LONGEST_SIDE, 3), np.uint8), tmp_path / "a.png")
-    address, width, height = data_address(tmp_path / "a.png")
-    assert (width, height) == (LONGEST_SIDE, 10)
-    assert address.startswith("data:image/png;base64,")
+    picture = data_address(tmp_path / "a.png")
+    assert (picture["width"], picture["height"]) == (LONGEST_SIDE, 10)
+    assert picture["address"].startswith("data:image/png;base64,")
     (tmp_path / "b.png").write_text("no picture")
     with pytest.raises(PictureFileError, match=r"b\.png: expected a picture"):
         data_address(tmp_path / "b.png")
