@@ -197,7 +197,7 @@ def contact_sheet(
     """
     views = sorted(result.views_of(result.detectors[0]), key=lambda judged: judged.view.direction.azimuth)
     count = min(most, len(views))
-    pairs = [_pair(views[place * len(views) // count], side, min_confidence) for place in range(count)]
+    pairs = [_pair(views[number * len(views) // count], side, min_confidence) for number in range(count)]
     rows = [pairs[first : first + columns] for first in range(0, count, columns)]
     return stacked([np.concatenate(row, axis=1) for row in rows])
 

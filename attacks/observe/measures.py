@@ -11,7 +11,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.observe.rates import Group, Measure, banded, blocks_of, count, jointly
+from attacks.observe.rates import Group, Measure, banded, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
 from attacks.rate import Rate
 
@@ -87,7 +87,8 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     """A row for each view of each splat, in which the aim is reached if it is with every detector of the rows."""
     rows = rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows
     over = [name for name in ("attack", "seed", "condition", "splat", "draw", "view") if name in rows.columns]
-    return jointly(rows, over, [name for name in ("success", "strict", "unambiguous") if name in rows.columns])
+    truths = [name for name in ("success", "strict", "unambiguous") if name in rows.columns]
+    return rows.group_by(over, maintain_order=True).agg(pl.col(truths).all())
 
 
 AZIMUTHS, ELEVATIONS = 8, 4

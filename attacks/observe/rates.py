@@ -123,20 +123,6 @@ def blocks_of(azimuth: str, elevation: str, degrees: float = BLOCK) -> pl.Expr:
     return (band * 1000 + (pl.col(azimuth) / 360 * around).floor()).cast(pl.Int64)
 
 
-def jointly(rows: pl.DataFrame, over: Sequence[str], truths: Sequence[str]) -> pl.DataFrame:
-    """One line for each view, in which a truth holds if it holds in all of its rows: of every detector, for instance.
-
-    Args:
-        rows: Several for each view.
-        over: Columns that say which view a row is of.
-        truths: Columns of truths; all others are left out.
-
-    Returns:
-        The columns `over` and `truths`, views in the order of their first rows.
-    """
-    return rows.group_by(over, maintain_order=True).agg(pl.col(*truths).all())
-
-
 def banded(
     rows: pl.DataFrame, angle: str, interval: tuple[float, float], parts: int, measure: Measure
 ) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from mi_splat.io.parsing import DocumentReader
 
 TOLERANCE = 1e-6
 """How far decibels, degrees and confidences may be off that are derived again; counts and words have to be equal."""
-SCORE_TOLERANCE, MOST_OTHER = 1e-4, 0.02
+SCORE_TOLERANCE, MOST_WRONG = 1e-4, 0.02
 """How far a score may be off that single detections give, and of which part of the rows more."""
 KEPT = (".json", ".toml", ".csv.gz", ".md")
 """Endings of the files of a result that are always in an artifact; splats and pictures may be left out."""
@@ -161,17 +161,17 @@ def check_detections(result: Result) -> list[Check]:
     held = every.filter(pl.col("iou") >= ON_OBJECT).select(*shared, "label", again="score")
     pairs = rows.with_row_index("row").select("row", *shared, "original", "score", "original_score")
     pairs = pairs.join(held, on=shared, how="left", nulls_equal=True)
-    own = pl.when(pl.col("label") == pl.col("original").fill_null(pl.col("label"))).then("again")
+    of_class = pl.when(pl.col("label") == pl.col("original").fill_null(pl.col("label"))).then("again")
     given = pairs.group_by("row").agg(
         pl.col("score", "original_score").first(),
         any_again=pl.col("again").max().fill_null(0.0),
-        own_again=own.max().fill_null(0.0),
+        class_again=of_class.max().fill_null(0.0),
     )
-    moves = [(pl.col("score") - pl.col("any_again")).abs(), (pl.col("original_score") - pl.col("own_again")).abs()]
+    moves = [(pl.col("score") - pl.col("any_again")).abs(), (pl.col("original_score") - pl.col("class_again")).abs()]
     off = pl.max_horizontal(moves)
-    other = given.filter(off > SCORE_TOLERANCE).height
-    words = f"give the scores of {len(rows) - other:,} of {len(rows):,} rows"
-    return [Check(name=DETECTIONS, words=words, passed=other <= MOST_OTHER * len(rows))]
+    wrong = given.filter(off > SCORE_TOLERANCE).height
+    words = f"give the scores of {len(rows) - wrong:,} of {len(rows):,} rows"
+    return [Check(name=DETECTIONS, words=words, passed=wrong <= MOST_WRONG * len(rows))]
 
 
 def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:

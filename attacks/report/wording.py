@@ -59,8 +59,8 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, st
         if isinstance(value, Mapping):
             yield from _flat(value, f"{name}.")
         elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
-            for place, entry in enumerate(value):
-                yield from _flat(entry, f"{name}.{place}.")
+            for number, entry in enumerate(value):
+                yield from _flat(entry, f"{name}.{number}.")
         else:
             yield name, plain(value)
 
@@ -80,16 +80,18 @@ def plain(value: Any) -> str:
 
 def shared(several: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
     """The settings of several attacks: what all share, and the values of what differs."""
-    found: dict[str, dict[str, None]] = {}
-    for values in several:
-        for name, value in settings(values):
-            found.setdefault(name, {})[value] = None
-    return tuple((name, _several(list(values))) for name, values in found.items())
+    values: dict[str, dict[str, None]] = {}
+    for attack in several:
+        for name, value in settings(attack):
+            values.setdefault(name, {})[value] = None
+    return tuple(
+        (name, "; ".join([*list(different)[:MOST_VALUES], *_more(len(different))]))
+        for name, different in values.items()
+    )
 
 
-def _several(values: list[str]) -> str:
-    more = len(values) - MOST_VALUES
-    return "; ".join(values[:MOST_VALUES]) + (f"; and {more} more" if more > 0 else "")
+def _more(values: int) -> list[str]:
+    return [f"and {values - MOST_VALUES} more"] if values > MOST_VALUES else []
 
 
 def versions_of(result: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from attacks.observe.rates import Measure, banded, blocks_of, count, jointly
+from attacks.observe.rates import Measure, banded, blocks_of, count
 from attacks.rate import Rate
 
 ROWS = pl.DataFrame(
@@ -42,11 +42,6 @@ def test_groups_come_in_the_order_of_their_first_rows() -> None:
         (("cloaked", "a"), (0, 1)),
         (("cloaked", "b"), (0, 1)),
     ]
-
-
-def test_together_holds_what_holds_for_every_detector() -> None:
-    rows = pl.DataFrame({"view": [0, 0, 1, 1], "success": [True, False, True, True]})
-    assert jointly(rows, ("view",), ("success",)).rows() == [(0, False), (1, True)]
 
 
 @pytest.mark.parametrize(("angle", "part"), [(0.0, 0), (9.99, 0), (10.0, 1), (30.0, 2), (-5.0, 0)])
