@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import torch
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, message
@@ -42,6 +43,11 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    @classmethod
+    def of_all_classes(cls, boxes: Tensor, scores: Tensor) -> Candidates:
+        """Candidates whose box (A, 4) is the same for every class."""
+        return cls(boxes[:, None].expand(-1, scores.shape[1], -1), scores)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,3 +158,8 @@ def check_images(images: Tensor) -> None:
         raise InvalidValueError(
             message("images", "sRGB in [0, 1]", got, "divide 8-bit values by 255, and clamp what a renderer gives")
         )
+
+
+def eight_bits(images: Tensor) -> Tensor:
+    """Pictures in [0, 1] at 8 bits."""
+    return (images.detach().clamp(0, 1) * 255).round().to(torch.uint8)

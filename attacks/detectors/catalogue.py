@@ -231,16 +231,11 @@ def npm_detector(name: str) -> NpmDetector:
     return NPM_DETECTORS[name]
 
 
-def cache_folder() -> Path:
-    """Where detectors of others are kept: `mi-splat/detectors` in XDG_CACHE_HOME, or in ~/.cache."""
+def folder_of(name: str) -> Path:
+    """The folder of a detector of others, there or not: in `mi-splat/detectors` of XDG_CACHE_HOME, or of ~/.cache."""
     named = os.environ.get("XDG_CACHE_HOME", "")
     cache = Path(named) if os.path.isabs(named) else Path("~/.cache").expanduser()  # a relative one counts as none
-    return cache / "mi-splat" / "detectors"
-
-
-def folder_of(name: str) -> Path:
-    """The folder of a detector, whether or not it is there."""
-    return cache_folder() / name
+    return cache / "mi-splat" / "detectors" / name
 
 
 def weights_of(name: str) -> Path:

@@ -9,6 +9,7 @@ by `register_detector(DetectorSpec(...))`, and for every command by an entry poi
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -197,28 +198,14 @@ def _as_detector(detector: object) -> Detector:
     return detector
 
 
-def _torchvision(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.torchvision import load
+def _loader(module: str, name: str) -> Callable[[Path | None], Detector]:
+    """The `load` of an adapter, which is imported with the first detector of it."""
 
-    return load(name, weights)
+    def load(weights: Path | None) -> Detector:
+        detector: Detector = importlib.import_module(module).load(name, weights)
+        return detector
 
-
-def _yolo(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.ultralytics import load
-
-    return load(name, weights)
-
-
-def _graph(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.tfjs.detector import load
-
-    return load(name, weights)
-
-
-def _transformers(name: str, weights: Path | None) -> Detector:
-    from attacks.detectors.transformers import load
-
-    return load(name, weights)
+    return load
 
 
 def _of_this_project() -> Iterator[DetectorSpec]:
@@ -230,7 +217,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
     }
     yield DetectorSpec(
         name="fasterrcnn_small",
-        load=partial(_torchvision, "fasterrcnn_small"),
+        load=_loader("attacks.detectors.torchvision", "fasterrcnn_small"),
         classes=SMALL_CLASSES,
         origin="a part of mi-splat, trained on its own pictures",
         licence="Apache-2.0",
@@ -240,7 +227,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
     for name, file in TORCHVISION_FILES.items():
         yield DetectorSpec(
             name=name,
-            load=partial(_torchvision, name),
+            load=_loader("attacks.detectors.torchvision", name),
             classes=COCO_CLASSES,
             origin="torchvision's hub, trained on COCO",
             licence="BSD-3-Clause",
@@ -249,7 +236,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
         )
     yield DetectorSpec(
         name="yolov8n_small",
-        load=partial(_yolo, "yolov8n_small"),
+        load=_loader("attacks.detectors.ultralytics", "yolov8n_small"),
         classes=SMALL_CLASSES,
         origin="scenes/detectors of a checkout, trained on pictures of mi-splat",
         weights=lambda: SMALL_YOLO_WEIGHTS,
@@ -259,7 +246,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
     for name in YOLO_NAMES:
         yield DetectorSpec(
             name=name,
-            load=partial(_yolo, name),
+            load=_loader("attacks.detectors.ultralytics", name),
             classes=COCO_CLASSES,
             origin="ultralytics' hub, trained on COCO; a file of this name in the working folder comes first",
             weights=partial(Path, f"{name}.pt"),
@@ -269,7 +256,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
     for name, package in NPM_DETECTORS.items():
         yield DetectorSpec(
             name=name,
-            load=partial(_graph, name),
+            load=_loader("attacks.detectors.tfjs.detector", name),
             classes=COCO_CLASSES,
             origin=f"the npm package {package.spec}, trained on COCO",
             licence=f"package {package.package_licence}; where it was trained: {package.source_licence}",
@@ -279,7 +266,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
     for name, hub in TRANSFORMERS_HUB.items():
         yield DetectorSpec(
             name=name,
-            load=partial(_transformers, name),
+            load=_loader("attacks.detectors.transformers", name),
             classes=COCO_CLASSES,
             origin=f"{hub.repository} of the hub of transformers (revision {hub.revision}), trained on COCO",
             licence="Apache-2.0",

@@ -25,7 +25,7 @@ from torchvision.ops.boxes import clip_boxes_to_image
 from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenDetector, apply_weights, read_weights
+from attacks.detectors.weights import FrozenDetector, apply_weights, in_a_line, read_weights
 from mi_splat.errors import message
 
 SMALL = "fasterrcnn_small"
@@ -198,38 +198,6 @@ def load(name: str, weights: Path | None = None) -> TorchvisionDetector:
     return wrap(name, model, _labels(name))
 
 
-def random_detector(name: str, *, seed: int = 0) -> TorchvisionDetector:
-    """A detector of random weights for tests of plumbing; it finds nothing, but its image gradients are not zero.
-
-    Without the warm-up of the BatchNorm statistics, the signal of a random network dies on the way.
-    """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        model = _build(name)
-        warm_up(model.eval())
-    _freeze_norms(name, model)
-    return wrap(name, model, _labels(name))
-
-
-def warm_up(model: nn.Module, *, batches: int = 8, side: int = 64) -> None:
-    """Let every BatchNorm average the statistics of a few batches of noise; frozen ones stay."""
-    norms = [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
-    if not norms:
-        return
-    for norm in norms:
-        norm.reset_running_stats()
-        norm.momentum = None  # a cumulative average
-        norm.train()
-    transform: Any = model.transform
-    holder = _threshold_holder(model)
-    usual = transform.min_size, holder.score_thresh
-    transform.min_size, holder.score_thresh = (side,), 1.0  # small, and nothing to suppress
-    with torch.no_grad():
-        for _ in range(batches):
-            model(list(torch.rand(2, 3, side, side)))
-    transform.min_size, holder.score_thresh = usual
-
-
 def _build(name: str) -> nn.Module:
     """The network with random weights."""
     model: nn.Module = (
@@ -257,8 +225,7 @@ def _from_hub(name: str) -> dict[str, Tensor]:
         )
     except (OSError, RuntimeError) as error:  # no network, or a download whose hash does not fit
         expected = "a weights file, or a network that reaches the library's hub"
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DetectorError(message(f"weights of {name}", expected, reason, elsewhere("file"))) from error
+        raise DetectorError(message(f"weights of {name}", expected, in_a_line(error), elsewhere("file"))) from error
     return state
 
 

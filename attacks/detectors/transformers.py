@@ -16,9 +16,9 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 from torchvision.ops import box_convert
 
-from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
 from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenDetector
+from attacks.detectors.weights import FrozenDetector, in_a_line
 from mi_splat.errors import install, message
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
@@ -101,15 +101,12 @@ class TransformersDetector(FrozenDetector):
         scores = self._scores(outputs.logits)[:, :, self._columns]
         corners = box_convert(outputs.pred_boxes, "cxcywh", "xyxy")
         boxes = corners * corners.new_tensor([width, height, width, height])
-        return [
-            Candidates(box[:, None].expand(-1, len(self.classes), -1), score)
-            for box, score in zip(boxes, scores, strict=True)
-        ]
+        return [Candidates.of_all_classes(*parts) for parts in zip(boxes, scores, strict=True)]
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What the library's image processor, model and `post_process_object_detection` give for 8-bit pictures."""
         check_images(images)
-        pictures = (images.detach().clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 3, 1, 2)
+        pictures = eight_bits(images).permute(0, 3, 1, 2)
         inputs = self.processor(images=list(pictures), input_data_format="channels_first", return_tensors="pt")
         sizes = [(images.shape[1], images.shape[2])] * len(images)
         with torch.no_grad():
@@ -238,7 +235,7 @@ def _explained(what: str, expected: str, do: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # what the library raises has no common base
-        reason = str(error).strip().splitlines()[0][:300] if str(error).strip() else type(error).__name__
+        reason = in_a_line(error)
         if isinstance(error, ImportError) and "timm" in str(error):
             reason, do = "one whose backbone needs the package timm", "pip install timm, or take its revision no_timm"
         raise DetectorError(message(what, expected, reason, do)) from error

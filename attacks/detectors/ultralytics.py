@@ -18,7 +18,7 @@ import torch.nn.functional as F  # noqa: N812
 from PIL import Image
 from torch import Tensor, nn
 
-from attacks.detectors.base import Candidates, Detections, check_images
+from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
     SMALL_CLASSES,
@@ -27,7 +27,7 @@ from attacks.detectors.catalogue import (
     DetectorError,
     elsewhere,
 )
-from attacks.detectors.weights import FrozenDetector, apply_weights, read_weights
+from attacks.detectors.weights import FrozenDetector, apply_weights, in_a_line, read_weights
 from mi_splat.errors import install, message
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -109,16 +109,13 @@ class YOLODetector(FrozenDetector):
         gain = corners.new_tensor([inner[1] / width, inner[0] / height] * 2)
         pixels = (corners - corners.new_tensor([left, top, left, top])) / gain
         boxes = torch.minimum(pixels.clamp(min=0), pixels.new_tensor([width, height, width, height]))
-        return [
-            Candidates(box[:, None].expand(-1, len(self.classes), -1), scores)
-            for box, scores in zip(boxes, out[:, :, 4:], strict=True)
-        ]
+        return [Candidates.of_all_classes(*parts) for parts in zip(boxes, out[:, :, 4:], strict=True)]
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What the library's own `predict` gives for the pictures at 8 bits."""
         check_images(images)
         frame = LetterBox((self.side, self.side), auto=True, stride=self._stride)
-        pictures = (images.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+        pictures = eight_bits(images).cpu().numpy()
         planes = torch.from_numpy(np.stack([frame(image=picture) for picture in pictures])).permute(0, 3, 1, 2)
         with torch.no_grad():
             raw = self._decoded(planes.to(images.device).float() / 255).transpose(1, 2)
@@ -198,7 +195,7 @@ def _unpickled(name: str, weights: Path | None) -> Any:
         if not isinstance(model, DetectionModel):
             raise TypeError(f"a {type(model).__name__}")
     except Exception as error:  # what the library raises has no common base
-        reason = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
+        reason = in_a_line(error)
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
         raise DetectorError(message(f"weights of {name}", expected, reason, elsewhere("file"))) from error
     family = _FAMILY.match(Path(str(model.yaml.get("yaml_file", ""))).stem)

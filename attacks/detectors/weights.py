@@ -42,6 +42,12 @@ def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
     return total.hexdigest()[:16]
 
 
+def in_a_line(error: Exception) -> str:
+    """What an error of a library says, in one line."""
+    text = str(error).strip()
+    return text.splitlines()[0][:300] if text else type(error).__name__
+
+
 def read_weights(path: Path) -> dict[str, Tensor]:
     """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`.
 
@@ -58,13 +64,11 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
     try:
         if path.suffix == ".safetensors":
-            return _finite(load_file(path), path)
+            return check_finite(load_file(path), f"weights {path}")
         state: object = torch.load(path, map_location="cpu", weights_only=True)
     except _UNREADABLE as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DetectorError(
-            message(f"weights {path}", f"a readable {path.suffix} file of tensors", reason, "download or save it again")
-        ) from error
+        expected, do = f"a readable {path.suffix} file of tensors", "download or save it again"
+        raise DetectorError(message(f"weights {path}", expected, in_a_line(error), do)) from error
     if isinstance(state, Mapping) and isinstance(state.get("model"), Mapping):
         state = state["model"]  # a training checkpoint of torchvision's reference scripts
     if (
@@ -74,16 +78,11 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     ):
         got = "a dict of something else" if isinstance(state, Mapping) else type(state).__name__
         raise DetectorError(message(f"weights {path}", "a dict of tensors by name", got, "save model.state_dict()"))
-    return _finite(dict(state), path)
+    return check_finite(dict(state), f"weights {path}")
 
 
-def _finite(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
-    check_finite(state, f"weights {path}")
-    return state
-
-
-def check_finite(state: Mapping[str, Tensor], what: str) -> None:
-    """Raise unless all numbers are finite: a detector of others finds nothing, as if each attack had succeeded.
+def check_finite(state: dict[str, Tensor], what: str) -> dict[str, Tensor]:
+    """The weights, whose numbers are all finite: a detector of others finds nothing, as if each attack had succeeded.
 
     A single infinite number without axes is a setting, for instance what a picture is padded with.
 
@@ -93,6 +92,7 @@ def check_finite(state: Mapping[str, Tensor], what: str) -> None:
     weights = {name: value for name, value in state.items() if value.ndim or not bool(torch.isinf(value))}
     if name := not_finite(weights):
         raise DetectorError(message(what, f"finite numbers in {name}", "others", "download or save them again"))
+    return state
 
 
 def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object) -> None:

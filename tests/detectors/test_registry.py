@@ -23,8 +23,9 @@ from attacks.detectors.catalogue import (
     torch_download,
 )
 from attacks.detectors.registry import _REGISTRY
-from attacks.detectors.torchvision import published_weights, random_detector
+from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import FrozenDetector, apply_weights, fingerprint, read_weights
+from tests.detectors.random_weights import random_detector
 from tests.fakes import ColourDetector
 
 SPEC = DetectorSpec(

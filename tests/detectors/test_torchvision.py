@@ -37,8 +37,6 @@ from attacks.detectors.torchvision import (
     _build,
     _with_centreness,
     published_weights,
-    random_detector,
-    warm_up,
     wrap,
 )
 from attacks.detectors.weights import apply_weights, fingerprint, read_weights
@@ -47,6 +45,7 @@ from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.capture.path_tracer import daylight, photograph
 from mi_splat.errors import InvalidValueError
+from tests.detectors.random_weights import random_detector, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
 

@@ -175,8 +175,7 @@ class GraphDetector(FrozenDetector):
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Every cell of every level as every class, before peaks, thresholds and non-maximum suppression."""
         check_images(images)
-        decoded = [self._decoded(image) for image in images]  # the graph is for one picture
-        return [Candidates(boxes[:, None].expand(-1, scores.shape[1], -1), scores) for boxes, scores in decoded]
+        return [Candidates.of_all_classes(*self._decoded(image)) for image in images]  # the graph is for one picture
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What the published programs report: peaks or non-maximum suppression, at any confidence of 0.05 or more."""

@@ -95,7 +95,7 @@ def identity(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 def leaky_relu(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """LeakyRelu."""
     function = partial(functional.leaky_relu, negative_slope=node.number("alpha", 0.2))
-    return run(Step(function, (inputs[0],), (inputs[0].order,)))
+    return elementwise(function)(node, inputs, run)
 
 
 def cast(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -103,12 +103,7 @@ def cast(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     name = node.kind("DstT")
     if name not in _DTYPES:
         raise unsupported(node, "DstT", ", ".join(_DTYPES), name)
-    dtype = _DTYPES[name]
-
-    def convert(tensor: Tensor) -> Tensor:
-        return tensor.to(dtype)
-
-    return run(Step(convert, (inputs[0],), (inputs[0].order,)))
+    return elementwise(lambda tensor: tensor.to(_DTYPES[name]))(node, inputs, run)
 
 
 def transpose(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -123,22 +118,15 @@ def mean(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     keep = node.flag("keep_dims")
     value = inputs[0] if keep else logical(inputs[0], run)
     kept = [value.order[axis] for axis in axes]
-
-    def average(tensor: Tensor) -> Tensor:
-        return tensor.mean(dim=kept, keepdim=keep)
-
-    return run(Step(average, (value,), (value.order if keep else plain(len(value.order) - len(axes)),)))
+    order = value.order if keep else plain(len(value.order) - len(axes))
+    return run(Step(lambda tensor: tensor.mean(dim=kept, keepdim=keep), (value,), (order,)))
 
 
 def concatenate(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """ConcatV2; the axis is its last input."""
     values, order = aligned(inputs[:-1], run)
     axis = order[_axis(node, inputs[-1], len(order))]
-
-    def together(*tensors: Tensor) -> Tensor:
-        return torch.cat(tensors, axis)
-
-    return run(Step(together, values, (order,)))
+    return run(Step(lambda *tensors: torch.cat(tensors, axis), values, (order,)))
 
 
 def pad(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -148,11 +136,7 @@ def pad(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     # torch wants pairs of the axes in memory, the last one first.
     axes = inverse(value.order)
     pairs = [amount for axis in reversed(axes) for amount in amounts[2 * axis : 2 * axis + 2]]
-
-    def padded(tensor: Tensor) -> Tensor:
-        return functional.pad(tensor, pairs, value=number)
-
-    return run(Step(padded, (value,), (value.order,)))
+    return run(Step(partial(functional.pad, pad=pairs, value=number), (value,), (value.order,)))
 
 
 def split(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -161,32 +145,20 @@ def split(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     axis = value.order[_axis(node, inputs[2], len(value.order))]
     length = value.tensor.shape[axis]
     sizes = [length - sum(sizes) - 1 if size == -1 else size for size in sizes]
-
-    def parts(tensor: Tensor) -> tuple[Tensor, ...]:
-        return torch.split(tensor, sizes, axis)
-
-    return run(Step(parts, (value,), (value.order,) * len(sizes)))
+    return run(Step(lambda tensor: torch.split(tensor, sizes, axis), (value,), (value.order,) * len(sizes)))
 
 
 def reshape(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """Reshape."""
     value, shape = logical(inputs[0], run), numbers(node, inputs[1])
-
-    def reshaped(tensor: Tensor) -> Tensor:
-        return tensor.reshape(shape)
-
-    return run(Step(reshaped, (value,), (plain(len(shape)),)))
+    return run(Step(lambda tensor: tensor.reshape(shape), (value,), (plain(len(shape)),)))
 
 
 def expand_dims(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """ExpandDims: one more axis of length 1."""
     value = logical(inputs[0], run)
     axis = _axis(node, inputs[1], len(value.order) + 1)
-
-    def expanded(tensor: Tensor) -> Tensor:
-        return tensor.unsqueeze(axis)
-
-    return run(Step(expanded, (value,), (plain(len(value.order) + 1),)))
+    return run(Step(lambda tensor: tensor.unsqueeze(axis), (value,), (plain(len(value.order) + 1),)))
 
 
 def strided_slice(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -207,11 +179,7 @@ def strided_slice(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...
             last = None if node.integer("end_mask") & bit else end
             index.append(slice(first, last, stride))
     rank = len(value.order) - sum(isinstance(part, int) for part in index)
-
-    def sliced(tensor: Tensor) -> Tensor:
-        return tensor[tuple(index)]
-
-    return run(Step(sliced, (value,), (plain(rank),)))
+    return run(Step(lambda tensor: tensor[tuple(index)], (value,), (plain(rank),)))
 
 
 def gather(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -357,11 +325,13 @@ def max_pool(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     size = node.ints("ksize")[1:3]
     padding = _padding(node, picture, (size[0], size[1]))
     stride = node.ints("strides")[1:3]
-
-    def pool(tensor: Tensor) -> Tensor:
-        return functional.max_pool2d(_pad(tensor, padding, -math.inf), size, stride)
-
-    return run(Step(pool, (picture,), (CHANNELS_FIRST,)))
+    return run(
+        Step(
+            lambda tensor: functional.max_pool2d(_pad(tensor, padding, -math.inf), size, stride),
+            (picture,),
+            (CHANNELS_FIRST,),
+        )
+    )
 
 
 def resize_bilinear(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
@@ -373,11 +343,9 @@ def resize_bilinear(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
     settings = {"corners": node.flag("align_corners"), "centres": node.flag("half_pixel_centers")}
     down = Value(interpolation(picture.shape[1], rows, **settings), (0, 1))
     across = Value(interpolation(picture.shape[2], columns, **settings), (0, 1))
-
-    def resize(tensor: Tensor, vertical: Tensor, horizontal: Tensor) -> Tensor:
-        return vertical @ tensor @ horizontal.mT
-
-    return run(Step(resize, (picture, down, across), (CHANNELS_FIRST,)))
+    return run(
+        Step(lambda tensor, rows, columns: rows @ tensor @ columns.mT, (picture, down, across), (CHANNELS_FIRST,))
+    )
 
 
 def interpolation(size: int, wanted: int, *, corners: bool, centres: bool) -> Tensor:

