@@ -16,7 +16,7 @@ import shutil
 import sys
 import textwrap
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -80,21 +80,25 @@ class Option:
         hint: Its type, with what it says of its values.
         default: Of it; `dataclasses.MISSING` if it has to be given.
         text: What it means.
+        prefix: What is before the name of its flag.
     """
 
     key: str
     hint: Any
     default: Any
     text: str
+    prefix: str = ""
 
     @property
     def how(self) -> Flag:
         """How it is given."""
         return next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Flag)), Flag())
 
-    def flag(self, prefix: str) -> str:
+    @property
+    def flag(self) -> str:
         """Its flag, or what its value is called if it has none."""
-        name = f"--{prefix}{self.how.name or self.name}".replace("_", "-")
+        no = "no-" if self.default is True else ""
+        name = f"--{self.prefix}{no}{self.how.name or self.name}".replace("_", "-")
         return self.called if self.how.positional else name
 
     @property
@@ -102,10 +106,18 @@ class Option:
         """Name of the field."""
         return self.key.rpartition(".")[2]
 
-    def inner_prefix(self, prefix: str) -> str:
-        """What is before the names of its fields' flags: its own name, or nothing within an unprefixed dataclass."""
-        is_within = not prefix and "." in self.key
-        return prefix if is_within or not self.how.prefixed else f"{prefix}{self.name}."
+    @property
+    def parts(self) -> list[Option]:
+        """The options of its fields where it is a dataclass.
+
+        Its name is before those of their flags, but within an unprefixed one.
+        """
+        if not dataclasses.is_dataclass(self.default):
+            return []
+        is_within = not self.prefix and "." in self.key
+        prefix = self.prefix if is_within or not self.how.prefixed else f"{self.prefix}{self.name}."
+        values = {field.name: getattr(self.default, field.name) for field in dataclasses.fields(self.default)}
+        return _options(type(self.default), values, f"{self.key}.", prefix)
 
     @property
     def called(self) -> str:
@@ -217,15 +229,20 @@ def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[s
         defaults: Of some fields, in the place of their own.
     """
     width = min(shutil.get_terminal_size().columns, 110)
+    options = options_of(kind, defaults)
+    positional = [option for option in options if option.how.positional]
+    called = [f"{option.called} ..." if option.count == "*" else option.called for option in positional]
+    required = [option.default is dataclasses.MISSING for option in positional]
+    words = [name if needed else f"[{name}]" for name, needed in zip(called, required, strict=True)]
     parser = Parser(
         prog=program,
-        usage=f"{program} [-h] [OPTIONS]{''.join(f' {name}' for name in _positionals(kind, defaults))}",
+        usage=" ".join([program, "[-h] [OPTIONS]", *words]),
         description=_filled(description, width),
         formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, width=width),
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
     )
-    _add(parser, parser, kind, "", "", _given_or_own(kind, defaults or {}), width)
+    _add(parser, parser, options, width)
     return parser
 
 
@@ -259,7 +276,7 @@ def parse(
         do = nearest(unknown, flags, f"see {program} --help") if unknown.startswith("-") else "leave it out"
         raise UsageError(message("options", "those of the command", " ".join(rest), do))
     try:
-        return _built(kind, "", "", _given_or_own(kind, defaults or {}), vars(given))
+        return _built(kind, options_of(kind, defaults), vars(given))
     except InvalidValueError as error:
         raise UsageError(str(error)) from None
 
@@ -270,128 +287,81 @@ def _dashed(word: str) -> str:
     return f"{flag.replace('_', '-')}{equals}{value}" if flag.startswith("--") else word
 
 
-def _given_or_own(kind: type, defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """The defaults of a dataclass's fields by their names; `dataclasses.MISSING` where there is none.
-
-    Those of the class itself come first, then those that it shares with other commands.
-    """
-    ranks = {
-        name: rank for rank, base in reversed([*enumerate(kind.__mro__)]) for name in inspect.get_annotations(base)
-    }
-    fields = sorted(dataclasses.fields(kind), key=lambda field: ranks[field.name])
-    own = {
-        field.name: field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        for field in fields
-    }
-    return {**own, **defaults}
-
-
-def _options(kind: type, key: str, defaults: Mapping[str, Any]) -> Iterator[Option]:
-    hints, texts = type_hints(kind), field_texts(kind)
-    for name, default in defaults.items():
-        yield Option(key=f"{key}{name}", hint=hints[name], default=default, text=texts.get(name, ""))
-
-
-def flags_of(options: Any, key: str = "", prefix: str = "") -> Iterator[tuple[str, Option]]:
-    """Every flag of a command with its option.
+def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Option]:
+    """The options of a command: those of the class itself first, then those that it shares with other commands.
 
     Args:
-        options: The command's options, whose values are the defaults.
-        key: Names of fields that lead to them, each with a dot behind it.
-        prefix: What is before the names of their flags.
-    """
-    for option in _options(type(options), key, _values(options)):
-        if dataclasses.is_dataclass(option.default):
-            yield from flags_of(option.default, f"{option.key}.", option.inner_prefix(prefix))
-        else:
-            yield option.flag(prefix), option
-
-
-def _values(options: Any) -> dict[str, Any]:
-    """The values of a dataclass's fields by their names."""
-    return {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-
-
-def _positionals(kind: type, defaults: Mapping[str, Any] | None) -> Iterator[str]:
-    """The arguments without flags, as the line of usage has them."""
-    for option in _options(kind, "", _given_or_own(kind, defaults or {})):
-        if option.how.positional:
-            called = f"{option.called} ..." if option.count == "*" else option.called
-            yield called if option.default is dataclasses.MISSING else f"[{called}]"
-
-
-def _add(
-    parser: Parser, group: Any, kind: type, key: str, prefix: str, defaults: Mapping[str, Any], width: int
-) -> None:
-    """Add the flags of a dataclass, and those of dataclasses in it, each in a group.
-
-    Args:
-        parser: The parser.
-        group: Group of it, or itself.
         kind: The dataclass.
-        key: Names of fields that lead to it, each with a dot behind it.
-        prefix: What is before the names of its flags.
-        defaults: Of its fields.
-        width: Of a line.
+        defaults: Of some fields, in the place of their own.
     """
-    for option in _options(kind, key, defaults):
+    bases = reversed([*enumerate(kind.__mro__)])
+    ranks = {name: rank for rank, base in bases for name in inspect.get_annotations(base)}
+    values = {
+        field.name: field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+        for field in sorted(dataclasses.fields(kind), key=lambda field: ranks[field.name])
+    }
+    return _options(kind, {**values, **(defaults or {})})
+
+
+def _options(kind: type, values: Mapping[str, Any], key: str = "", prefix: str = "") -> list[Option]:
+    hints, texts = type_hints(kind), field_texts(kind)
+    return [
+        Option(key=f"{key}{name}", hint=hints[name], default=default, text=texts.get(name, ""), prefix=prefix)
+        for name, default in values.items()
+    ]
+
+
+def _add(parser: Parser, group: Any, options: Sequence[Option], width: int) -> None:
+    """Add options to a group of a parser, or to itself; those of a dataclass are a group of their own."""
+    for option in options:
         if dataclasses.is_dataclass(option.default):
             title = f"{option.key.replace('_', ' ')} options"
-            part = parser.add_argument_group(title, _filled(option.text, width - 2))
-            inner, own = option.inner_prefix(prefix), _values(option.default)
-            _add(parser, part, type(option.default), f"{option.key}.", inner, own, width)
+            _add(parser, parser.add_argument_group(title, _filled(option.text, width - 2)), option.parts, width)
         elif option.how.positional:
             count = "?" if option.count is None else option.count
             group.add_argument(option.key, nargs=count, metavar=option.called, help=option.help)
         elif isinstance(option.default, bool):
-            flag = option.flag(f"{prefix}no-" if option.default else prefix)
-            group.add_argument(flag, dest=option.key, action="store_const", const=not option.default, help=option.help)
+            const = not option.default
+            group.add_argument(option.flag, dest=option.key, action="store_const", const=const, help=option.help)
         else:
             called: Any = option.called
             if isinstance(option.count, int) and len(called.split()) == option.count:
                 called = tuple(called.split())
-            flags = (option.flag(prefix), *option.how.aliases)
+            flags = (option.flag, *option.how.aliases)
             group.add_argument(*flags, dest=option.key, nargs=option.count, metavar=called, help=option.help)
 
 
-def _built(kind: type[_Type], key: str, prefix: str, defaults: Mapping[str, Any], given: Mapping[str, Any]) -> _Type:
-    """A dataclass of what was given, and of defaults; the arguments are those of `_add`.
+def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any]) -> _Type:
+    """A dataclass of what was given, and of defaults.
 
     Args:
         kind: The dataclass.
-        key: Names of fields that lead to it, each with a dot behind it.
-        prefix: What is before the names of its flags.
-        defaults: Of its fields.
+        options: Those of its fields.
         given: The user's words by the keys of options.
 
     Raises:
         InvalidValueError: A value is none that its field takes, or one is missing.
     """
     values: dict[str, Any] = {}
-    flags: dict[str, str] = {}
-    for option in _options(kind, key, defaults):
-        name = option.name
-        flags[name] = option.flag(prefix)
+    for option in options:
+        words = given.get(option.key)
         if dataclasses.is_dataclass(option.default):
-            inner, own = option.inner_prefix(prefix), _values(option.default)
-            values[name] = _built(type(option.default), f"{option.key}.", inner, own, given)
-        elif option.key in given and given[option.key] not in ([], None):
-            words = given[option.key]
-            is_set = isinstance(words, bool)
-            texts = (
-                [] if is_set else [word.removeprefix(" ") for word in ([words] if isinstance(words, str) else words)]
-            )
-            values[name] = words if is_set else option.value(texts, flags[name])
+            values[option.name] = _built(type(option.default), option.parts, given)
+        elif isinstance(words, bool):
+            values[option.name] = words
+        elif words not in (None, []):
+            texts = [word.removeprefix(" ") for word in ([words] if isinstance(words, str) else words)]
+            values[option.name] = option.value(texts, option.flag)
         elif option.default is dataclasses.MISSING:
-            what = "arguments" if option.how.positional else flags[name]
+            what = "arguments" if option.how.positional else option.flag
             raise UsageError(message(what, option.called, "none", "add it"))
-        elif option.key in given and not option.how.positional:
-            values[name] = ()
         else:
-            values[name] = option.default
+            is_empty = option.key in given and not option.how.positional  # the flag of a tuple, and nothing behind it
+            values[option.name] = () if is_empty else option.default
     try:
         return kind(**values)
     except FieldError as error:
+        flags = {option.name: option.flag for option in options}
         raise error.at(flags.get(error.name, error.name)) from None
 
 

@@ -19,7 +19,7 @@ from attacks.cli import parse, parser_of
 from attacks.cloak.config import AttackConfig, CleaningConfig, LayersConfig, StudyConfig, SurrogateConfig
 from attacks.observe.conditions import SunTable
 from mi_splat.cli.console import UsageError
-from mi_splat.cli.flags import flags_of
+from mi_splat.cli.flags import Option, options_of
 from mi_splat.fields import (
     Checked,
     FieldError,
@@ -67,7 +67,7 @@ FILES = (
 """What files hold that no command has flags for."""
 
 
-def options_of(command: str, words: list[str]) -> Any:
+def parsed(command: str, words: list[str]) -> Any:
     return parse(command, [*NEEDED.get(command, []), *words])
 
 
@@ -110,7 +110,7 @@ def right_value(allowed: Range, whole: bool) -> float:
     return int(value) if whole else value
 
 
-COMMANDS = {name: options_of(name, []) for name in cli.COMMANDS}
+COMMANDS = {name: parsed(name, []) for name in cli.COMMANDS}
 MODULES = {name: cli.module_of(name) for name in cli.COMMANDS}
 PARTS = [
     *(part for options in COMMANDS.values() for part in configurations(options)),
@@ -163,11 +163,20 @@ def required(example: Any) -> dict[str, Any]:
     return json.loads(json.dumps(values), object_hook=lambda table: {k: v for k, v in table.items() if v is not None})  # type: ignore[no-any-return]
 
 
+def flat(options: list[Option]) -> Iterator[Option]:
+    """Options, and those of the dataclasses among them."""
+    for option in options:
+        yield option
+        yield from flat(option.parts)
+
+
 FLAGS = [
-    (command, flag, *ranges(option.hint))
+    (command, option.flag, *ranges(option.hint))
     for command, options in COMMANDS.items()
-    for flag, option in flags_of(options)
-    if not option.how.positional
+    for option in flat(
+        options_of(type(options), {field.name: getattr(options, field.name) for field in dataclasses.fields(options)})
+    )
+    if not option.how.positional and not option.parts
 ]
 RANGED = [(command, flag, allowed, count, whole) for command, flag, allowed, count, whole in FLAGS if count and allowed]
 
@@ -201,10 +210,10 @@ def test_flags_refuse_in_the_same_words(
         with pytest.raises(FieldError) as expected:
             checked_number(flag, float(number) if flag == "--background" else number, allowed, whole=whole)
         with pytest.raises(UsageError) as refused:
-            options_of(command, said(flag, number, count))
+            parsed(command, said(flag, number, count))
         assert str(refused.value) == str(expected.value)
     with pytest.raises(UsageError, match=f"^{flag}: expected "):
-        options_of(command, [flag, *["many"] * (1 if flag in ("--size", "--background") else count)])
+        parsed(command, [flag, *["many"] * (1 if flag in ("--size", "--background") else count)])
     assert capsys.readouterr().out == ""
 
 
@@ -215,10 +224,10 @@ def test_right_numbers_are_taken(command: str) -> None:
     for flag, allowed, count, whole in (case[1:] for case in RANGED if case[0] == command):
         words = said(flag, right_value(allowed, whole), count)
         if flag == "--judge-seed":
-            options_of(command, words)
+            parsed(command, words)
         else:
             together += words
-    options_of(command, together)
+    parsed(command, together)
 
 
 @pytest.mark.parametrize(
@@ -363,11 +372,11 @@ def test_examples_and_neighbours_are_of_commands(command: str, module: Any) -> N
 
 
 def test_words_may_stand_in_any_order() -> None:
-    options = options_of("detect", ["--out", "o", "b.png", "--min_confidence=0.5", "--detectors", "x", "y"])
+    options = parsed("detect", ["--out", "o", "b.png", "--min_confidence=0.5", "--detectors", "x", "y"])
     assert [path.name for path in options.inputs] == ["a.ply", "b.png"]
     assert (options.out.name, options.min_confidence, options.detectors) == ("o", 0.5, ("x", "y"))
 
 
 def test_none_stands_for_no_value() -> None:
-    assert options_of("train", ["--max-gaussians", "none"]).fit.strategy.max_gaussians is None
-    assert options_of("detect", ["--weights", "none"]).weights == ()
+    assert parsed("train", ["--max-gaussians", "none"]).fit.strategy.max_gaussians is None
+    assert parsed("detect", ["--weights", "none"]).weights == ()
