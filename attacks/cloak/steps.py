@@ -16,13 +16,17 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak import setup
-from attacks.cloak.config import AttackConfig, EvaluationConfig, StudyConfig, fit_config
-from attacks.cloak.kinds.compared import CompareConfig
-from attacks.cloak.kinds.layered import LayeredConfig
-from attacks.cloak.kinds.parts import MESH, SET, Pose, SceneParts, is_mesh_file
-from attacks.cloak.kinds.poisoned import PoisonConfig
+from attacks.cloak.config import (
+    AttackConfig,
+    EvaluationConfig,
+    SceneConfig,
+    StudyConfig,
+    SurrogateConfig,
+    TrainingConfig,
+)
+from attacks.cloak.kinds.parts import MESH, SET, Pose, StepConfig
+from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
-from attacks.cloak.kinds.trained import TrainConfig
 from attacks.cloak.kinds.true_pictures import TrueConfig
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.rates import CLOAKED
@@ -40,11 +44,12 @@ from attacks.observe.rows import (
     TRUE,
     read_rows,
 )
+from mi_splat.assets import ASSETS
 from mi_splat.cameras import Camera
 from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Event, Job, Ledger, Part
 from mi_splat.ledger.running import looked_up
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.resume import SPLAT
 
@@ -150,29 +155,30 @@ class StudySteps:
 
     def renderer(self) -> Renderer:
         """What splats are looked at with."""
-        return Renderer(RenderSettings(background=self.study.scene.background, near=self.near))
+        return renderer_of(replace(self.study, training=replace(self.study.training, near=self.near)))
 
     # The jobs, in the order of the study.
 
     def pictures(self) -> Job:
         """The victim's pictures of the scene."""
-        return self._job("pictures", self._parts(background=False))
+        return self._job("pictures", self._step(scene=replace(self._scene, background=SceneConfig().background)))
 
     def look(self, attack: AttackConfig) -> Job:
         """Pictures of what an attack wants to be seen."""
         others = [other for other in self.study.attack if other is not attack] if attack.poison_margin > 0 else []
         cones = [replace(_cone(other), name=str(number), target_class=None) for number, other in enumerate(others)]
-        return self._job("looks", self._parts(_shown(attack), *cones), pictures=self.pictures().part(_PICTURES))
+        return self._job("looks", self._step(_shown(attack), *cones), pictures=self.pictures().part(_PICTURES))
 
     def poisoned(self, seed: int, surrogates: int | None = None) -> Job:
         """A poisoned set, corrected by so many surrogates; None: by as many as the study asks for."""
         study, config = self.study, self.study.surrogate
         rounds = (config.rounds if config is not None else 0) if surrogates is None else surrogates
         attacks = [replace(attack, target_class=None) for attack in study.attack]
-        drawn = seed if min(attack.poison_fraction for attack in study.attack) < 1 else None
-        values = PoisonConfig(parts=self._parts(*attacks), seed=drawn)
+        drawn = seed if min(attack.poison_fraction for attack in study.attack) < 1 else 0
+        corrected: dict[str, Any] = {}
         if config is not None and rounds:
-            values = replace(values, gain=config.gain, near=self.near)
+            corrected = {"surrogate": SurrogateConfig(gain=config.gain), "training": self._viewed}
+        values = self._step(*attacks, seeds=(drawn,), **corrected)
         earlier = {f"surrogate {n}": self.surrogate(seed, n).part(SPLAT) for n in range(1, rounds + 1)}
         looks = {f"look of {attack.name}": self.look(attack).part("*.png") for attack in study.attack}
         return self._job("poisoned", values, pictures=self.pictures().part(_PICTURES), **looks, **earlier)
@@ -205,21 +211,22 @@ class StudySteps:
         if layers is None:
             return self._trained(self.study, poisoned, seed)
         cones = [replace(_cone(one), target_class=None) for one in self.study.attack if one.name in layers.attacks]
-        config = LayeredConfig(parts=self._parts(*cones), layers=layers, near=self.near, seed=seed)
+        config = self._step(*cones, layers=layers, seeds=(seed,), training=self._viewed)
         return self._job("layered", config, clean=clean.part(SPLAT), pictures=poisoned.part(_PICTURES))
 
     def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
         """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
         poses = tuple(map(Pose.of, cameras))
         if attack is None:
-            return self._job("true_pictures", TrueConfig(parts=self._parts(), poses=poses))
-        config = TrueConfig(parts=self._parts(replace(_shown(attack), poison_margin=0.0)), poses=poses)
+            return self._job("true_pictures", TrueConfig(**self._parts(), poses=poses))
+        config = TrueConfig(**self._parts(replace(_shown(attack), poison_margin=0.0)), poses=poses, attacks=1)
         return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
 
     def perfect_pictures(self, cameras: Sequence[Camera]) -> Job:
         """The same of the object as a perfect splat shows it: as each attack wants it inside its trigger."""
         attacks = [replace(_shown(attack), poison_margin=0.0, name=attack.name) for attack in self.study.attack]
-        config = TrueConfig(parts=self._parts(*attacks), poses=tuple(map(Pose.of, cameras)), inside=True)
+        poses = tuple(map(Pose.of, cameras))
+        config = TrueConfig(**self._parts(*attacks), poses=poses, attacks=len(attacks), inside=True)
         return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
 
     def seen(
@@ -244,16 +251,18 @@ class StudySteps:
         """
         evaluation = self.study.evaluation
         config = SeenConfig(
-            parts=self._parts(*map(_region, self.study.attack), label=True),
-            near=self.near,
-            cameras=evaluation.cameras,
-            min_separation=evaluation.min_separation,
+            **self._parts(
+                *map(_region, self.study.attack),
+                scene=replace(self._scene, label=self.study.scene.class_name),
+                training=self._viewed,
+                evaluation=EvaluationConfig(cameras=evaluation.cameras, min_separation=evaluation.min_separation),
+                layers=None if sun is None else self.study.layers,
+            ),
             every=every,
             detector=detector.name,
             fingerprint=detector.fingerprint,
             condition=condition,
             sun=sun,
-            layers=None if sun is None else self.study.layers,
         )
         weights = self.weights.get(detector.name)
         is_splat = splat.kind != f"{_KINDS}.true_pictures"
@@ -267,7 +276,7 @@ class StudySteps:
             study.evaluation,
             **{name: getattr(EvaluationConfig(), name) for name in ("detectors", "confidence", "true_pictures")},
         )
-        config = CompareConfig(parts=self._parts(*map(_cone, study.attack)), near=self.near, evaluation=evaluation)
+        config = self._step(*map(_cone, study.attack), training=self._viewed, evaluation=evaluation)
         true = {"true": self.true_pictures([camera for _, camera in setup.reference_cameras(study, target)])}
         if attack is not None:
             arc = [camera for _, camera in setup.arc_cameras(study, target)]
@@ -348,26 +357,48 @@ class StudySteps:
     def _content(self) -> str:
         return setup.capture_source(self.study, self.mesh_scene).digest
 
-    def _parts(self, *attacks: AttackConfig, background: bool = True, label: bool = False) -> SceneParts:
-        return SceneParts.of(self.study, self._content, attacks, background=background, label=label)
+    @cached_property
+    def _scene(self) -> SceneConfig:
+        """The scene; a mesh file stands there as an asset, and what is said of mesh files counts for them alone."""
+        scene, plain = replace(self.study.scene, label="object"), SceneConfig()
+        if self._mesh:
+            return replace(scene, object=next(iter(ASSETS)))
+        return replace(scene, up=plain.up, scale=plain.scale, rotate=plain.rotate, front=plain.front)
+
+    @cached_property
+    def _viewed(self) -> TrainingConfig:
+        """What counts of the training where splats are looked at."""
+        return TrainingConfig(near=self.near)
+
+    @cached_property
+    def _mesh(self) -> dict[str, Path]:
+        """The object's mesh file, if it comes from one."""
+        path = Path(self.study.scene.object)
+        return {MESH: path} if path.is_file() else {}
+
+    def _parts(self, *attacks: AttackConfig, **parts: Any) -> dict[str, Any]:
+        """Scene, cameras, and the parts of the study that a job depends on besides; all else is as by default."""
+        values = {"scene": self._scene, "cameras": self.study.cameras, "attack": attacks or _NONE, **parts}
+        return {"asked": StudyConfig(name="step", **values), "content": self._content}
+
+    def _step(self, *attacks: AttackConfig, **parts: Any) -> StepConfig:
+        return StepConfig(**self._parts(*attacks, **parts))
 
     def _trained(self, study: StudyConfig, pictures: Job, seed: int) -> Job:
-        training = study.training
-        config = TrainConfig(
-            fit=fit_config(training),
-            background=study.scene.background,
-            near=self.near,
-            seed=seed,
-            outliers=training.outliers,
-            point_deviations=training.point_deviations,
-        )
-        return Job(kind=f"{_KINDS}.trained", config=config, inputs={"pictures": pictures.part(_PICTURES)})
+        """A training, which knows nothing of the scene but its pictures."""
+        scene, training = SceneConfig(background=study.scene.background), replace(study.training, near=self.near)
+        asked = StudyConfig(name="step", scene=scene, training=training, seeds=(seed,), attack=_NONE)
+        inputs = {"pictures": pictures.part(_PICTURES)}
+        return Job(kind=f"{_KINDS}.trained", config=StepConfig(asked=asked), inputs=inputs)
 
     def _job(self, kind: str, config: object, **inputs: Job | Part | Path) -> Job:
         """A job of a kind; who knows the scene reads its mesh file, too."""
-        has_mesh = kind != "cleaned" and is_mesh_file(self.study)
-        mesh = {MESH: Path(self.study.scene.object)} if has_mesh else {}
+        mesh = {} if kind == "cleaned" else self._mesh
         return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **mesh})
+
+
+_NONE = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
+"""The attacks of a job in which none has a part."""
 
 
 def _shown(attack: AttackConfig) -> AttackConfig:

@@ -20,15 +20,14 @@ from attacks.cloak.cleaning import (
     remove_outliers,
 )
 from attacks.cloak.config import CleaningConfig
-from attacks.cloak.kinds.trained import TrainConfig, starting_cloud
+from attacks.cloak.kinds.trained import starting_cloud
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.training.config import FitConfig
 from tests.cloak.tiny_study import STUDY, steps_of
 from tests.training.sets import views_of
 
-CONFIG = TrainConfig(fit=FitConfig(), background=(0.0, 0.0, 0.0), near=0.2, seed=1, outliers=5)
+VICTIM = replace(STUDY, seeds=(1,), training=replace(STUDY.training, outliers=5))
 
 
 def splat(means: Tensor, opacities: Tensor | float = 0.5, *, degree: int = 1) -> GaussianScene:
@@ -82,9 +81,10 @@ def test_outliers_are_removed_from_the_points_before_a_training() -> None:
     _, views = views_of()
     surface = block(0, 0, 0, side=8) * 0.02
     cloud = PointCloud(surface.float(), torch.rand(512, 3, generator=torch.Generator().manual_seed(3)))
-    every = starting_cloud(CONFIG, cloud, views)
+    every = starting_cloud(VICTIM, cloud, views)
     assert len(every.points) == 517
-    kept = starting_cloud(replace(CONFIG, point_deviations=2.0), cloud, views)
+    tidy = replace(VICTIM, training=replace(VICTIM.training, point_deviations=2.0))
+    kept = starting_cloud(tidy, cloud, views)
     stays = inliers(every.points, 2.0)
     assert bool(stays[:512].all())
     assert not bool(stays[512:].any())

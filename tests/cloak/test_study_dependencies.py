@@ -277,12 +277,13 @@ def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
 def test_defaults_are_part_of_what_a_job_depends_on() -> None:
     """A default that changes must not find what another one made."""
     config = {job.kind.rpartition(".")[2]: job.config_json for job in jobs(STUDY)}
-    assert config["trained"]["fit"]["lr_sh"] == 2.5e-3
-    assert config["trained"]["outliers"] == 0
-    assert config["trained"]["point_deviations"] is None
-    assert config["layered"]["layers"]["making"]["gap"] == 5.0
-    assert config["layered"]["layers"]["making"]["apart"] is False
-    assert config["poisoned"]["parts"]["attack"][0]["emphasis_depth"] == 20.0
+    asked = {name: config[name]["asked"] for name in ("trained", "layered", "poisoned")}
+    assert asked["trained"]["training"]["sh_degree_interval"] == 1000
+    assert asked["trained"]["training"]["outliers"] == 0
+    assert asked["trained"]["training"]["point_deviations"] is None
+    assert asked["layered"]["layers"]["making"]["gap"] == 5.0
+    assert asked["layered"]["layers"]["making"]["apart"] is False
+    assert asked["poisoned"]["attack"][0]["emphasis_depth"] == 20.0
 
 
 def test_a_splat_that_was_edited_is_refused(tmp_path: Path) -> None:

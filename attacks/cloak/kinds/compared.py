@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +11,9 @@ from torch import Tensor
 
 from attacks.cloak import setup
 from attacks.cloak.appearances import grown
-from attacks.cloak.config import AttackConfig, EvaluationConfig, StudyConfig
-from attacks.cloak.kinds.parts import SceneParts
+from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.kinds.parts import StepConfig
+from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
@@ -22,7 +22,6 @@ from mi_splat.directions import direction_of
 from mi_splat.io import load_splat
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr, ssim
-from mi_splat.rendering import Renderer, RenderSettings
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
@@ -33,26 +32,11 @@ FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim")
 TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_psnr", "fraction")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareConfig:
-    """Where a splat is compared with true pictures.
-
-    Attributes:
-        parts: The scene, and the regions of all attacks.
-        near: Near plane, world units.
-        evaluation: Which cameras.
-    """
-
-    parts: SceneParts
-    near: float
-    evaluation: EvaluationConfig
-
-
-def run(config: CompareConfig, inputs: Mapping[str, Path], out: Out) -> None:
+def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Compare the `splat` with the pictures `true`, and on arcs with `benign` and `hidden`; write two tables."""
-    study = config.parts.study(inputs, evaluation=config.evaluation)
+    study = config.study(inputs)
     target, scene = setup.target_of(study.scene), load_splat(inputs["splat"])
-    render = Renderer(RenderSettings(background=study.scene.background, near=config.near))
+    render = renderer_of(study)
 
     def picture(camera: Camera) -> Tensor:
         with torch.no_grad():

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.cloak import setup
-from attacks.cloak.kinds.parts import SET, SceneParts
+from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.cloak.mesh_scene import camera_number
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import scalar_variant
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 
-def run(config: SceneParts, inputs: Mapping[str, Path], out: Out) -> None:
+def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Path trace the scene as the first attack shows it; the others keep the cameras of their own cones."""
     study = config.study(inputs)
     attack = study.attack[0]

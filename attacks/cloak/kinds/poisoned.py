@@ -14,9 +14,10 @@ from torch import Tensor
 
 from attacks.cloak import setup
 from attacks.cloak.appearances import Appearance, name_of
-from attacks.cloak.config import AttackConfig, SurrogateConfig
+from attacks.cloak.config import AttackConfig
 from attacks.cloak.kinds.looks import picture_name as look_name
-from attacks.cloak.kinds.parts import SET, SceneParts
+from attacks.cloak.kinds.parts import SET, StepConfig
+from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import Poisoned, poison
 from mi_splat.cameras import Camera, RenderFn, View
@@ -27,7 +28,6 @@ from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
-from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
@@ -36,41 +36,20 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoisonConfig:
-    """How a set is poisoned.
-
-    Attributes:
-        parts: The scene, and all attacks.
-        seed: Draws the cameras of which a part is poisoned; None where all are.
-        gain: How much of what surrogates lack is added; None without surrogates.
-        near: Near plane of the surrogates' pictures, world units; None without surrogates.
-    """
-
-    parts: SceneParts
-    seed: int | None = None
-    gain: float | None = None
-    near: float | None = None
-
-
-def run(config: PoisonConfig, inputs: Mapping[str, Path], out: Out) -> None:
+def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Poison a set; surrogates, `surrogate 1` and so on, correct it in their order."""
-    surrogate = None if config.gain is None else SurrogateConfig(gain=config.gain)
-    study = config.parts.study(inputs, surrogate=surrogate)
+    study = config.study(inputs)
     mesh_scene = setup.mesh_scene_of(study)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
-    rounds = sum(name.startswith("surrogate ") for name in inputs)
     shown = []
-    for number in range(1, rounds + 1):
-        assert config.near is not None
-        settings = RenderSettings(background=study.scene.background, near=config.near)
-        scene = load_splat(inputs[f"surrogate {number}"])
-        shown.append(_kept_renders(scene, Renderer(settings)))
+    for number in range(1, 1 + sum(name.startswith("surrogate ") for name in inputs)):
+        render = renderer_of(study)
+        shown.append(_kept_renders(load_splat(inputs[f"surrogate {number}"]), render))
 
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
         return KeptAppearance(name=name_of(appearance), folder=inputs[f"look of {attack.name}"])
 
-    poisonings = setup.poisonings(study, mesh_scene, seed=config.seed or 0, cached=kept, surrogates=shown)
+    poisonings = setup.poisonings(study, mesh_scene, seed=study.seeds[0], cached=kept, surrogates=shown)
     with scalar_variant():
         done = poison(
             views,

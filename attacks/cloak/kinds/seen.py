@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from attacks.cloak import setup
-from attacks.cloak.config import EvaluationConfig, LayersConfig, StudyConfig
-from attacks.cloak.kinds.parts import SceneParts
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.kinds.parts import StepConfig
+from attacks.cloak.kinds.rendering import settings_of
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.layers import object_rows
 from attacks.detectors.base import Detector
@@ -41,7 +42,7 @@ from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
 from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
@@ -56,32 +57,22 @@ WEIGHTS = "weights"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenConfig:
+class SeenConfig(StepConfig):
     """Who looks at what, how, and from where.
 
     Attributes:
-        parts: The scene, and the regions and target classes of all attacks.
-        near: Near plane of a splat's pictures, world units.
-        cameras: Held-out cameras, before those near a training camera are dropped.
-        min_separation: Least angle to the nearest training camera, degrees.
-        every: Each so manieth of those that are left looks.
+        every: Each so manieth of the held-out cameras looks.
         detector: Name of the detector.
         fingerprint: Of its weights.
         condition: How the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does.
         sun: The street of a condition that is an hour.
-        layers: Says which Gaussians stand on the street.
     """
 
-    parts: SceneParts
-    near: float
-    cameras: int
-    min_separation: float
     detector: str
     fingerprint: str
     every: int = 1
     condition: str = ""
     sun: SunTable | None = None
-    layers: LayersConfig | None = None
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
@@ -92,8 +83,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     Raises:
         InvalidValueError: The detector has other weights than those that were asked for.
     """
-    evaluation = EvaluationConfig(cameras=config.cameras, min_separation=config.min_separation)
-    study = config.parts.study(inputs, evaluation=evaluation, layers=config.layers)
+    study = config.study(inputs)
     target = setup.target_of(study.scene)
     cameras = setup.held_out_cameras(study, target)[:: config.every]
     detector = loaded(config.detector, inputs.get(WEIGHTS))
@@ -124,7 +114,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 def _condition(config: SeenConfig, study: StudyConfig, target: Asset, errors: dict[Camera, float | None]) -> Condition:
     """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB, None where they are the same."""
-    settings = RenderSettings(background=config.parts.scene.background, near=config.near)
+    settings = settings_of(study)
     viewing = Viewing(
         settings=settings,
         centre=setup.centre_of(study),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak import setup
-from attacks.cloak.kinds.parts import Pose, SceneParts
+from attacks.cloak.kinds.parts import Pose, StepConfig
 from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.io.documents import save_png
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrueConfig:
+class TrueConfig(StepConfig):
     """What is photographed, and from where.
 
     Attributes:
-        parts: The scene, and the attacks; the object has the appearance of the first one, and without any is as it is.
         poses: The cameras.
+        attacks: How many of the study's there are: the object has the appearance of the first one, or is as it is.
         inside: Whether it has the appearance of each attack inside its trigger, and outside of all of them none.
     """
 
-    parts: SceneParts
     poses: tuple[Pose, ...]
+    attacks: int = 0
     inside: bool = False
 
 
@@ -55,9 +55,9 @@ class TruePictures:
 
 def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Take them; those of an appearance begin with those of the scene as it is, the input `plain`."""
-    study = config.parts.study(inputs)
+    study = config.study(inputs)
     mesh_scene, centre = setup.mesh_scene_of(study), setup.centre_of(study)
-    looks = [(attack.cone, setup.shown_by(study, attack, mesh_scene)) for attack in config.parts.attack]
+    looks = [(attack.cone, setup.shown_by(study, attack, mesh_scene)) for attack in study.attack[: config.attacks]]
     plain = read_pictures(inputs["plain"]) if looks else None
     names = [f"{number:04d}.png" for number in range(len(config.poses))]
     with scalar_variant():
