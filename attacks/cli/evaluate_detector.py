@@ -89,13 +89,14 @@ def _evaluated(options: EvaluateDetectorOptions) -> dict[str, Any]:
         sets |= {str(path): splat_scene_pictures(path) for path in options.scenes}
         advance("detecting")
         looks = [look_at(detector, sets) for detector in detectors]
-    seen = Looked(rows=pl.concat(one.rows for one in looks), detections=pl.concat(one.detections for one in looks))
+    seen = Looked(rows=pl.concat(look.rows for look in looks), detections=pl.concat(look.detections for look in looks))
     record: dict[str, Any] = {
         "story": "evaluate-detector",
         "confidence": options.confidence,
         "sets": {name: len(members) for name, members in sets.items()},
         "detectors": {
-            one.name: {"fingerprint": one.fingerprint, "min_confidence": one.min_confidence} for one in detectors
+            detector.name: {"fingerprint": detector.fingerprint, "min_confidence": detector.min_confidence}
+            for detector in detectors
         },
     }
     counted = figures(record, {ROWS: seen.rows, DETECTIONS: seen.detections})["detectors"]

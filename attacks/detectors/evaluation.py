@@ -169,7 +169,7 @@ def _object_row(ids: Mapping[str, Cell], picture: LabelledPicture, number: int, 
     inside = picture.image[y0:y1, x0:x1].float() / 255
     on_object = [row for row in detections if row["object"] == number and float(row["iou"] or 0) >= ON_OBJECT]
     best = max(on_object, key=lambda row: float(row["score"] or 0), default={"label": None, "score": 0.0})
-    own = [float(row["score"] or 0) for row in on_object if row["label"] == label]
+    scores = [float(row["score"] or 0) for row in on_object if row["label"] == label]
     seen: dict[str, Cell] = {}
     if picture.conditions:
         how = picture.conditions[number]
@@ -182,7 +182,7 @@ def _object_row(ids: Mapping[str, Cell], picture: LabelledPicture, number: int, 
         "original": label,
         "label": best["label"],
         "score": best["score"],
-        "original_score": max(own, default=0.0),
+        "original_score": max(scores, default=0.0),
         "size": max(x1 - x0, y1 - y0) / max(picture.image.shape[:2]),
         "brightness": float((inside @ torch.tensor(_LUMA)).mean()) if inside.numel() else None,
         **seen,
@@ -239,10 +239,10 @@ def detector_figures(
 def with_right(rows: pl.DataFrame, detections: pl.DataFrame) -> pl.DataFrame:
     """Detections with the class of their object, `original`, and whether they are `right`."""
     objects = rows.select("view", "object", "original")
-    own = (pl.col("label") == pl.col("original")) & (pl.col("iou") >= ON_OBJECT)
-    place = pl.when(own).then("score").rank("ordinal", descending=True).over("view", "object")
+    fits = (pl.col("label") == pl.col("original")) & (pl.col("iou") >= ON_OBJECT)
+    rank = pl.when(fits).then("score").rank("ordinal", descending=True).over("view", "object")
     joined = detections.join(objects, on=("view", "object"), how="left", maintain_order="left")
-    return joined.with_columns(right=(own & (place == 1)).fill_null(value=False))
+    return joined.with_columns(right=(fits & (rank == 1)).fill_null(value=False))
 
 
 def set_figures(rows: pl.DataFrame, judged: pl.DataFrame, pictures: int, confidence: float) -> dict[str, Any]:

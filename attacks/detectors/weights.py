@@ -106,10 +106,12 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
     """
     expected = model.state_dict()
     misshapen = [k for k in expected if k in state and state[k].shape != expected[k].shape]
-    if other := [k for k in expected if k in state and state[k].is_floating_point() != expected[k].is_floating_point()]:
-        got = f"{other[0]} of {state[other[0]].dtype}"
+    if unlike := [
+        k for k in expected if k in state and state[k].is_floating_point() != expected[k].is_floating_point()
+    ]:
+        got = f"{unlike[0]} of {state[unlike[0]].dtype}"
         do = "pass weights that were saved from the same detector"
-        raise DetectorError(message(f"weights {source}", f"{expected[other[0]].dtype}", got, do))
+        raise DetectorError(message(f"weights {source}", f"{expected[unlike[0]].dtype}", got, do))
     shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(expected[k].shape)}" for k in misshapen]
     try:
         report = model.load_state_dict({k: v for k, v in state.items() if k not in misshapen}, strict=False)

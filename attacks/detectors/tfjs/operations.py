@@ -214,8 +214,8 @@ def sparse_to_dense(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
     indices, values, default = (logical(inputs[i], run) for i in (0, 2, 3))
     shape = numbers(node, inputs[1])
 
-    def dense(positions: Tensor, sparse: Tensor, other: Tensor) -> Tensor:
-        whole = other.expand(shape).clone()
+    def dense(positions: Tensor, sparse: Tensor, rest: Tensor) -> Tensor:
+        whole = rest.expand(shape).clone()
         whole[tuple(positions.reshape(-1, len(shape)).long().unbind(1))] = sparse.expand(len(positions))
         return whole
 

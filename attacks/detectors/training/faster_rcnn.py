@@ -146,8 +146,8 @@ def _anywhere(sample: LabelledPicture, a: float, b: float, c: float) -> tuple[Te
     side = size * (0.15 + 0.3 * a)
     corner = torch.tensor([b, c]) * (size - side)
     box = torch.cat([corner, corner + side])
-    for other, label in zip(sample.boxes, sample.labels.tolist(), strict=True):
-        shared = (torch.minimum(box[2:], other[2:]) - torch.maximum(box[:2], other[:2])).clamp(min=0).prod()
-        if float(shared) > 0.1 * float(torch.minimum((other[2:] - other[:2]).prod(), torch.tensor(side * side))):
-            return _around(other, a, b, c), int(label)
+    for taken, label in zip(sample.boxes, sample.labels.tolist(), strict=True):
+        shared = (torch.minimum(box[2:], taken[2:]) - torch.maximum(box[:2], taken[:2])).clamp(min=0).prod()
+        if float(shared) > 0.1 * float(torch.minimum((taken[2:] - taken[:2]).prod(), torch.tensor(side * side))):
+            return _around(taken, a, b, c), int(label)
     return box, 0

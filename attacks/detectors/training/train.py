@@ -160,7 +160,7 @@ def validated(training: Training, validation: Sequence[LabelledPicture], folder:
         The score, the mAP and the false positives per picture without objects.
     """
     detector = training.snapshot()
-    seen, empty = look_at(detector, {"": validation}), [one for one in validation if not len(one.labels)]
+    seen, empty = look_at(detector, {"": validation}), [picture for picture in validation if not len(picture.labels)]
     figures = set_figures(seen.rows, with_right(seen.rows, seen.detections), len(validation), CONFIDENCE)
     imagined = look_at(detector, {"": empty})
     judged = with_right(imagined.rows, imagined.detections)

@@ -41,7 +41,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     several = documents(record)
     names, confidence = listed([figures["detector"] for figures in several]), f"{record['confidence']:g}"
     first, *others = [name for name, part in several[0]["sets"].items() if "map" in part] or [""]
-    found = [_found(figures, first) for figures in several]
+    rates = [_found(figures, first) for figures in several]
     empty = [_reported(figures["false_positives"].get("without objects")) for figures in several]
     sets = listed([f"{plural(part, 'picture')} ({name})" for name, part in record["sets"].items()])
     return Section(
@@ -53,11 +53,11 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             "Nothing was attacked."
         ),
         conclusion=(
-            f"Found: {_range(found)} of the objects ({first or 'none'}). Reported without any object: something in "
+            f"Found: {_range(rates)} of the objects ({first or 'none'}). Reported without any object: something in "
             f"{_range(empty)} of the pictures. This says nothing of photographs, or of objects of other kinds"
             f"{'; where intervals overlap, nothing says which detector is better' if len(several) > 1 else ''}."
         ),
-        headline=_figure(f"objects that are found, {first or 'none'}", found),
+        headline=_figure(f"objects that are found, {first or 'none'}", rates),
         control=_figure("pictures without any object in which something is reported", empty)
         if empty[0].total
         else None,

@@ -8,115 +8,105 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate, percent
-from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Section
+from attacks.report.section import FEW, Chart, Figure, Line, Picture, Section
 from attacks.report.wording import listed, plural, settings
 from attacks.tables import Table, cell
 
-KIND = "what detectors report"
 MOST_PICTURES, MOST_CLASSES, MOST_ROWS = 6, 8, 100
 
 Look = Mapping[str, Any]
 """One picture and detector, as result.json has it."""
 
 
-def read(folder: Path, found: Mapping[str, Any]) -> Section:
+def read(folder: Path, record: Mapping[str, Any]) -> Section:
     """The section of a folder of pictures with boxes.
 
     Args:
         folder: Where it lies.
-        found: Its result.json.
+        record: Its result.json.
     """
-    looks: Sequence[Look] = found["pictures"]
-    names = list(dict.fromkeys(one["detector"] for one in looks))
-    rate, pictures = _rate(looks), _pictures(looks)
-    several = len(names) > 1
+    looks: Sequence[Look] = record["pictures"]
+    by_detector: dict[str, list[Look]] = {}
+    for look in looks:
+        by_detector.setdefault(look["detector"], []).append(look)
+    rate, several = _rate(looks), len(by_detector) > 1
+    names, pictures = listed(list(by_detector)), plural(max(map(len, by_detector.values())), "picture")
+    label = "pictures in which something is reported"
     return Section(
-        kind=KIND,
-        title=f"{listed(names)} on {plural(pictures, 'picture')}",
+        kind="what detectors report",
+        title=f"{names} on {pictures}",
         done=(
-            f"{listed(names)} looked at {plural(pictures, 'picture')}: files, or splats and scenes from cameras. Every "
-            f"detection from a confidence of {found['min_confidence']:g} is listed."
+            f"{names} looked at {pictures}: files, or splats and scenes from cameras. Every detection from a "
+            f"confidence of {record['min_confidence']:g} is listed."
         ),
         conclusion=(
-            f"Something is reported in {rate.successes:,} of {rate.total:,} "
-            f"{'looks of a detector at a picture' if several else 'pictures'}. Nothing was attacked, and nothing says "
-            "what the pictures show: these are reports, not hits."
+            f"Something is reported in {rate.counts} {'looks of a detector at a picture' if several else 'pictures'}. "
+            "Nothing was attacked, and nothing says what the pictures show: these are reports, not hits."
         ),
-        headline=Figure(label="pictures in which something is reported", rate=rate, note=_note(names)),
+        headline=Figure(label=label, rate=rate, note="each detector and picture counts once" if several else ""),
         attacked=False,
         figures=tuple(
-            Figure(label=f"{name}: pictures in which something is reported", rate=_rate(_of(looks, name)))
-            for name in names
-            if several
+            Figure(label=f"{name}: {label}", rate=_rate(members)) for name, members in by_detector.items() if several
         ),
-        warnings=tuple(_doubts(rate)),
-        pictures=_shown(folder, looks),
-        charts=tuple(_charts(looks, names)),
-        tables=(_classes(looks, names), *_each(looks)),
+        warnings=(
+            "Nothing was attacked, and there is no control: whether a report is right is not known",
+            *([f"Few pictures: {rate.total}. The interval is wide; others may give another rate"] * (rate.total < FEW)),
+        ),
+        pictures=tuple(
+            Picture(
+                path=folder / Path(look["picture"]).name,
+                caption=f"{_source(look)}, {look['detector']}: {_reports(look)}.",
+                alt=f"A picture with the boxes of {look['detector']}",
+            )
+            for look in looks[:MOST_PICTURES]
+        ),
+        charts=tuple(_charts(looks, by_detector)),
+        tables=(
+            Table(
+                caption="By detector and class",
+                head=("detector", "class", "pictures that report it", "detections", "highest confidence"),
+                rows=tuple(_class_rows(by_detector)),
+            ),
+            Table.of(
+                f"Each picture{f', the first {MOST_ROWS} of {len(looks):,}' if len(looks) > MOST_ROWS else ''}",
+                {"picture": _source, "detector": "detector", "reported": _reports},
+                looks[:MOST_ROWS],
+            ),
+        ),
         configuration=settings(
             {
-                "inputs": list(dict.fromkeys(one["source"] for one in looks)),
-                "min_confidence": found["min_confidence"],
-                "view": found.get("view", {}),
-                "weights": found["fingerprints"],
+                "inputs": list(dict.fromkeys(look["source"] for look in looks)),
+                "min_confidence": record["min_confidence"],
+                "view": record.get("view", {}),
+                "weights": record["fingerprints"],
             }
         ),
     )
 
 
-def _note(names: Sequence[str]) -> str:
-    return "each detector and picture counts once" if len(names) > 1 else ""
-
-
-def _of(looks: Sequence[Look], name: str) -> list[Look]:
-    return [one for one in looks if one["detector"] == name]
-
-
 def _rate(looks: Sequence[Look], label: str | None = None) -> Rate:
     """Looks in which something is reported, or one class."""
-    reported = [any(label in (None, item["label"]) for item in one["detections"]) for one in looks]
+    reported = [any(label in (None, item["label"]) for item in look["detections"]) for look in looks]
     return Rate(successes=sum(reported), total=len(reported))
 
 
-def _pictures(looks: Sequence[Look]) -> int:
-    """Number of pictures; each has one look of every detector."""
-    return max(Counter(one["detector"] for one in looks).values())
+def _source(look: Look) -> str:
+    camera = "" if look["camera"] is None else f" from {look['camera']['name']}"
+    return f"{Path(look['source']).name}{camera}"
 
 
-def _doubts(rate: Rate) -> Iterator[str]:
-    yield "Nothing was attacked, and there is no control: whether a report is right is not known"
-    if rate.total < FEW:
-        yield f"Few pictures: {rate.total}. The interval is wide; others may give another rate"
+def _reports(look: Look) -> str:
+    return ", ".join(f"{item['label']} {percent(item['score'])}" for item in look["detections"]) or "nothing"
 
 
-def _shown(folder: Path, looks: Sequence[Look]) -> tuple[Picture, ...]:
-    return tuple(
-        Picture(
-            path=folder / Path(one["picture"]).name,
-            caption=f"{_called(one)}, {one['detector']}: {_reported(one)}.",
-            alt=f"A picture with the boxes of {one['detector']}",
-        )
-        for one in looks[:MOST_PICTURES]
-    )
-
-
-def _called(one: Look) -> str:
-    camera = "" if one["camera"] is None else f" from {one['camera']['name']}"
-    return f"{Path(one['source']).name}{camera}"
-
-
-def _reported(one: Look) -> str:
-    return ", ".join(f"{item['label']} {percent(item['score'])}" for item in one["detections"]) or "nothing"
-
-
-def _often(looks: Sequence[Look]) -> list[str]:
+def _classes(looks: Sequence[Look]) -> list[str]:
     """Classes by the number of looks that report them."""
-    counts = Counter(label for one in looks for label in {item["label"] for item in one["detections"]})
+    counts = Counter(label for look in looks for label in {item["label"] for item in look["detections"]})
     return sorted(counts, key=lambda label: (-counts[label], label))
 
 
-def _charts(looks: Sequence[Look], names: Sequence[str]) -> Iterator[Chart]:
-    labels = _often(looks)[:MOST_CLASSES]
+def _charts(looks: Sequence[Look], by_detector: Mapping[str, Sequence[Look]]) -> Iterator[Chart]:
+    labels = _classes(looks)[:MOST_CLASSES]
     if labels:
         yield Chart(
             title="Pictures that report a class",
@@ -124,33 +114,17 @@ def _charts(looks: Sequence[Look], names: Sequence[str]) -> Iterator[Chart]:
             x_label="class",
             y_label="pictures",
             lines=tuple(
-                Line(
-                    name=name,
-                    role="other",
-                    points=tuple(Point.of(place, _rate(_of(looks, name), one)) for place, one in enumerate(labels)),
-                )
-                for name in names
+                Line.of(name, "other", [_rate(members, label) for label in labels])
+                for name, members in by_detector.items()
             ),
             ticks=tuple(labels),
             connected=False,
         )
 
 
-def _classes(looks: Sequence[Look], names: Sequence[str]) -> Table:
-    rows = []
-    for name in names:
-        own = _of(looks, name)
-        labels: list[str | None] = [*_often(own)]
-        for label in labels or [None]:
-            items = [item for one in own for item in one["detections"] if item["label"] == label]
-            scores = [float(item["score"]) for item in items]
-            most = percent(max(scores)) if scores else "-"
-            rows.append((name, label or "nothing", cell(_rate(own, label)), str(len(items)), most))
-    head = ("detector", "class", "pictures that report it", "detections", "highest confidence")
-    return Table(caption="By detector and class", head=head, rows=tuple(rows))
-
-
-def _each(looks: Sequence[Look]) -> Iterator[Table]:
-    rows = tuple((_called(one), one["detector"], _reported(one)) for one in looks[:MOST_ROWS])
-    more = "" if len(looks) <= MOST_ROWS else f", the first {MOST_ROWS} of {len(looks):,}"
-    yield Table(caption=f"Each picture{more}", head=("picture", "detector", "reported"), rows=rows)
+def _class_rows(by_detector: Mapping[str, Sequence[Look]]) -> Iterator[tuple[str, ...]]:
+    for name, looks in by_detector.items():
+        for label in _classes(looks) or ["nothing"]:
+            items = [item for look in looks for item in look["detections"] if item["label"] == label]
+            most = percent(max(float(item["score"]) for item in items)) if items else "-"
+            yield name, label, cell(_rate(looks, label if items else None)), str(len(items)), most
