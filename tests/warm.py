@@ -84,12 +84,13 @@ def serve() -> None:
     from attacks.cli.doctor import EXTRAS
 
     if FORKS:
-        sys.modules.update(dict.fromkeys(EXTRAS.values()))  # type: ignore[arg-type]  # None: not to be imported
+        modules = [module for several in EXTRAS.values() for module in several]
+        sys.modules.update(dict.fromkeys(modules))  # type: ignore[arg-type]  # None: not to be imported
         import torch
         import torchvision  # noqa: F401
 
         torch.set_num_threads(1)
-        for module in EXTRAS.values():
+        for module in modules:
             del sys.modules[module]
         assert threading.active_count() == 1
         gc.freeze()

@@ -27,7 +27,7 @@ class CloakOptions:
     """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at both, report.
 
     Says what it will take before it starts. A study that was interrupted goes on where it stopped when the same command
-    is given again. Writes result.json, the rows, contact.png, plots and both splats into --out.
+    is given again. Writes result.json, the rows, contact.png and both splats into --out.
     """
 
     study: Positional[Path]

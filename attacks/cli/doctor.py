@@ -106,10 +106,11 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     for group in GROUPS:
         findings += examine_group(group, [sys.executable, "-m", "attacks.cli.doctor", group])
         on_done(group)
-    for extra, module in EXTRAS.items():
-        missing = importlib.util.find_spec(module) is None
+    for extra, modules in EXTRAS.items():
+        missing = [module for module in modules if importlib.util.find_spec(module) is None]
         state: State = "absent" if missing else "works"
-        detail, advice = f"no {module}" if missing else module, f"optional: {install(extra)}" if missing else ""
+        detail = f"no {' and '.join(missing)}" if missing else ", ".join(modules)
+        advice = f"optional: {install(extra)}" if missing else ""
         findings.append(Finding(name=f"extra {extra}", state=state, detail=detail, advice=advice, required=False))
     return findings
 
@@ -260,14 +261,13 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
     ),
 }
 EXTRAS = {
-    "cluster": "distributed",
-    "figures": "matplotlib",
-    "meshes": "trimesh",
-    "report": "jinja2",
-    "transformers": "transformers",
-    "video": "imageio_ffmpeg",
-    "view": "viser",
-    "yolo": "ultralytics",
+    "cluster": ("distributed",),
+    "meshes": ("trimesh",),
+    "report": ("jinja2", "matplotlib"),
+    "transformers": ("transformers",),
+    "video": ("imageio_ffmpeg",),
+    "view": ("viser",),
+    "yolo": ("ultralytics",),
 }
 
 

@@ -17,7 +17,7 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
 from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, PERFECT, ROWS, TRANSITION, TRUE
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE
 from attacks.rate import Rate, percent
 from attacks.tables import Table, cell
 
@@ -186,6 +186,36 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
     for (detector, low), both in counted.items():
         bands.setdefault(detector, []).append((low, both[CLEAN], both[ATTACKED]))
     return bands
+
+
+SECTOR = 30.0
+"""Degrees of azimuth over which rates are taken."""
+
+
+def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], dict[str, Rate]]:
+    """What is reported from each sector below all that is hidden from everywhere, by detector and its first degree.
+
+    The object's class on the clean and on the cloaked splat, and on the latter the class that each attack wants.
+
+    Args:
+        study: The study.
+        rows: Of both splats.
+    """
+    confidence, name = study.evaluation.confidence, study.scene.class_name
+    here = with_control(rows).filter(pl.col(f"{DEPTH}{one.name}") < 0 for one in study.attack if one.azimuth is None)
+    measures = {
+        f"{name}, {NAMES[splat]}": Measure(holds=reported("original_score", confidence), given=of(splat))
+        for splat in reversed(NAMES)
+    }
+    measures |= {
+        f"{one.target_class}, {CLOAKED}": Measure(
+            holds=reported(f"{TARGET_SCORE}{one.name}", confidence), given=of(ATTACKED)
+        )
+        for one in study.attack
+        if one.target_class is not None
+    }
+    bands = here.with_columns(band=(pl.col("azimuth") / SECTOR).floor() * SECTOR).sort("band", maintain_order=True)
+    return count(bands, measures, ("detector", "band"), clusters=CLUSTERS)
 
 
 def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:

@@ -11,18 +11,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
+import torch
+from numpy.typing import NDArray
 
 from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig, fit_config
 from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
-from attacks.cloak.plots import need_matplotlib, write_figures
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import figures, markdown
 from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
+from attacks.observe.drawing import annotated
 from attacks.observe.places import CAMERAS, cameras_document
 from attacks.observe.rows import (
     DETECTIONS,
@@ -33,18 +36,21 @@ from attacks.observe.rows import (
     write_rows,
 )
 from mi_splat import provenance
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.camera_records import describe
-from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.documents import save_json, save_png, save_text
 from mi_splat.io.folders import check_writable
+from mi_splat.io.images import through_png
 from mi_splat.io.locks import check_unlocked, locked_folder
 from mi_splat.io.manifest import write_manifest
 from mi_splat.io.parsing import DocumentReader
 
 STUDY_FILE = "study.toml"
-STUDY, SUMMARY, TABLE, POISON = "study.json", "result.json", "table.md", "poison.json"
+STUDY, SUMMARY, TABLE, POISON, CONTACT = "study.json", "result.json", "table.md", "poison.json", "contact.png"
 
 
 def differences(file: Path, study: StudyConfig) -> list[str]:
@@ -107,10 +113,10 @@ def write_report(
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
     shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
     written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
-    pictures = write_figures(steps, tables, shown, detectors, folder)
+    save_png(_contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
     save_json(_cameras(study), folder / CAMERAS, indent=0)
     save_text(study_toml(asdict(study)), folder / STUDY_FILE)
-    files = [*(f"{splat.splat}.ply" for splat in shown), POISON, CAMERAS, STUDY_FILE, *written, *pictures, TABLE]
+    files = [*(f"{splat.splat}.ply" for splat in shown), POISON, CAMERAS, STUDY_FILE, *written, CONTACT, TABLE]
     summary = {
         "story": "cloak",
         **entry,
@@ -122,6 +128,38 @@ def write_report(
     save_json(summary, folder / SUMMARY)
     write_manifest(folder, without=("stages",))
     return summary
+
+
+_SIDE, _LOW, _CELL = 40.0, 15, 256
+"""Azimuth of the rising cameras of a contact sheet, elevation of those that go around, degrees; pixels of a picture."""
+_ELEVATIONS = (5, 15, 25, 35, 45, 55, 65, 75, 85)
+_AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
+
+
+def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
+    """Clean above cloaked, over elevation and then around, with what the detector reports."""
+    study, render, rows = steps.study, steps.renderer(), list[NDArray[np.uint8]]()
+    lens, centre = setup.lens_of(study, steps.mesh_scene.target), setup.centre_of(study)
+
+    def camera(azimuth: float, elevation: float) -> Camera:
+        return orbit(centre, count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
+
+    rising = [(f"{elevation} deg up", camera(_SIDE, elevation)) for elevation in _ELEVATIONS]
+    around = [(f"azimuth {azimuth}", camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
+    scenes = {splat.splat: splat.load() for splat in splats}
+    for cameras in (rising, around):
+        for which, scene in scenes.items():
+            with torch.no_grad():
+                pictures = [through_png(render(scene, view)) for _, view in cameras]
+            seen = detector.detect(torch.stack(pictures))
+            cells = [
+                annotated(
+                    picture, detections, f"{which}, {name}", min_confidence=study.evaluation.confidence, width=_CELL
+                )
+                for picture, detections, (name, _) in zip(pictures, seen, cameras, strict=True)
+            ]
+            rows.append(np.concatenate(cells, axis=1))
+    return np.concatenate(rows)
 
 
 def _cameras(study: StudyConfig) -> dict[str, Any]:
@@ -204,8 +242,7 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
 
     Raises:
         InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a
-            class, the trainer's settings are out of range, layers have a margin of poison, or matplotlib is not
-            installed.
+            class, the trainer's settings are out of range, or layers have a margin of poison.
     """
     mesh_scene = setup.mesh_scene_of(study)
     cameras = setup.training_cameras(study, mesh_scene.target)
@@ -215,7 +252,6 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
     fit_config(study.training)
     _check_count(study)
     _check_margins(study)
-    need_matplotlib()
     wanted = [
         study.scene.class_name,
         *(attack.target_class for attack in study.attack if attack.target_class is not None),

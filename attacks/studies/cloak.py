@@ -1,4 +1,4 @@
-"""Studies of CLOAK with one thing changed at a time: how much of the attack hangs on it, as tables and plots.
+"""Studies of CLOAK with one thing changed at a time: how much of the attack hangs on it, as tables.
 
 The settings of `study = "cloak"` are those of a file that `mi-splat cloak` reads; `base` names such a file, and what
 the study says comes in the place of what stands there. Every point is done with all of its seeds. An axis is a chart:
@@ -27,12 +27,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.seen import loaded
-from attacks.cloak.plots import new_axes, save_figure
 from attacks.cloak.rates import LOOKS, spread_of
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
@@ -63,15 +61,6 @@ RATES = {
     "target_rate": "target class",
 }
 """Rates of a summary that a table has, and their heads."""
-MANY = 7
-"""Values of a variation: with more of them there is room for their names alone."""
-_VARIED = (
-    ("trigger_miss_rate", "missed inside", "#d62728"),
-    ("nothing_reported", "nothing of any class reported inside", "#9467bd"),
-    ("benign_recall", "found elsewhere", "#1f77b4"),
-    ("target_rate", "target class reported", "#2ca02c"),
-)
-"""What is drawn over the values of a variation."""
 
 
 def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
@@ -291,7 +280,7 @@ class CloakWork:
         check_disk(sum(forecast(study).megabytes for study in missing), store)
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write result.json, the tables of rows, study.toml, table.md and a plot for each part.
+        """Write result.json, the tables of rows, study.toml and table.md.
 
         Args:
             results: Of the jobs, by their labels.
@@ -312,10 +301,6 @@ class CloakWork:
         ]
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         record = {"story": STORY, **named, "points": points, **provenance.origin()}
-        groups = by_part(record)
-        for part, values in groups.items():
-            paths.append(out / f"{part.replace('/', '_')}.png")
-            write_variation(part, values, paths[-1])
         save_text(markdown(record), out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD)
@@ -368,42 +353,3 @@ def markdown(record: Mapping[str, Any]) -> str:
         record: result.json.
     """
     return "\n\n".join(table.markdown for table in tables(by_part(record))) + "\n"
-
-
-def write_variation(group: str, results: Mapping[str, Mapping[str, Any]], path: Path) -> None:
-    """Write a plot of rates, with their intervals, over the values of what was varied.
-
-    Args:
-        group: What was varied.
-        results: For each value, the summary of its study.
-        path: A PNG.
-
-    Raises:
-        InvalidValueError: matplotlib is not installed.
-        SplatFileError: The file cannot be written.
-    """
-    detectors = list(next(iter(results.values()))["by_detector"])
-    figure, axes = new_axes(len(detectors))
-    many = len(results) > MANY
-    ticks = list(results) if many else [_tick(name, summary) for name, summary in results.items()]
-    turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if many else {}
-    for axis, detector in zip(axes, detectors, strict=True):
-        for shift, (key, words, colour) in zip((-0.12, -0.04, 0.04, 0.12), _VARIED, strict=True):
-            rates = [summary["by_detector"][detector].get(key) for summary in results.values()]
-            shown = [(place + shift, rate) for place, rate in enumerate(rates) if rate is not None and rate["total"]]
-            fractions = np.array([rate["rate"] for _, rate in shown])
-            low, high = np.array([rate["interval"] for _, rate in shown]).reshape(-1, 2).T
-            bars = np.maximum([fractions - low, high - fractions], 0.0)
-            style = {"marker": "o", "markersize": 4, "capsize": 2, "linestyle": "none"}
-            axis.errorbar([place for place, _ in shown], fractions, yerr=bars, color=colour, label=words, **style)
-        axis.set(title=f"{detector}, by {group}", ylabel="fraction of cameras", ylim=(-0.03, 1.03))
-        axis.set_xticks(range(len(ticks)), ticks, **turned)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
-    save_figure(figure, path)
-
-
-def _tick(name: str, summary: Mapping[str, Any]) -> str:
-    """What stands below a value: its name, the transition, and what is lost beside the object."""
-    band, price = summary["transition_degrees"], summary.get("stealth")
-    parts = [name] if band is None else [name, f"band {band:.0f} deg"]
-    return "\n".join(parts if price is None else [*parts, f"{price['surroundings_psnr_drop']:.1f} dB beside"])

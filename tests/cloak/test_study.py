@@ -60,7 +60,13 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
     section, found = read_section(finished), summary(finished)
     assert section.headline.counts == "{successes} of {total}".format(**found["trigger_miss_rate"])
-    assert section.pictures[0].path.name == "contact.png"
+    assert [picture.path.name for picture in section.pictures] == ["contact.png"]
+    charts = {chart.title: chart for chart in section.charts}
+    around = charts["Reported by redness, by azimuth"]
+    assert [line.name for line in around.lines] == ["car, cloaked", "car, clean", "stop sign, cloaked"]
+    assert all(0 <= point.x < 360 for line in around.lines for point in line.points)
+    switch = charts["From the benign to the hidden appearance"]
+    assert [point.y for point in switch.lines[1].points] == sorted(point.y for point in switch.lines[1].points)
 
 
 def test_the_hidden_appearance_has_less_red(finished: Path) -> None:

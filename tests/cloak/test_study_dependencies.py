@@ -308,7 +308,7 @@ def test_the_code_of_a_job_is_all_that_it_may_run(kind: str) -> None:
     if kind in ("poisoned", "trained", "layered", "seen", "compared"):
         assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= code
     assert ("attacks.detectors.registry" in code) is (kind == "seen")
-    assert not {"attacks.cloak.plots", "attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
+    assert not {"attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
 
 
 def test_every_kind_is_named() -> None:

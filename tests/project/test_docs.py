@@ -139,7 +139,7 @@ def test_python_examples_import_what_there_is(path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_figures_can_be_drawn_again(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="figures need the extra figures")
+    pytest.importorskip("matplotlib", reason="figures need the extra report")
     done = run("docs/figures/conventions.py", str(tmp_path))
     assert done.returncode == 0, done.stderr
     drawn = {path.name for path in tmp_path.iterdir()}

@@ -1,4 +1,4 @@
-"""`study = "cloak"`: what a point is, that points share what they can, and the tables and plots of what they find."""
+"""`study = "cloak"`: what a point is, that points share what they can, and the tables of what they find."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
-from PIL import Image
 
 from attacks import cli
 from attacks.cloak.config import StudyConfig, read_study
@@ -20,7 +19,7 @@ from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.results import read_section
 from attacks.report.stories import variations
-from attacks.studies.cloak import CloakPoint, CloakWork, config_of, tables, write_variation
+from attacks.studies.cloak import CloakPoint, CloakWork, config_of, tables
 from attacks.studies.study_file import read_study as read_file
 from attacks.studies.study_file import study_of
 from mi_splat.errors import InvalidValueError
@@ -162,8 +161,6 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
         (value, condition, "redness") for value in ("nothing", "SH degree 0") for condition in looks
     ]
     assert "Under SH of degree 0 and 2 x distance it is missed" in section.conclusion
-    with Image.open(out / "cleaning.png") as plot:
-        assert plot.size[0] > 500
 
 
 def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
@@ -184,9 +181,6 @@ def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
         "SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200",
         "SH 5 bits | 2 | - | - | - | - | - | 1,000 | 1,200",
     ]
-    write_variation("cleaning", {f"value {i}": quiet for i in range(8)}, tmp_path / "plot.png")
-    with Image.open(tmp_path / "plot.png") as plot:
-        assert plot.size[0] > 500
 
 
 LOOKS = {"cloak_elsewhere": (3, 22), "cloak_renderers": (3, 5), "cloak_distances": (3, 8), "cloak_coco": (3, 0)}

@@ -10,16 +10,30 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.rates import CLOAKED, RATES, costs, measures, picture_rows
+from attacks.cloak.rates import CLOAKED, NAMES, RATES, SECTOR, by_azimuth, costs, measures, picture_rows, transition
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.rates import tables as summary_tables
+from attacks.cloak.setup import overhead
 from attacks.cloak.steps import ROW_NAMES
+from attacks.cloak.study import CONTACT
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.measures import Confidence, Measures
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    FIDELITY,
+    PERFECT,
+    ROWS,
+    SUFFIX,
+    TARGET_SCORE,
+    TRANSITION,
+    TRUE,
+    Row,
+    read_rows,
+)
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate, percent
 from attacks.report.checking import Tables
@@ -65,8 +79,20 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
         control=control,
         figures=_figures(summary),
         warnings=tuple(_doubts(summary)),
-        pictures=_pictures(folder, study, summary["files"]),
-        charts=(*(_elevation(summary, name) for name in summary["by_detector"]), *curves, *true_curves),
+        pictures=(
+            Picture(
+                path=folder / CONTACT,
+                caption="Both splats with what the first detector reports: two rows over elevations, two around it.",
+                alt=f"Pictures of {study['scene']['object']} in rows, clean above cloaked",
+                wide=True,
+            ),
+        ),
+        charts=(
+            *(_elevation(summary, name) for name in summary["by_detector"]),
+            *_of_rows(folder, summary),
+            *curves,
+            *true_curves,
+        ),
         tables=(*summary_tables(summary), *at, *true_at),
         configuration=settings({**study, "weights": summary["detectors"]}),
         file=(f"{study['name']}.toml", study_toml(study)),
@@ -246,31 +272,6 @@ def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
             yield f"The attack {name} fails: its target class is never reported"
 
 
-def _pictures(folder: Path, study: Mapping[str, Any], files: Sequence[str]) -> tuple[Picture, ...]:
-    thing = study["scene"]["object"]
-    known_pictures = {
-        "contact.png": (
-            "Both splats with what the first detector reports: two rows over rising elevations, two rows around.",
-            f"Pictures of {thing} in rows, clean above cloaked; inside the trigger the cloaked one looks different",
-        ),
-        "transition.png": (
-            "How far the splats are on the way from the benign to the hidden appearance, by elevation.",
-            "A scatter plot with a rising curve for the cloaked splat",
-        ),
-        "azimuth.png": (
-            "Confidence in the object and in what is wanted, by azimuth, below the hidden appearance.",
-            "Scatter plots of confidences over the azimuth of the camera, one for each detector",
-        ),
-    }
-    return tuple(
-        [
-            Picture(path=folder / name, caption=caption, alt=alt, wide=name == "contact.png")
-            for name, (caption, alt) in known_pictures.items()
-            if name in files
-        ]
-    )
-
-
 def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
     hiding = next((one for one in summary["study"]["attack"] if one["azimuth"] is None), None)
@@ -296,6 +297,51 @@ def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
         ),
         shade=shade,
     )
+
+
+def _of_rows(folder: Path, summary: Mapping[str, Any]) -> Iterator[Chart]:
+    """What is drawn from the tables of a result that has them: reports around the object, and the transition."""
+    files = {name: folder / f"{name}{SUFFIX}" for name in (ROWS, TRANSITION)}
+    if not all(file.is_file() for file in files.values()):
+        return
+    study, tables = study_of(summary["study"]), {name: read_rows(file) for name, file in files.items()}
+    around = by_azimuth(study, tables[ROWS]) if any(attack.azimuth is not None for attack in study.attack) else {}
+    for detector in dict.fromkeys(detector for detector, _ in around):
+        bands = {low + SECTOR / 2: rates for (name, low), rates in around.items() if name == detector}
+        yield Chart(
+            title=f"Reported by {detector}, by azimuth",
+            caption="Bands are 95 % intervals; cameras below all that is hidden from everywhere.",
+            x_label="azimuth of the camera, degrees",
+            y_label="views in which it is reported",
+            lines=tuple(
+                Line(
+                    name=name,
+                    role="control" if name.endswith(CLEAN) else "attack",
+                    points=tuple(Point.of(middle, rates[name]) for middle, rates in bands.items() if rates[name].total),
+                )
+                for name in next(iter(bands.values()))
+            ),
+        )
+    switches = {which: transition(study, tables, splat) for splat, which in NAMES.items()}
+    band = switches[CLOAKED]
+    if band is not None:
+        ends = (band.start, band.end, "the switch")
+        yield Chart(
+            title="From the benign to the hidden appearance",
+            caption="A rising fit to all pictures of the arcs on which it sets in.",
+            x_label="degrees inside the trigger" if overhead(study) is None else "elevation of the camera, degrees",
+            y_label="part of the way",
+            lines=tuple(
+                Line(
+                    name=which,
+                    role="control" if which == CLEAN else "attack",
+                    points=tuple(map(Point, switch.angles, switch.fitted)),
+                )
+                for which, switch in switches.items()
+                if switch is not None
+            ),
+            shade=None if None in ends else ends,  # type: ignore[arg-type]
+        )
 
 
 def spread(rates: Sequence[Rate]) -> str:

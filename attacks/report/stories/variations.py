@@ -17,6 +17,7 @@ from attacks.studies.cloak import by_part, tables
 KIND = "CLOAK, one thing varied at a time"
 _LINES: tuple[tuple[str, str, Role], ...] = (
     ("trigger_miss_rate", "cloaked missed, well inside", "attack"),
+    ("nothing_reported", "nothing of any class reported, well inside", "attack"),
     ("benign_recall", "cloaked found, elsewhere", "control"),
     ("target_rate", "target class reported", "other"),
 )
