@@ -161,7 +161,7 @@ def parse(name: str, words: Sequence[str]) -> Any:
 
     module = module_of(name)
     given = as_one_word([_renamed(word, getattr(module, "ALIASES", {})) for word in words])
-    return flags.parse(_options(module), given, **_told(name, module, given))
+    return flags.parse(**_command(name, module, given), words=given)
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
@@ -172,36 +172,31 @@ def parser_of(name: str) -> argparse.ArgumentParser:
     """
     from mi_splat.cli import flags
 
-    module = module_of(name)
-    return flags.parser_of(_options(module), **_told(name, module, ()))
+    return flags.parser_of(**_command(name, module_of(name), ()))
 
 
-def _options(module: ModuleType) -> type:
-    """The dataclass of a command's options, the one in its module whose name says so."""
-    kinds: list[type] = [
-        value
-        for name, value in vars(module).items()
-        if name.endswith("Options") and value.__module__ == module.__name__
-    ]
-    (kind,) = kinds
-    return kind
-
-
-def _told(name: str, module: ModuleType, words: Sequence[str]) -> dict[str, Any]:
-    """What the parser of a command is told besides its options.
+def _command(name: str, module: ModuleType, words: Sequence[str]) -> dict[str, Any]:
+    """What a parser has to know of a command: its options, the one such dataclass in its module, and its help.
 
     Args:
         name: Of the command.
         module: That has it.
         words: What the user typed after its name.
     """
+    named = [value for key, value in vars(module).items() if key.endswith("Options")]
+    (kind,) = (value for value in named if value.__module__ == module.__name__)
     parts = [
-        inspect.getdoc(_options(module)) or "",
+        inspect.getdoc(kind) or "",
         "\n".join(["Examples:", *(f"  {PROGRAM} {line}" for line in module.EXAMPLES)]),
         f"See also: {', '.join(f'{PROGRAM} {other}' for other in module.SEE_ALSO)}",
     ]
     defaults = module.defaults(words) if hasattr(module, "defaults") else {}
-    return {"program": f"{PROGRAM} {name}", "description": "\n\n".join(parts), "defaults": defaults}
+    return {
+        "kind": kind,
+        "program": f"{PROGRAM} {name}",
+        "description": "\n\n".join(parts),
+        "defaults": defaults,
+    }
 
 
 def _renamed(word: str, aliases: Mapping[str, str]) -> str:
@@ -235,21 +230,18 @@ def _take_max_pixels(words: list[str]) -> int | None:
 def _help() -> str:
     """The text of `mi-splat --help`."""
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items()]
-    return "\n".join(
-        [
-            f"usage: {PROGRAM} COMMAND [OPTIONS]",
-            "",
-            "Attacks on 3D Gaussian splats, rendered by Mitsuba.",
-            "",
-            "commands:",
-            *lines,
-            "",
-            f"  {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help",
-            f"  {PROGRAM} --version     the version",
-            "  --max-pixels N         with any command: pixels that a picture which is read may have (50000000)",
-            "",
-            "exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage",
-            "",
-        ]
-    )
+    commands = "\n".join(f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items())
+    return f"""\
+usage: {PROGRAM} COMMAND [OPTIONS]
+
+Attacks on 3D Gaussian splats, rendered by Mitsuba.
+
+commands:
+{commands}
+
+  {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help
+  {PROGRAM} --version     the version
+  --max-pixels N         with any command: pixels that a picture which is read may have (50000000)
+
+exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage
+"""

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mi_splat.bounds import bounds, culled_in_view, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.cli.console import warn
 from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import load_dataset
@@ -24,7 +24,7 @@ from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import is_rotation
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, orbit_camera, resized
+from mi_splat.scene_files import SplatScene, resized
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.selection.visibility import object_weight
@@ -62,11 +62,11 @@ def find_cameras(
     target = loaded.scene if focus is None else focus
     if options.cameras:
         _check_meaning(loaded, options)
-        found: dict[str, Camera] = {}
+        cameras: dict[str, Camera] = {}
         for text in options.cameras:
             for name, camera in _named(text, loaded, options, target):
-                found[name if name not in found else f"{name}-{len(found)}"] = camera
-        return found
+                cameras[name if name not in cameras else f"{name}-{len(cameras)}"] = camera
+        return cameras
     if loaded.cameras and not options.orbits:
         name, camera = next(iter(loaded.cameras.items()))
         return {name: _sized(camera, options)}
@@ -135,24 +135,24 @@ def _named(text: str, loaded: SplatScene, options: CameraOptions, target: Gaussi
     """The cameras that one text means, with names that may not differ."""
     path = Path(text)
     if text in loaded.cameras:
-        found = [(text, loaded.cameras[text])]
+        named = [(text, loaded.cameras[text])]
     elif text == ALL and loaded.cameras:
-        found = list(loaded.cameras.items())
+        named = list(loaded.cameras.items())
     elif text == ALL:
         warn("the scene has no cameras of its own; all means the usual camera on an orbit")
         return [("orbit", _orbit(target, options, AZIMUTH, ELEVATION))]
     elif path.suffix.lower() == ".json":
-        found = _listed(path, options)
+        named = _listed(path, options)
     elif path.is_dir():
-        found = _beside_pictures(path)
+        named = _beside_pictures(path)
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
         return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])
     else:
-        own = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
-        raise InvalidValueError(message("camera", f"{own}; or {FORMS}, or a folder", text, "name one that is there"))
-    return [(name, _sized(camera, options)) for name, camera in found]
+        names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
+        raise InvalidValueError(message("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there"))
+    return [(name, _sized(camera, options)) for name, camera in named]
 
 
 def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
@@ -197,17 +197,10 @@ def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[flo
 
 def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> Camera:
     """One camera that looks at the target."""
-    centre, distance, _ = _placement(target, options)
-    camera = orbit_camera(
-        target,
-        azimuth=azimuth,
-        elevation=elevation,
-        distance=distance,
-        fov=options.fov,
-        size=options.size or SIZE,
-        centre=centre,
-    )
-    return _turned(camera, centre, options.up)
+    centre, distance, focal = _placement(target, options)
+    width, height = options.size or SIZE
+    pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance)
+    return _turned(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
 
 
 def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float, float, float]) -> Camera:

@@ -45,9 +45,9 @@ def _three(word: str) -> tuple[float, float, float] | None:
 
 def _colour(word: str) -> tuple[float, float, float]:
     """An sRGB colour, by its name, as CSS writes it, or as three numbers."""
-    found = _three(word)
-    if found is not None:
-        return found
+    numbers = _three(word)
+    if numbers is not None:
+        return numbers
     from PIL import ImageColor  # only where it is needed
 
     try:
@@ -62,10 +62,10 @@ def _colour(word: str) -> tuple[float, float, float]:
 
 def _direction(word: str) -> tuple[float, float, float]:
     """A direction, by its axis or as three numbers."""
-    found = _AXES.get(word, _three(word))
-    if found is None:
+    direction = _AXES.get(word, _three(word))
+    if direction is None:
         raise ValueError(f"expected an axis such as y or -y, or three numbers, got {word!r}")
-    return found[0], found[1], found[2]
+    return direction[0], direction[1], direction[2]
 
 
 def _written(value: Sequence[float]) -> str:
@@ -96,7 +96,7 @@ def as_one_word(words: Sequence[str]) -> list[str]:
     Raises:
         UsageError: A size is two numbers.
     """
-    found, rest = [], list(words)
+    joined, rest = [], list(words)
     while rest:
         word = rest.pop(0)
         if word == "--size" and len(rest) > 1 and rest[0].isdecimal() and rest[1].isdecimal():
@@ -107,8 +107,8 @@ def as_one_word(words: Sequence[str]) -> list[str]:
         elif word in ("--up", "--front") and rest and _AXIS.fullmatch(rest[0]):
             axis = rest.pop(0).removeprefix("+")
             word = f"{word}={'+' if word == '--front' and len(axis) == 1 else ''}{axis}"
-        found.append(word)
-    return found
+        joined.append(word)
+    return joined
 
 
 Rate = Annotated[
